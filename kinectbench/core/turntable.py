@@ -5,6 +5,7 @@ page that shows it has the same bytes everywhere.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.decimate import decimated
@@ -18,15 +19,19 @@ SUPERSAMPLING = 2
 # Triangles that are drawn, and the share of a frame that the object fills (own choices).
 MOST_TRIANGLES, FILLED = 60_000, 0.94
 MICROMETRES = 6
+# A vertex farther from the scene was not measured there (own choice).
+NEAR_M = 0.03
 
 
-def turntable(mesh_floor: TriangleMesh) -> Rgb:
+def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None) -> Rgb:
     """Pictures of a mesh side by side, from `FRAMES` azimuths: (FRAME_PX, FRAMES * FRAME_PX, 3) uint8 RGB.
 
     Args:
         mesh_floor: closed surface, z up, metres; with at least one triangle.
+        scene_floor: whose vertices have colours, which the mesh then has; None: it is of clay.
     """
     mesh = decimated(mesh_floor, MOST_TRIANGLES)
+    colors = _colors(mesh.vertices, scene_floor)
     vertices = mesh.vertices.round(MICROMETRES)
     vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     around = np.sqrt(vertices[:, 0] ** 2 + vertices[:, 1] ** 2)
@@ -34,17 +39,31 @@ def turntable(mesh_floor: TriangleMesh) -> Rgb:
     half_m = max(float(around.max()), float((cosine * np.abs(vertices[:, 2]) + sine * around).max())) / FILLED
     size_px = FRAME_PX * SUPERSAMPLING
     placed = vertices / half_m * (size_px / 2)
-    points, normals = _dense(TriangleMesh(placed, mesh.faces))
+    points, looks = _dense(TriangleMesh(placed, mesh.faces), colors)
     angles = np.arange(FRAMES) * (2 * np.pi / FRAMES)
     turns = np.stack([np.cos(angles), np.sin(angles)], axis=1).round(MICROMETRES)
     return np.concatenate(
-        [_frame(points, normals, (float(c), float(s)), (cosine, sine), size_px) for c, s in turns], axis=1
+        [_frame(points, looks, (float(c), float(s)), (cosine, sine), size_px) for c, s in turns], axis=1
     )
 
 
-def _dense(mesh_px: TriangleMesh) -> tuple[Float64, Float64]:
-    """Points (n, 3) of the surface, no farther than a pixel from each other, and their normals."""
-    corners, bends = mesh_px.vertices[mesh_px.faces], mesh_px.vertex_normals[mesh_px.faces]
+def _colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
+    """RGB (n, 3) of vertices: that of the nearest vertex of the scene, or clay if none is near."""
+    colors = np.tile(np.array(CLAY, np.float64), (len(vertices), 1))
+    if scene is None or scene.colors is None:
+        return colors
+    low, high = vertices.min(axis=0) - NEAR_M, vertices.max(axis=0) + NEAR_M
+    here = ((scene.vertices >= low) & (scene.vertices <= high)).all(axis=1)
+    distance_m, nearest = cKDTree(scene.vertices[here]).query(vertices, distance_upper_bound=NEAR_M)
+    near = np.isfinite(distance_m)
+    colors[near] = scene.colors[here][nearest[near]]
+    return colors
+
+
+def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
+    """Points (n, 3) of the surface, no farther than a pixel from each other; normals and colours (n, 6)."""
+    corners = mesh_px.vertices[mesh_px.faces]
+    bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)
     longest = np.sqrt((sides[..., 0] ** 2 + sides[..., 1] ** 2 + sides[..., 2] ** 2).max(axis=1))
     parts = np.maximum(1, np.ceil(longest)).astype(int)
@@ -58,7 +77,7 @@ def _dense(mesh_px: TriangleMesh) -> tuple[Float64, Float64]:
         b = np.concatenate([j[up] + 1 / 3, j[i + j < count - 1] + 2 / 3]) / count
         weights = (1 - a - b)[:, None], a[:, None], b[:, None]
         point, normal = (
-            sum(w * of[here, k][:, None] for k, w in enumerate(weights)).reshape(-1, 3)
+            sum(w * of[here, k][:, None] for k, w in enumerate(weights)).reshape(-1, of.shape[-1])
             for of in (corners, bends)
         )
         found.append((point, normal))
@@ -66,7 +85,7 @@ def _dense(mesh_px: TriangleMesh) -> tuple[Float64, Float64]:
 
 
 def _frame(
-    points: Float64, normals: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
+    points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
     """One picture: each pixel has the nearest of the points that fall on it."""
 
@@ -85,12 +104,14 @@ def _frame(
     np.minimum.at(nearest, row * size_px + column, order)
     hit = nearest < np.iinfo(np.int64).max
     first = nearest[hit] & 0xFFFFFFFF
-    facing = seen(normals[first])
+    facing = seen(looks[first])
     length = np.maximum(np.sqrt(facing[0] ** 2 + facing[1] ** 2 + facing[2] ** 2), 1e-9)
     lit = sum(float(to) * each for to, each in zip(LIGHT, facing, strict=True)) / length
     shade = (0.52 + 0.6 * np.clip(lit, 0.0, 1.0)) * (1 - 0.2 * forward[first] / size_px)
+    # Colours as recorded are lit already: they get half of it (own choice, by looking at pictures).
+    shade = np.where((looks[first, 3:] == CLAY).all(axis=1), shade, (1 + shade) / 2)
     picture = np.full((size_px * size_px, 3), PAPER, np.float64)
-    picture[hit] = shade[:, None] * np.array(CLAY, np.float64)
+    picture[hit] = shade[:, None] * looks[first, 3:]
     whole = np.clip(picture, 0, 255).astype(np.uint16)
     blocks = whole.reshape(FRAME_PX, SUPERSAMPLING, FRAME_PX, SUPERSAMPLING, 3)
     return np.asarray(blocks.sum(axis=(1, 3)) // SUPERSAMPLING**2, np.uint8)

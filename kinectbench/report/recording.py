@@ -100,10 +100,11 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
     cameras_world = read_poses(current["track"]).T_world_camera if "track" in current else None
     T_floor_world = None if floor is None else floor.T_floor_world
-    quality, mesh, unseen = read("segment", QualityFile), None, np.zeros(0, bool)
+    quality, mesh, unseen, turning = read("segment", QualityFile), None, np.zeros(0, bool), None
     frontiers = quality.frontiers if quality else ()
     if T_floor_world is not None:
         mesh, unseen = _mesh(current["segment"], T_floor_world)
+        turning = _turntable(mesh, T_floor_world, current.get("fuse"))
     plan = None
     if cameras_world is not None and T_floor_world is not None:
         cameras_floor = T_floor_world @ cameras_world
@@ -127,7 +128,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         settings=job.recording,
         health=None if health is None else health_figures(health),
         quality=None if quality is None else quality_figures(quality),
-        turntable=images.data_uri(turntable(mesh), QUALITY) if mesh else None,
+        turntable=turning,
         plan=plan,
         object_pictures=object_pictures(mesh, unseen, frontiers) if mesh else (),
         frames=frames,
@@ -139,6 +140,14 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         outdated=tuple(name for name, stage, is_absent in absent if is_absent and stage in old),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",
     )
+
+
+def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
+    """The object from all around, in the scene's colours where it has any, as a `data:` address."""
+    scene_floor = None
+    if reconstruction and (reconstruction / "mesh.ply").is_file():
+        scene_floor = read_own_ply(reconstruction / "mesh.ply", colors=True).transformed(T_floor_world)
+    return images.data_uri(turntable(mesh_floor, scene_floor), QUALITY)
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:

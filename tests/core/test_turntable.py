@@ -1,6 +1,7 @@
 """Objects that turn: each frame shows the mesh from its own azimuth, without holes."""
 
 import numpy as np
+import trimesh
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.boxes import OrientedBox
@@ -42,3 +43,21 @@ def test_the_same_mesh_in_any_place_is_drawn_alike() -> None:
     there = TriangleMesh(mesh.vertices + np.array([5.0, -3.0, 1.0]), mesh.faces)
     assert (turntable(mesh) == turntable(there)).all()
     assert turntable(mesh).shape == (FRAME_PX, FRAMES * FRAME_PX, 3)
+
+
+def test_it_has_the_colours_of_the_scene_around_it() -> None:
+    """Red from x = 0 on, where the scene is; the rest is farther than 30 mm from it, and of clay."""
+    fine = TriangleMesh(*trimesh.remesh.subdivide_to_size(*_arrays(box((0.6, 0.4, 0.3))), 0.02)[:2])
+    there = fine.vertices[fine.vertices[:, 0] > 0]
+    scene = TriangleMesh(
+        there, np.zeros((0, 3), np.int32), np.tile(np.array([200, 0, 0], np.uint8), (len(there), 1))
+    )
+    pictures = turntable(fine, scene).astype(int)
+    red = pictures[..., 0] - pictures[..., 2] > 80
+    share = red.sum() / (np.abs(pictures - PAPER).max(axis=2) > 8).sum()
+    assert 0.4 < share < 0.65
+    assert not (turntable(fine)[..., 0].astype(int) - turntable(fine)[..., 2] > 80).any()
+
+
+def _arrays(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
+    return mesh.vertices, mesh.faces

@@ -1,13 +1,18 @@
 """The pictures of a release's page: a shape looks the same however its grid lies in memory."""
 
+import base64
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from synthetic_release import synthetic_settings
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.release.publish.preview import CLAY, PAPER, seen_from_the_front, seen_from_the_right
 from kinectbench.release.publish.publish import publish
 
@@ -48,3 +53,19 @@ def test_the_page_begins_with_the_objects(hidden: bool, analytic: Path, tmp_path
     begin = page.index('class="turn"')
     assert page[:begin].count('class="alert"') == 1 <= page[begin:].count('class="alert"')
     assert begin < page.index("<img") < page.index("<table")
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_objects_have_colour_only_where_it_is_published(color: bool, analytic: Path, tmp_path: Path) -> None:
+    build = Path(shutil.copytree(analytic / "build", tmp_path / "build"))
+    shape = read_own_ply(build / "chair_02/object/mesh.ply")
+    red = np.tile(np.array([220, 10, 10], np.uint8), (len(shape.vertices), 1))
+    (build / "chair_02/reconstruction").mkdir(exist_ok=True)
+    write_ply(replace(shape, colors=red), build / "chair_02/reconstruction/mesh.ply")
+    settings = synthetic_settings(publish={"color": color})
+    page = (publish(settings, build, tmp_path / "b", ["chair_02"]).folder / "index.html").read_text()
+    (strip,) = re.findall(r'class="turn".*?src="data:image/jpeg;base64,([^"]+)"', page)
+    blue, _, red_of = cv2.imdecode(
+        np.frombuffer(base64.b64decode(strip), np.uint8), cv2.IMREAD_COLOR
+    ).T.astype(int)
+    assert (red_of - blue > 100).any() == color

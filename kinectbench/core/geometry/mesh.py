@@ -181,22 +181,22 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
     path.write_bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=False))
 
 
-def read_own_ply(path: Path) -> TriangleMesh:
-    """Read a mesh that `write_ply` wrote; colours are left out.
+def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
+    """Read a mesh that `write_ply` wrote; with its colours, if it has any and they are asked for.
 
     Raises:
         StorageError: the file is missing or damaged.
     """
     try:
-        return parse_ply(read_plain(path, PLY_BYTES))
+        return parse_ply(read_plain(path, PLY_BYTES), colors=colors)
     except (OSError, ValueError) as error:
         raise StorageError(
             f"{path}: not a readable triangle mesh ({error}); `kinectbench build --force` makes it again"
         ) from error
 
 
-def parse_ply(content: bytes) -> TriangleMesh:
-    """Read the bytes of a mesh that `write_ply` wrote, which may come from anybody; colours are left out.
+def parse_ply(content: bytes, *, colors: bool = False) -> TriangleMesh:
+    """Read the bytes of a mesh that `write_ply` wrote, which may come from anybody; see `read_own_ply`.
 
     Of the PLY format only what is written here is read, binary triangles: nothing is believed before it is
     known to be there, and it costs no more than the file. A library would split texts, or unpack lists.
@@ -214,10 +214,12 @@ def parse_ply(content: bytes) -> TriangleMesh:
     claimed = vertex_end + faces * face.itemsize
     if len(content) != claimed:
         raise ValueError(f"{len(content)} bytes where its head claims {claimed}")
-    xyz = np.frombuffer(content, vertex, vertices, head.end())["xyz"].astype(np.float64)
+    of_vertices = np.frombuffer(content, vertex, vertices, head.end())
+    xyz = of_vertices["xyz"].astype(np.float64)
     of_faces = np.frombuffer(content, face, faces, vertex_end)
     corners = of_faces["corners"].astype(np.int32)
     inside = (corners >= 0) & (corners < vertices)
     if not np.isfinite(xyz).all() or not inside.all() or (of_faces["count"] != 3).any():
         raise ValueError("a vertex is not finite, or a face has none")
-    return TriangleMesh(xyz, corners)
+    colored = colors and head[2].count(b"\n") >= 3
+    return TriangleMesh(xyz, corners, of_vertices["rest"][:, :3].copy() if colored else None)

@@ -29,6 +29,8 @@ from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
+# Of a build, the mesh of all that was recorded.
+SCENE = "reconstruction/mesh.ply"
 # Lines of warnings at the page's head; a large release has one for each recording.
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "passed over")
@@ -49,8 +51,11 @@ def write_preview(
     infos: Mapping[str, RecordingInfo],
     warnings: Sequence[str],
     held_back: Sequence[str],
+    build: Path | None = None,
 ) -> None:
     """Write index.html of a release whose pairs and views are there already.
+
+    Objects have the colours of the scene in `build`, if colour is published.
 
     Raises:
         PairError: a pair is damaged.
@@ -59,8 +64,9 @@ def write_preview(
     of_recording = by_recording(targets)
     large = len(infos) > SHOWN
     names, views = spread(list(infos), SHOWN), 1 if large else VIEWS
+    scenes = build if settings.publish.color else None
     parts = [
-        _part(folder, name, infos[name], of_recording[name], infos[name].split in held_back, views)
+        _part(folder, scenes, name, infos[name], of_recording[name], infos[name].split in held_back, views)
         for name in names
     ]
     told = warnings[:MOST_WARNINGS] if large else warnings
@@ -76,6 +82,7 @@ def write_preview(
         "more_warnings": len(warnings) - len(told),
         "held_back": ", ".join(held_back),
         "frames": FRAMES,
+        "turns": any(part["turntable"] for part in parts),
         "package_version": __version__,
     }
     (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
@@ -101,7 +108,13 @@ def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing
 
 
 def _part(
-    folder: Path, name: str, info: RecordingInfo, here: Sequence[Target], held_back: bool, views: int
+    folder: Path,
+    scenes: Path | None,
+    name: str,
+    info: RecordingInfo,
+    here: Sequence[Target],
+    held_back: bool,
+    views: int,
 ) -> dict[str, Any]:
     """One recording as the page shows it, by so many of its pairs, spread evenly."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
@@ -109,19 +122,24 @@ def _part(
         "name": name,
         "info": info,
         "held_back": held_back,
-        "turntable": _turntable(folder / "objects" / name),
+        "turntable": _turntable(folder / "objects" / name, scenes and scenes / name),
         "figures": quality_words(info.quality).items(),
         "views": [(here[index].view, _pictures(folder, here[index], held_back)) for index in chosen],
     }
 
 
-def _turntable(objects: Path) -> str | None:
+def _turntable(objects: Path, built: Path | None) -> str | None:
     """The object from all around, as a `data:` address; None of one that is held back or has no surface."""
     if not (objects / OBJECT_FILES[0]).is_file():
         return None
     mesh = read_own_ply(objects / OBJECT_FILES[0])
-    mesh_floor = mesh.transformed(FloorFile.read(objects).T_floor_world)
-    return data_uri(turntable(mesh_floor), QUALITY) if len(mesh.faces) else None
+    if not len(mesh.faces):
+        return None
+    T_floor_world, scene = FloorFile.read(objects).T_floor_world, built and built / SCENE
+    colored = (
+        read_own_ply(scene, colors=True).transformed(T_floor_world) if scene and scene.is_file() else None
+    )
+    return data_uri(turntable(mesh.transformed(T_floor_world), colored), QUALITY)
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:

@@ -204,7 +204,7 @@ def _write(
     )
     refuse_large(folder)  # before other files are made of them
     write_view_pictures(folder, targets)
-    write_preview(folder, settings, targets, infos, warnings, options.hold_back)
+    write_preview(folder, settings, targets, infos, warnings, options.hold_back, build)
     identity = write_small_files(head, folder, targets, infos, warnings)
     refuse_large(folder)
     return PublishSummary(
