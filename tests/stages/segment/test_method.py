@@ -42,6 +42,8 @@ NO_FIGURES = {
     ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
     ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
     ("frontiers", "LOWER"): "words of advice; `look_from` is recorded",
+    ("frontiers", "TURN_STEP_DEG"): "words of advice; `look_from` is recorded",
+    ("frontiers", "HALF_TURN_DEG"): "words of advice; `look_from` is recorded",
     ("frontiers", "LOOKS"): "how finely `look_from` is told",
     ("frontiers", "HELD_RAD"): "which of equal looks is told; `look_from` is recorded",
     ("box_anchor", "DIGITS"): "of a hash, by which a frame is found again",
