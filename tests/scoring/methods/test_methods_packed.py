@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow import slow
 from small_benchmark import Run
 from small_method import TINY
 
@@ -81,7 +82,9 @@ def test_one_split_alone_and_then_the_other(
     assert (checked.status, checked.err) == (0, "")
 
 
-@pytest.mark.parametrize("more", [(), ("--threshold", "0.4"), ("--precision", "float16", "--split", "test")])
+@pytest.mark.parametrize(
+    "more", [(), slow(("--threshold", "0.4")), slow(("--precision", "float16", "--split", "test"))]
+)
 def test_scores_without_files_are_those_with_them(
     command: Command, fine: Path, learning: Release, tmp_path: Path, more: tuple[str, ...]
 ) -> None:
