@@ -14,10 +14,12 @@ from kinectbench.core.types import Float64, Rgb
 
 # 18 degrees apart; as a JPEG 42 to 68 kB of a real cabinet and of four simulated objects (own choice).
 FRAMES, FRAME_PX, QUALITY = 20, 160, 75
+# As people look at furniture; each pixel is the mean of two by two (own choices).
 ELEVATION_DEG = 20.0
 SUPERSAMPLING = 2
 # Triangles that are drawn, and the share of a frame that the object fills (own choices).
 MOST_TRIANGLES, FILLED = 60_000, 0.94
+# Decimals: coordinates are rounded to these, so that their last bits do not matter.
 MICROMETRES = 6
 # A vertex farther from the scene was not measured there (own choice).
 NEAR_M = 0.03

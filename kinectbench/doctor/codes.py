@@ -18,11 +18,11 @@ from kinectbench.stages.ingest.recording import FileRecording
 from kinectbench.stages.ingest.rotated_depth import unrotated
 
 UInt16 = NDArray[np.uint16]
-# Renderers' usual planes, metres, and the values of a z-buffer's far plane.
+# Renderers' usual near and far planes, metres (own choice); and the value of the far plane, of 16 bits.
 NEAR_FAR_M = ((0.1, 10.0), (0.1, 100.0), (0.01, 10.0), (0.01, 100.0), (0.05, 20.0), (0.02, 5.0), (0.5, 20.0))
 DEEPEST = 65535
-# Another code leaves less than this share of the residual. Measured: distances along the ray leave .25 to .5
-# of it where they are read as such, with fields of view of 60 and 65 degrees across.
+# Another code leaves less than this share of the residual. Measured: distances along the ray leave .25 to .6
+# of it where they are read as such (5 recordings), plain depth twice and more (2).
 BETTER = 0.75
 # What another code explains, all of it judged by depth that is wrong.
 EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
@@ -48,7 +48,8 @@ class Code:
 def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
     """Name the scale or the code by which the given poses fit, where they do not fit as it is.
 
-    Nothing is tried where there are no poses, or where depth has been read by a code already.
+    Nothing is tried where there are no poses, or where depth has been read by a code already. Of depth that
+    is float only the ray is: its values are no longer those of the files.
 
     Args:
         look: at the recording.
@@ -61,17 +62,23 @@ def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
         return
     # Poses that fit as they are settle the scale, but along the ray depth differs by little.
     as_given = poses is not None and poses.fits and poses.reading.changes == 0
-    codes = _along_the_ray(look) if as_given else _codes(look)
+    codes = _along_the_ray(look) if as_given or not _is_stored(look) else _codes(look)
     found = [(code, fit) for code in codes if (fit := _fit(look, code)) is not None]
     if as_given and poses is not None:
         found = [each for each in found if each[1].residual_m < BETTER * poses.residual_m]
     if not found:
         return
     code, fit = min(found, key=lambda each: each[1].best)
-    what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm" + (
-        "" if poses is None else f", and {1000 * poses.residual_m:.1f} mm as it is read"
-    )
+    what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm"
+    if as_given and poses is not None:  # by another scale the figures could not be compared
+        what += f", and {1000 * poses.residual_m:.1f} mm as it is read"
     yield Finding(code.name, "stops", what, look.where, code.advice)
+
+
+def _is_stored(look: Look) -> bool:
+    """Whether depth has the values that it is stored with."""
+    recording = look.recording
+    return not isinstance(recording, FileRecording) or recording.float_scale is None
 
 
 def _codes(look: Look) -> Iterator[Code]:

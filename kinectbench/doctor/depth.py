@@ -31,6 +31,7 @@ CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
+# Of 16 bits.
 HIGHEST = 65535
 # What poses that fit settle: by another scale or other intrinsics they would not.
 SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
@@ -187,7 +188,8 @@ def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     # Things on a table are recorded from as near as this by cameras that can.
-    if median / scale > LIKELY_MEDIAN_M[0] or severity == "stops":
+    stored = getattr(look.recording, "float_scale", None) is None
+    if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
     yield Finding("depth_scale", severity, what, look.where, advice)
 

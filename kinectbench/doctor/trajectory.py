@@ -29,6 +29,7 @@ from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 from kinectbench.stages.ingest.readers.pose_files import named_like_poses
+from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Another reading is said to be right only if poses fit so much better by it.
 BETTER = 0.87
@@ -196,6 +197,12 @@ def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]
     return Finding("trajectory_time", "stops", what, look.where, advice)
 
 
+def _stated_scale(recording: Recording) -> float:
+    """Units a metre of depth as the files have it, which `depth_scale` counts."""
+    float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
+    return recording.depth_scale if float_scale is None else float_scale
+
+
 def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
     if fit.reading.changes and not fit.fits:
         left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
@@ -220,7 +227,7 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
         name, advice = "trajectory_reading", "write them anew so, or `trajectory: ignore`"
         if fit.reading.changes == 1 and fit.reading.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(look).tolist()
-            scale = look.recording.depth_scale * fit.reading.unit_m
+            scale = _stated_scale(look.recording) * fit.reading.unit_m
             at_scale_m = median_m / fit.reading.unit_m
             name = "depth_scale"
             advice = (

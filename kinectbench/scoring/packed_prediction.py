@@ -15,6 +15,7 @@ from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
 
 # The names of the two arrays say how the file is coded.
 CODES, LEVELS = "codes", "levels"
+# As many as a byte has.
 MOST_LEVELS = 256
 HALF_ONE = 0x3C00
 # Levels between neighbouring thresholds; and beyond the outermost ones by how much the logits of their bounds

@@ -159,3 +159,18 @@ def test_depth_images_of_two_sizes_end_in_one_line(base: Path, tmp_path: Path) -
     (folder / "depth/000007.png").write_bytes(png(np.full((60, 40), 900, np.uint16)))
     diagnosis, _ = inspect(folder, tracking=TrackingSettings())
     assert "depth_sizes" in {found.name for found in diagnosis.findings}
+
+
+def test_of_floats_no_scale_of_what_they_became_is_offered(base: Path, tmp_path: Path) -> None:
+    """In centimetres they are a hundred a metre, which inspect does not try; it must not name another."""
+    folder = recoded(base, tmp_path / "r", mm)
+    for image in sorted((folder / "depth").iterdir()):
+        depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+        np.save(image.with_suffix(".npy"), (depth / 10).astype(np.float32))
+        image.unlink()
+    said = [found.advice for found in inspect(folder)[0].findings if "poses fit if depth is" in found.what]
+    assert said == []
+    (scale,) = [found.advice for found in inspect(folder)[0].findings if "`depth_scale: " in found.advice]
+    assert "`depth_scale: 100`" in scale
+    right, _ = inspect(folder, CameraSettings(depth_scale=100.0))
+    assert not right.stops and right.facts["poses_read_as"] == "as given"

@@ -201,7 +201,7 @@ class FileRecording(Recording):
     Attributes:
         often_rotated: depth in this layout usually has rotated bits.
         depth_code: how its values are to be read (`core.types.DepthCode`).
-        float_scale: units a metre of depth that is float.
+        float_scale: units a metre of the files, where depth is float; None: its values are those stored.
         channels: of depth in two 8-bit channels: those of the high and of the low byte; None: it is in one.
     """
 
@@ -209,14 +209,16 @@ class FileRecording(Recording):
 
     places: tuple[FrameFiles, ...]
     depth_code: DepthCode = "plain"
-    float_scale: float = 1.0
+    float_scale: float | None = None
     channels: tuple[int, int] | None = None
 
     def frame(self, index: int) -> RawFrame:
         """Read the files of a frame."""
         files = self.places[index]
         stored = decode_depth_file(read_image_file(files.depth), str(files.depth), self.channels)
-        native = stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale))
+        native = (
+            stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale or 1.0))
+        )
         depth = read_by_code(
             self.depth_code, self.clean_depth(np.asarray(native, np.uint16), index), self.camera
         )

@@ -52,13 +52,13 @@ class Stored:
 
     Attributes:
         depth_scale: units a metre as it is read, if it is float.
-        float_scale: units a metre of the floats.
+        float_scale: units a metre of the floats; None: it is none.
         channels: the 8-bit channels of the high and the low byte.
         warnings: what people should know, a line each.
     """
 
     depth_scale: float | None = None
-    float_scale: float = 1.0
+    float_scale: float | None = None
     channels: tuple[int, int] | None = None
     warnings: tuple[str, ...] = ()
 
