@@ -33,6 +33,7 @@ MOST_BYTES = 2 * 360 * MOST_ROWS
 TEXTS = tuple(name for name in fields_of(Pair) if name != "threshold")
 NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CURVE))
 WORDS = "{}_words"
+# Of a curve, as `scoring.counts` counts them.
 THRESHOLDS = 17
 # Rows that are made from columns at once (own choice): their plain values take 30 MB.
 AT_ONCE = 10_000
