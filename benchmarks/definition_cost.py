@@ -12,7 +12,7 @@ import numpy as np
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.seeable import seeable_solid
 from kinectbench.engine.processes import submit_all, worker_pool
-from kinectbench.lab.simulate.objects import FAMILIES, make_object
+from kinectbench.lab.simulate.objects import families, make_object
 
 SEEDS = (41, 42, 43)
 
@@ -29,7 +29,7 @@ def cost(task: tuple[str, int]) -> tuple[float, float, float, float]:
 def main() -> int:
     """Print a row for each family."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--families", nargs="+", choices=tuple(FAMILIES), default=tuple(FAMILIES))
+    parser.add_argument("--families", nargs="+", choices=tuple(families()), default=tuple(families()))
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()

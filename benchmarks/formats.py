@@ -21,7 +21,7 @@ from figures import Figure, arguments, at_most, equals, run, told
 from numpy.typing import NDArray
 
 from kinectbench.core.sequence import Sequence
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame, Recording
@@ -115,10 +115,9 @@ def compared(sequence: Sequence, source: Recording, name: str) -> dict[str, obje
 
 def measured(name: str, source: Recording, root: Path) -> list[Figure]:
     """Wrap, ingest and compare one container."""
-    path, folder = root / f"{name}{SUFFIXES.get(name, '')}", root / f"{name}.sequence"
-    if name not in SUFFIXES:
-        path.mkdir()
-    WRITERS[name](path, Rig(source.camera, source.camera, True, np.eye(4)), stored_frames(source))
+    folder = root / f"{name}.sequence"
+    rig = Rig(source.camera, source.camera, True, np.eye(4))
+    path = formats()[name].write_new(root / name, rig, stored_frames(source))
     settings = settings_of(name, source)
     camera = settings.model_dump_json() if settings else ""
     command = [sys.executable, __file__, "--one", str(path), str(folder), camera]
@@ -147,7 +146,7 @@ def measured(name: str, source: Recording, root: Path) -> list[Figure]:
 def measure(folder: Path, names: list[str]) -> list[Figure]:
     source = open_recording(folder)
     found: list[Figure] = []
-    for name in names or list(WRITERS):
+    for name in names or list(formats()):
         with tempfile.TemporaryDirectory() as root:
             found += measured(name, source, Path(root))
     return found

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from builds import CORES, build_root
 from figures import Figure, arguments, at_least, at_most, run, told
+from known_observations import SPLITS
 from known_rows import NotBuilt, Row, Task, as_json, line, mean_of, measure_row, print_tables
 from tracking_recordings import simulated
 
@@ -25,14 +26,13 @@ from kinectbench.engine.parallel import build
 from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate.known import calibration_error, equal_bins
-from kinectbench.lab.simulate.objects import CLOSED_BELOW, FAMILIES, LOOKED_AT, REPORTED_ONLY, make_object
+from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import truth_folder
 from kinectbench.settings.models import BenchmarkSettings
 
 SEEDS = (41, 42, 43)
-SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
 # `auto` records what is at most so large from near, as a thing on a table, and everything else as known-v1.
 AUTO, TABLE_TOP_M = "auto", 0.4
 LARGE_PRESET, NEAR_PRESET = "known-v1", "near-v1"
@@ -83,7 +83,7 @@ def measured(
                     "id": one.name,
                     "path": str(place.resolve()),
                     "category": one.family,
-                    "underside": "closed" if truly and one.family in CLOSED_BELOW else "unseen",
+                    "underside": "closed" if truly and families()[one.family].closed_below else "unseen",
                     # Nobody can follow a camera that jumps: such recordings bring their poses.
                     "trajectory": "trust" if one.spec.path.order == "shuffled" else "ignore",
                 }
@@ -258,7 +258,7 @@ def options_of() -> argparse.Namespace:
     """The command line, checked."""
     parser = arguments(__doc__)
     parser.add_argument(
-        "--families", nargs="+", metavar="FAMILY", choices=list(FAMILIES), help="instead of --split"
+        "--families", nargs="+", metavar="FAMILY", choices=list(families()), help="instead of --split"
     )
     # The bars are of families that nothing was fitted to.
     parser.add_argument("--split", choices=list(SPLITS), default="reported-only")

@@ -14,7 +14,7 @@ from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.engine.steps import read_tracked
 from kinectbench.lab.evaluate.build import read_build, register
 from kinectbench.lab.evaluate.surface import Surface
-from kinectbench.lab.simulate.objects import LOOKED_AT, REPORTED_ONLY
+from kinectbench.lab.simulate.objects import families
 from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
@@ -25,7 +25,11 @@ from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ra
 from kinectbench.stages.segment.resolution import USUAL_VOXEL_M
 from kinectbench.stages.segment.up import floor_hint
 
-SPLITS = {"looked-at": LOOKED_AT, "reported-only": REPORTED_ONLY, "all": (*LOOKED_AT, *REPORTED_ONLY)}
+SPLITS = {
+    "looked-at": [name for name, family in families().items() if family.looked_at],
+    "reported-only": [name for name, family in families().items() if not family.looked_at],
+    "all": list(families()),
+}
 
 
 @dataclass(frozen=True)

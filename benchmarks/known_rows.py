@@ -14,7 +14,7 @@ from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import evaluate
 from kinectbench.lab.evaluate.known import CalibrationBin
 from kinectbench.lab.evaluate.measured import FaceBias
-from kinectbench.lab.simulate.objects import FURNITURE
+from kinectbench.lab.simulate.objects import families
 from kinectbench.lab.simulate.truth import read_truth
 
 NONE = "–"
@@ -88,7 +88,7 @@ class Row:
     @property
     def is_furniture(self) -> bool:
         """Whether its family is one of those with bars of their own."""
-        return self.family in FURNITURE
+        return families()[self.family].furniture
 
     @property
     def off(self) -> float | None:

@@ -83,7 +83,7 @@ mapfile -t missing < <(missing_packages "$python")
 # Line 1: where .venv was made and by which Python. Line 2: what was installed into it.
 stamp=.venv/kinectbench-setup
 place="$PWD $("$python" -c 'import sys; print(sys.version.split()[0])')"
-wanted=$(cat pyproject.toml constraints.txt | sha256sum | cut -d ' ' -f 1)
+wanted=$(cat pyproject.toml benchmarks/plugins/pyproject.toml constraints.txt | sha256sum | cut -d ' ' -f 1)
 if [ "$(sed -n 1p "$stamp" 2>/dev/null)" != "$place" ] || ! .venv/bin/python -c '' 2>/dev/null; then
   if [ -e .venv ] || [ -L .venv ]; then
     say "removing a .venv that is unfinished or was made elsewhere"
@@ -99,7 +99,8 @@ rm -f "$stamp"
 say "installing the pinned packages (about 3 GB on disk; some minutes the first time)"
 tell_time 9>&- &
 trap "kill $! 2>/dev/null || true" EXIT
-.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' ||
+.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev,docs]' \
+  -e benchmarks/plugins ||
   fail "the packages could not be installed; pip's reason is above"
 install_torch || say "torch for CPUs could not be installed, pip's reason is above: the tests of networks are left out"
 say "compiling the kernels (a minute or two)"

@@ -12,7 +12,7 @@ from fuzz.damage import of_content
 from fuzz.engine import Command, Damaged, Fuzzer
 from fuzz.places import of_folder
 from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.5, 23.5)
 FRAMES = 3
@@ -40,12 +40,9 @@ def frames() -> Iterator[RecordedFrame]:
 
 def make(folder: Path) -> None:
     rig = Rig(CAMERA, CAMERA, color_registered=True, T_color_depth=np.eye(4))
-    for name, write in WRITERS.items():
-        path = folder / name / f"{RECORDING}{SUFFIXES.get(name, '')}"
-        path.parent.mkdir()
-        if name not in SUFFIXES:
-            path.mkdir()
-        write(path, rig, frames())
+    for name, file_format in formats().items():
+        (folder / name).mkdir()
+        path = file_format.write_new(folder / name / RECORDING, rig, frames())
         said = asdict(SAID[name]) if name in SAID else {}
         text = YAML.format(name=path.name, camera=json.dumps(said))
         (path.parent / "benchmark.yaml").write_text(text, encoding="utf-8")

@@ -1,13 +1,12 @@
 """The command `simulate`."""
 
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import typer
 
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.lab.simulate import Format
 
 
 @takes("overrides", "jobs", "as_json")
@@ -19,7 +18,12 @@ def simulate(
     preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
     frames: Annotated[int | None, typer.Option(min=1, help="number of frames")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="draws everything but the object")] = None,
-    form: Annotated[str | None, typer.Option("--format", help=", ".join(get_args(Format)))] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format", help="tum, folder, bag, bag_compressed, ros2_sqlite, ros2_mcap, or one of a plug-in"
+        ),
+    ] = None,
     presets: Annotated[bool, typer.Option("--presets", help="list the presets")] = False,
     contact_sheets: Annotated[
         Path | None, typer.Option(help="draw twelve objects of each family into this folder")

@@ -8,7 +8,7 @@ import cv2
 import pytest
 from small_benchmark import Run, copied
 
-from kinectbench.lab.simulate.objects import FAMILIES
+from kinectbench.lab.simulate.objects import families
 from kinectbench.lab.simulate.presets import PRESETS
 from kinectbench.lab.simulate.truth import read_truth
 from kinectbench.release.check.verify import verify
@@ -49,8 +49,8 @@ def test_simulate_lists_presets_and_draws_contact_sheets(
     """Of two families; that all are drawn is tested beside the sheets."""
     assert set(json.loads(command(tmp_path, "simulate", "--presets", "--json").out)) == set(PRESETS)
     assert "orbit-v1" in command(tmp_path, "simulate", "--presets").out
-    few = {family: FAMILIES[family] for family in ("bench", "table")}
-    monkeypatch.setattr("kinectbench.lab.simulate.objects.contact_sheets.FAMILIES", few)
+    few = {family: families()[family] for family in ("bench", "table")}
+    monkeypatch.setattr("kinectbench.lab.simulate.objects.contact_sheets.families", lambda: few)
     sheets = json.loads(command(tmp_path, "simulate", "--contact-sheets", "sheets", "--json").out)
     assert sheets == ["sheets/bench.png", "sheets/table.png"]
     for sheet in sheets:

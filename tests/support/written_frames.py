@@ -11,12 +11,12 @@ from ingest_writers import every_frame
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-SCALE = dict.fromkeys(WRITERS, 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
+SCALE = dict.fromkeys(formats(), 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
 BAGS = ["bag", "bag_compressed"]
 # Their depth images are PNG files.
 FOLDERS = ["tum", "7scenes", "folder", "redwood"]
@@ -56,11 +56,7 @@ def frame(
 def write(
     out: Path, name: str, frames: Sequence[RecordedFrame] | Iterator[RecordedFrame], registered: bool = True
 ) -> Path:
-    out = out.with_suffix(SUFFIXES.get(name, ""))
-    if name not in SUFFIXES:
-        out.mkdir()
-    WRITERS[name](out, rig(registered), frames)
-    return out
+    return formats()[name].write_new(out, rig(registered), frames)
 
 
 def read(recording: Recording) -> list[RawFrame]:

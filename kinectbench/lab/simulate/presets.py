@@ -14,7 +14,6 @@ import numpy as np
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import NamedProgress
-from kinectbench.lab.simulate import Format
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec, WorldFrame
 from kinectbench.scoring.workers import run_tasks
@@ -155,7 +154,7 @@ def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = (
     return settings_from_options(SimulationSpec, merged(PRESETS[name][1], changes), overrides, "simulation")
 
 
-def _spec(name: str, frames: int, form: Format, world: WorldFrame) -> SimulationSpec:
+def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpec:
     """A short, small recording: 320x240 at 5 Hz; its noise-free depth is left out to save space.
 
     Around tables the camera is held low, so that it sees what is under the top too.

@@ -35,7 +35,7 @@ from kinectbench.lab.simulate.truth import (
     truth_folder,
     write_truth,
 )
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, cut, stamp_as_read
+from kinectbench.lab.simulate.writers import cut, formats
 from kinectbench.lab.simulate.writers.frame import ColorImage, RecordedFrame, Rig, png_bytes
 
 # A foreign frame shows another object in another scene: seeds this much farther on.
@@ -308,12 +308,12 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     folder = truth_folder(out)
     sweep(out)
     sweep(folder)
-    writer = WRITERS[spec.format]
-    replaced = replaced_file if spec.format in SUFFIXES else replaced_folder
+    file_format = formats()[spec.format]
+    replaced = replaced_file if file_format.suffix else replaced_folder
     with replaced_folder(folder) as temporary:
         recorder = _Recorder(simulation, temporary, progress)
         with replaced(out) as path:
-            writer(path, simulation.rig, recorder.frames())
+            file_format.write(path, simulation.rig, recorder.frames())
             if spec.faults.cut_share > 0:
                 cut(path, spec.faults.cut_share)
         values = spec.model_dump(mode="json")
@@ -365,7 +365,8 @@ class _Recorder:
         points_world = points @ R_world_room.T + simulation.T_world_room[:3, 3]
         poses = simulation.T_world_camera
         poses[[plan.foreign for plan in simulation.frames]] = np.nan
-        stamps = [stamp_as_read(spec.format, i, plan.stamp_ns) for i, plan in enumerate(simulation.frames)]
+        as_read = formats()[spec.format].stamp_as_read
+        stamps = [as_read(index, plan.stamp_ns) for index, plan in enumerate(simulation.frames)]
         return Truth(
             folder=self._folder,
             subject=simulation.subject.name,
@@ -381,8 +382,8 @@ class _Recorder:
 
 def _check_place(spec: SimulationSpec, out: Path) -> None:
     """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
-    suffix = SUFFIXES.get(spec.format, "")
-    foreign = {*SUFFIXES.values(), ".truth"} - {suffix}
+    suffix = formats()[spec.format].suffix
+    foreign = {".truth", *(one.suffix for one in formats().values())} - {"", suffix}
     if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
         said = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
         raise SettingsError(f"{out}: a recording {said}; no other name may end so, and none in .truth")

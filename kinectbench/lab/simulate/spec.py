@@ -3,11 +3,12 @@
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from kinectbench.core.geometry import Camera
-from kinectbench.lab.simulate import Format
+from kinectbench.lab.simulate.writers import formats
 from kinectbench.settings.base import Settings
+from kinectbench.settings.words import listed, near_miss
 
 WorldFrame = Literal["upright", "first_camera", "random"]
 
@@ -159,10 +160,6 @@ class FaultSettings(Settings):
     cut_share: float = Field(0.0, ge=0, le=0.99, description="this share of the last file or bag is missing")
 
 
-# Formats that have a place for masks.
-WITH_MASKS: tuple[Format, ...] = ("tum", "folder", "bop", "wildrgbd")
-
-
 class GivenSettings(GrownSettings):
     """The trajectory and the masks that are recorded with the frames."""
 
@@ -170,7 +167,7 @@ class GivenSettings(GrownSettings):
     noise_m: float = Field(0.005, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     noise_rad: float = Field(0.002, ge=0, le=1, description="noisy: standard deviation per axis and frame")
     drift_m_per_m: float = Field(0.01, ge=0, le=1, description="drifting: error per metre of path")
-    masks: bool = Field(False, description=f"true masks come with it ({', '.join(WITH_MASKS)})")
+    masks: bool = Field(False, description="true masks come with it, where the format has a place for them")
 
 
 class SimulationSpec(Settings):
@@ -180,7 +177,7 @@ class SimulationSpec(Settings):
     mesh: str | None = Field(None, description="a mesh file in metres, instead of `object`")
     mesh_up: Literal["y", "z"] = Field("z", description="the axis of `mesh` that points up")
     seed: int = Field(0, ge=0, le=10**9, description="draws everything but the object")
-    format: Format = Field("tum", description="of the recording")
+    format: str = Field("tum", description="of the recording")
     world: WorldFrame = Field("upright", description="upright: z up, floor at 0; or first_camera, or random")
     path: PathSettings = PathSettings()
     scene: SceneSettings = SceneSettings()
@@ -189,13 +186,21 @@ class SimulationSpec(Settings):
     given: GivenSettings = GivenSettings()
     save_depth: bool = Field(True, description="noise-free depth goes to the truth")
 
+    @field_validator("format")
+    @classmethod
+    def _format_is_known(cls, name: str) -> str:
+        """Refuse a format that nothing installed writes."""
+        if name not in formats():
+            hint = f"{near_miss(name, list(formats()))} choose one of {listed(formats())}".lstrip()
+            raise ValueError(f"'{name}': unknown; {hint}")
+        return name
+
     @model_validator(mode="after")
     def _masks_have_a_place(self) -> Self:
         """Refuse masks where the format would lose them."""
-        if self.given.masks and self.format not in WITH_MASKS:
-            raise ValueError(
-                f"given.masks needs one of the formats {', '.join(WITH_MASKS)}, not {self.format}"
-            )
+        if self.given.masks and not formats()[self.format].masks:
+            fit = ", ".join(name for name, one in formats().items() if one.masks)
+            raise ValueError(f"given.masks needs one of the formats {fit}, not {self.format}")
         return self
 
     @model_validator(mode="after")

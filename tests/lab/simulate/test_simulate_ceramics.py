@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from kinectbench_plugins.families.ceramics import band, horn, smooth_profile, vessel
 from object_checks import check_solid, check_thickness, check_variety, checked, drawn, is_solid, reach_m
 from slow import first
-
-from kinectbench.lab.simulate.objects.ceramics import band, horn, smooth_profile, vessel
 
 SEEDS = range(10)
 BOUNDS = {

@@ -6,10 +6,11 @@ import numpy as np
 import open3d as o3d
 import pytest
 import trimesh
+from kinectbench_plugins.families import vessels
 from object_checks import check_solid, checked
 
 from kinectbench.core.geometry.mesh import join
-from kinectbench.lab.simulate.objects import make_object, shapes, vessels
+from kinectbench.lab.simulate.objects import make_object, shapes
 from kinectbench.lab.simulate.objects.shapes import Subject
 
 SEEDS = range(10)

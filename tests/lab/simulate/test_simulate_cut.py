@@ -9,7 +9,7 @@ from written_frames import BAGS, FOLDERS, SCALE, START_NS, STEP_NS, digests, fra
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
-from kinectbench.lab.simulate.writers import WRITERS, RecordedFrame, Rig, cut
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, cut, formats
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame
@@ -65,7 +65,7 @@ def test_the_whole_chunks_of_a_cut_bag_are_saved(tmp_path: Path, name: str) -> N
         for i in range(90)
     ]
     out = tmp_path / "r.bag"
-    WRITERS[name](out, Rig(camera, camera, True, np.eye(4)), made)
+    formats()[name].write(out, Rig(camera, camera, True, np.eye(4)), made)
     whole = out.read_bytes()
     cut(out, 0.4)
     assert out.read_bytes() == whole[: round(0.6 * len(whole))]

@@ -6,9 +6,10 @@ import numpy as np
 import open3d as o3d
 import pytest
 import trimesh
+from kinectbench_plugins.families import lamps, lattices
 from object_checks import check_solid
 
-from kinectbench.lab.simulate.objects import lamps, lattices, make_object, shapes
+from kinectbench.lab.simulate.objects import make_object, shapes
 from kinectbench.lab.simulate.objects.shapes import Subject
 
 SEEDS = range(10)

@@ -40,7 +40,7 @@ def test_merged_leaves_its_arguments_alone():
         ("path.arc_rad=1e9", "from 0 to 100"),
         ("path=3", "wanted values of frames, rate_hz"),
         ("scene.place=indor", "one of indoor, outdoor"),
-        ("format=mcap", "one of tum, 7scenes"),
+        ("format=mcap", "one of tum, folder"),
         ("path.distance_m=.nan", "wanted a number above 0.2"),
         ("a", "write --set key=value"),
         ("path.frames=[", "not valid YAML"),

@@ -20,7 +20,7 @@ from kinectbench.lab.simulate import presets
 from kinectbench.lab.simulate.simulate import prepare, record, simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS
+from kinectbench.lab.simulate.writers import formats
 from kinectbench.settings.models import BenchmarkSettings, CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 
@@ -46,11 +46,11 @@ def ideal(tmp_path_factory):
     return spec, out
 
 
-@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("form", formats())
 def test_same_spec_same_bytes(tmp_path, form):
     full = {"exposure_s": 0.02, "exposure_drift": 0.2, "color_registered": False, "color_delay_s": 0.01}
     spec = spec_of(object="table:seed=2", format=form, world="first_camera", sensor=full)
-    name = f"r{SUFFIXES.get(form, '')}"
+    name = f"r{formats()[form].suffix}"
     told = []
     for place in ("a", "b"):
         simulate(spec, tmp_path / place / name, lambda done, total: told.append((done, total)))

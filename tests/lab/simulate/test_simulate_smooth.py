@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-from object_checks import check_solid, check_thickness, check_variety, checked, drawn
-from slow import first
-
-from kinectbench.lab.simulate.objects.shapes import box
-from kinectbench.lab.simulate.objects.smooth import (
+from kinectbench_plugins.families.smooth import (
     blended,
     body,
     center_of_mass,
@@ -15,6 +11,10 @@ from kinectbench.lab.simulate.objects.smooth import (
     flattened,
     limb,
 )
+from object_checks import check_solid, check_thickness, check_variety, checked, drawn
+from slow import first
+
+from kinectbench.lab.simulate.objects.shapes import box
 
 SEEDS = range(5)
 BOUNDS = {

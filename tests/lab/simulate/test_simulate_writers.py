@@ -30,7 +30,7 @@ from written_frames import (
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
-from kinectbench.lab.simulate.writers import WRITERS, RecordedFrame, Rig, stamp_as_read
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.lab.simulate.writers.image_folders import seconds
 from kinectbench.stages.ingest.readers import FORMATS, open_recording
 
@@ -74,13 +74,13 @@ IN_ORDER = {"azure_kinect"}
 
 
 def test_every_format_that_is_read_has_a_writer() -> None:
-    assert set(READER) == set(WRITERS)
+    assert set(READER) == set(formats())
     assert set(READER.values()) == set(FORMATS)
 
 
 @pytest.mark.parametrize("given", [True, False])
 @pytest.mark.parametrize("registered", [True, False])
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_round_trip(tmp_path: Path, name: str, registered: bool, given: bool) -> None:
     if name == "stray" and not given:
         return  # its layout asks for a pose of every frame
@@ -98,7 +98,7 @@ def test_round_trip(tmp_path: Path, name: str, registered: bool, given: bool) ->
         np.testing.assert_allclose(calibration.T_color_depth, rig(registered).T_color_depth, atol=1e-7)
     if name != "stray" or registered:  # without a video it warns
         assert recording.warnings == ()
-    stamps_ns = [stamp_as_read(name, i, f.stamp_ns) for i, f in enumerate(made)]
+    stamps_ns = [formats()[name].stamp_as_read(i, f.stamp_ns) for i, f in enumerate(made)]
     found = read(recording)
     assert [f.stamp_ns for f in found] == stamps_ns
     for raw, one in zip(found, made, strict=True):
@@ -118,7 +118,7 @@ def test_round_trip(tmp_path: Path, name: str, registered: bool, given: bool) ->
 
 def test_stamps_as_read() -> None:
     stamp_ns = 1_400_000_000_123_456_789
-    expected = dict.fromkeys(WRITERS, stamp_ns)
+    expected = dict.fromkeys(formats(), stamp_ns)
     expected |= dict.fromkeys(("tum", "klg", "sens", "stray", "polycam"), 1_400_000_000_123_456_000)
     expected |= {"7scenes": 3 * 10**9, "folder": 3 * 10**9, "redwood": 123_456_000}
     expected |= {"scannet": 3 * 10**9, "sun3d": 123_456_000, "azure_kinect": 1_400_000_000_123_000_000}
@@ -129,12 +129,12 @@ def test_stamps_as_read() -> None:
         "nerfstudio": 3 * 10**9,
         "scanner_app": 1_400_000_000_123_456_768,
     }
-    assert {name: stamp_as_read(name, 3, stamp_ns) for name in WRITERS} == expected
+    assert {name: one.stamp_as_read(3, stamp_ns) for name, one in formats().items()} == expected
     assert seconds(stamp_ns) == "1400000000.123456"
     assert [seconds(-1), seconds(-1_500_000)] == ["-0.000001", "-0.001500"]
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_depth_in_native_units(tmp_path: Path, name: str) -> None:
     # Rounded to the nearest unit; 14 m does not fit 16 bits at 5000 units per metre.
     depth_m = np.full((48, 64), 2.0, np.float32)
@@ -146,7 +146,7 @@ def test_depth_in_native_units(tmp_path: Path, name: str) -> None:
     assert found[0].depth[0, :6].tolist() == (tum if SCALE[name] == 5000 else millimetres)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_frames_without_a_pose_are_left_out_of_the_trajectory(tmp_path: Path, name: str) -> None:
     made = [frame(i, given=i not in (1, 4)) for i in range(5)]
     recording = open_recording(write(tmp_path / "r", name, made), SETTINGS.get(name))
@@ -154,12 +154,12 @@ def test_frames_without_a_pose_are_left_out_of_the_trajectory(tmp_path: Path, na
     if name in WITHOUT_POSES:
         return
     assert recording.given_trajectory is not None
-    expected = [stamp_as_read(name, i, made[i].stamp_ns) for i in (0, 2, 3)]
+    expected = [formats()[name].stamp_as_read(i, made[i].stamp_ns) for i in (0, 2, 3)]
     assert recording.given_trajectory.stamps_ns.tolist() == expected
     np.testing.assert_allclose(recording.given_trajectory.T_world_camera[1], pose(2), rtol=0, atol=2e-7)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_stamps_that_repeat_or_go_back(tmp_path: Path, name: str) -> None:
     stamps_ns = [START_NS + step * STEP_NS for step in (0, 2, 1, 2, 2)]
     made = [frame(i, stamp_ns=stamp_ns) for i, stamp_ns in enumerate(stamps_ns)]
@@ -208,7 +208,7 @@ def test_json_says_where_an_unregistered_colour_camera_is(tmp_path: Path, name: 
     # Colour of the same size is not taken for registered either.
     same = Rig(DEPTH, DEPTH, False, T_COLOR_DEPTH)
     (tmp_path / "same").mkdir()
-    WRITERS[name](tmp_path / "same", same, [frame(i) for i in range(3)])
+    formats()[name].write(tmp_path / "same", same, [frame(i) for i in range(3)])
     assert not open_recording(tmp_path / "same").color_registered
 
 
@@ -279,7 +279,7 @@ def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, dela
         assert len(first[image].data) == 128 * 48
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_the_same_frames_give_the_same_bytes(tmp_path: Path, name: str) -> None:
     first = digests(write(tmp_path / "a", name, [frame(i) for i in range(4)]))
     assert digests(write(tmp_path / "b", name, [frame(i) for i in range(4)])) == first

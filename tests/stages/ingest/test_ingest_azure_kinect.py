@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from ingest_writers import every_frame, jpeg
+from kinectbench_plugins.formats.matroska import _calibration as simulated_calibration
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.storage import pretty_json
 from kinectbench.lab.simulate.writers.frame import Rig
-from kinectbench.lab.simulate.writers.matroska import _calibration as simulated_calibration
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest import sources
 from kinectbench.stages.ingest.images import DamagedImageError

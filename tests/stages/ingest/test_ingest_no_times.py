@@ -8,7 +8,7 @@ from ingest_writers import depth_image, every_frame, quaternion, translation, wr
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.stamps import no_times
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 
@@ -72,8 +72,7 @@ def test_logs_with_such_stamps_are_counted(tmp_path: Path, name: str) -> None:
         RecordedFrame(ns, (depth_image(i, 1000.0) / 1000).astype(np.float32), ns, color, np.eye(4))
         for i, ns in enumerate(stamps_ns)
     ]
-    out = tmp_path / f"r{SUFFIXES[name]}"
-    WRITERS[name](out, Rig(CAMERA, CAMERA, True, np.eye(4)), made)
+    out = formats()[name].write_new(tmp_path / "r", Rig(CAMERA, CAMERA, True, np.eye(4)), made)
     recording = open_recording(out, CameraSettings(width=64, height=48, fx=60, fy=61, cx=31.5, cy=23.5))
     assert recording.stamps_ns.tolist() == [i * 10**9 for i in range(FRAMES)]
     assert sum("its stamps are no times" in warning for warning in recording.warnings) == 1

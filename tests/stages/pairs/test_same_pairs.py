@@ -14,7 +14,7 @@ from kinectbench.core.geometry.mesh import BOX_FACES
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.voxels.known_cells import known_grid
 from kinectbench.core.voxels.pair_file import pair_bytes
-from kinectbench.lab.simulate.writers import SUFFIXES, WRITERS, RecordedFrame, Rig
+from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.settings.models import CameraSettings, PairSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
@@ -80,17 +80,14 @@ def source() -> Source:
 
 
 def wrapped(source: Source, name: str, root: Path) -> Sequence:
-    path = root / f"recording{SUFFIXES.get(name, '')}"  # type: ignore[call-overload]
-    if name not in SUFFIXES:
-        path.mkdir()
-    WRITERS[name](path, Rig(CAMERA, CAMERA, True, np.eye(4)), source.frames)  # type: ignore[index]
+    path = formats()[name].write_new(root / "recording", Rig(CAMERA, CAMERA, True, np.eye(4)), source.frames)
     c = CAMERA
     settings = CameraSettings(width=c.width, height=c.height, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy)
     write_sequence(open_recording(path, settings), root / "sequence")
     return read_sequence(root / "sequence")
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", formats())
 def test_every_container_gives_the_same_pairs(source: Source, name: str, tmp_path: Path) -> None:
     sequence = wrapped(source, name, tmp_path)
     assert len(sequence) == FRAMES and sequence.camera == CAMERA

@@ -10,7 +10,7 @@ from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry.mesh import join
 from kinectbench.core.images import shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
-from kinectbench.lab.simulate.objects import FAMILIES, make_object
+from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 
 COLUMNS = 4
@@ -46,7 +46,7 @@ def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np
     """Draw objects of one family, each with its name and height below.
 
     Args:
-        family: one of `FAMILIES`.
+        family: one of `families()`.
         seeds: one picture each, four in a row.
         size_px: edge of one picture.
 
@@ -82,15 +82,15 @@ def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> l
         size_px: edge of one picture.
 
     Returns:
-        The files, in the order of `FAMILIES`.
+        The files, in the order of `families()`.
 
     Raises:
         StorageError: a file cannot be written.
     """
     import cv2
 
-    paths = [folder / f"{family}.png" for family in FAMILIES]
-    for family, path in zip(FAMILIES, paths, strict=True):
+    paths = [folder / f"{family}.png" for family in families()]
+    for family, path in zip(families(), paths, strict=True):
         sheet = contact_sheet(family, range(count), size_px)
         encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
         try:

@@ -1,6 +1,6 @@
 """What all families of objects share: parts with a look, drawing by chance, gluing parts to an object."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, TypeVar
@@ -62,6 +62,28 @@ class Draw:
     def integer(self, low: int, above: int) -> int:
         """A whole number from `low` to below `above`."""
         return int(self.rng.integers(low, above))
+
+
+@dataclass(frozen=True)
+class Family:
+    """Objects of one kind, drawn by chance.
+
+    Rules are chosen on families that are looked at, and never on the others: nobody looks at their results
+    while a rule or a figure is chosen, so that what is reported of them holds for shapes that nobody thought
+    of. A family whose results were looked at after all becomes one of the first, and another takes its place.
+
+    Attributes:
+        draw: the parts of one object.
+        looked_at: rules may be chosen on it.
+        furniture: the bars of furniture hold for it.
+        closed_below: by its parts, no space behind the underside is open to the air; then
+            `underside: closed` is true. Slats, trays, shells and vessels on feet are open.
+    """
+
+    draw: Callable[[Draw], Parts]
+    looked_at: bool = False
+    furniture: bool = False
+    closed_below: bool = False
 
 
 def assemble(name: str, parts: Parts, origin: str) -> Subject:

@@ -1,6 +1,6 @@
 """What a recorder gets: the rig of cameras, and one frame after another; how recordings spell them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
+from kinectbench.core.trajectory.stamps import NS_PER_S
 
 JPEG_QUALITY = 85
 # Units per metre of depth in millimetres, as all formats but TUM have it.
@@ -120,6 +121,51 @@ class RecordedFrame:
     def color_jpeg(self) -> bytes:
         """Colour as a JPEG file."""
         return ColorImage(self.color_stamp_ns, self.color_rgb).jpeg()
+
+
+def frames_as_seconds(index: int, stamp_ns: int) -> int:
+    """The stamp of a layout that has none: a frame's number counts seconds."""
+    return index * NS_PER_S
+
+
+def whole_microseconds(index: int, stamp_ns: int) -> int:
+    """The stamp of a layout that keeps microseconds."""
+    return stamp_ns // 1000 * 1000
+
+
+def nanoseconds(index: int, stamp_ns: int) -> int:
+    """The stamp of a layout that keeps nanoseconds, as bags do."""
+    return stamp_ns
+
+
+Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A container that recordings are written in.
+
+    Attributes:
+        write: (path, cameras, frames): fills an empty folder, or makes a file that does not exist yet. It
+            never sees the truth.
+        stamp_as_read: (place of a frame among those written, from 0; its stamp as written, nanoseconds) ->
+            the stamp in nanoseconds under which a reader finds it.
+        suffix: of the one file; "" for a folder.
+        masks: it has a place for masks.
+    """
+
+    write: Writer
+    stamp_as_read: Callable[[int, int], int] = nanoseconds
+    suffix: str = ""
+    masks: bool = False
+
+    def write_new(self, stem: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Path:
+        """Write a recording where nothing is yet: `stem` and the suffix, which it returns."""
+        path = stem.with_name(stem.name + self.suffix)
+        if not self.suffix:
+            path.mkdir()
+        self.write(path, rig, frames)
+        return path
 
 
 def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinectbench.lab.simulate.objects import bases, looks
-from kinectbench.lab.simulate.objects.ceramics import horn, smooth_profile, vessel
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
@@ -20,7 +19,8 @@ from kinectbench.lab.simulate.objects.shapes import (
     tube,
     turned,
 )
-from kinectbench.lab.simulate.objects.vessels import THIN_M, Vessel, rim
+from kinectbench_plugins.families.ceramics import horn, smooth_profile, vessel
+from kinectbench_plugins.families.vessels import THIN_M, Vessel, rim
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold

@@ -4,11 +4,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import looks, vessels
+from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, plate, rod, rounded_path, tube, turned, union
-from kinectbench.lab.simulate.objects.vessels import THIN_M, Footprint, Rim, Vessel, both_sides, footprint
+from kinectbench_plugins.families import vessels
+from kinectbench_plugins.families.vessels import THIN_M, Footprint, Rim, Vessel, both_sides, footprint
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import looks, vessels
+from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Vector3, box, rectangle, rod, rounded_path, tube
-from kinectbench.lab.simulate.objects.vessels import THIN_M, Rim, Vessel, both_sides
+from kinectbench_plugins.families import vessels
+from kinectbench_plugins.families.vessels import THIN_M, Rim, Vessel, both_sides
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -4,11 +4,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import looks, vessels
+from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, plate, rectangle, rod, turned
-from kinectbench.lab.simulate.objects.vessels import Vessel
+from kinectbench_plugins.families import vessels
+from kinectbench_plugins.families.vessels import Vessel
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -10,7 +10,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Points, Vector3, box, tube
-from kinectbench.lab.simulate.objects.smooth import Field, blended, body, cone, ellipsoid, limb
+from kinectbench_plugins.families.smooth import Field, blended, body, cone, ellipsoid, limb
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

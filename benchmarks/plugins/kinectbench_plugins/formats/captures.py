@@ -8,7 +8,7 @@ import numpy as np
 
 from kinectbench.core.storage import pretty_json
 from kinectbench.lab.simulate.writers.frame import DEPTH_SCALE, RecordedFrame, Rig, make_folders, png_bytes
-from kinectbench.lab.simulate.writers.phones import OPENGL_FROM_OPTICAL
+from kinectbench_plugins.formats.phones import OPENGL_FROM_OPTICAL
 
 # Polycam's word for the highest of its three levels of confidence.
 POLYCAM_HIGH = 255

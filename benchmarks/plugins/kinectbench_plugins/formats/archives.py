@@ -11,8 +11,8 @@ from kinectbench.core.geometry import quaternion_xyzw_from_rotation
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig
-from kinectbench.lab.simulate.writers.image_folders import redwood_stem
-from kinectbench.lab.simulate.writers.phones import HIGH, OPENGL_FROM_OPTICAL
+from kinectbench_plugins.formats.image_folders import redwood_stem
+from kinectbench_plugins.formats.phones import HIGH, OPENGL_FROM_OPTICAL
 
 
 def add_member(archive: zipfile.ZipFile, name: str, data: bytes) -> None:

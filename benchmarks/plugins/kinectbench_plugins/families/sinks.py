@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinectbench.lab.simulate.objects import looks, vessels
+from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
@@ -17,7 +17,8 @@ from kinectbench.lab.simulate.objects.shapes import (
     tube,
     turned,
 )
-from kinectbench.lab.simulate.objects.vessels import Footprint, Vessel, footprint
+from kinectbench_plugins.families import vessels
+from kinectbench_plugins.families.vessels import Footprint, Vessel, footprint
 
 BASIN_KINDS: tuple[Footprint, ...] = ("oval", "oval", "rectangle", "rectangle", "round")
 # A pedestal's heights and radii, as shares of its height and of its foot's radius.

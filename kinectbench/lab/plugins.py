@@ -1,0 +1,45 @@
+"""What installed packages add to the laboratory: families of objects, formats of recordings."""
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+from kinectbench.core.errors import SettingsError
+
+Kind = TypeVar("Kind")
+
+
+def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, Kind]:
+    """Collect what the entry points of a group add.
+
+    An entry point names a mapping: name -> `kind`. In `pyproject.toml` of a package of one's own:
+
+        [project.entry-points."kinectbench.families"]
+        mine = "my_package:FAMILIES"
+
+    Args:
+        group: "kinectbench.families" or "kinectbench.formats".
+        kind: class of each value.
+        own: what is there without plug-ins.
+
+    Returns:
+        Name -> value: `own`, then packages in the order of their entry points' names.
+
+    Raises:
+        SettingsError: an entry point cannot be imported, is no such mapping, or repeats a name.
+    """
+    found = dict(own)
+    for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
+        where = f"plug-in '{point.name}' of {group} ({point.value})"
+        try:
+            given = point.load()
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"{where}: cannot be imported ({error}); mend or uninstall it") from error
+        if not isinstance(given, Mapping) or not all(isinstance(value, kind) for value in given.values()):
+            raise SettingsError(f"{where}: is no mapping from names to {kind.__name__}; mend or uninstall it")
+        if twice := sorted(found.keys() & given.keys()):
+            raise SettingsError(
+                f"{where}: '{twice[0]}' is there already; rename it, or uninstall this plug-in"
+            )
+        found.update(given)
+    return found
