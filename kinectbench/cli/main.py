@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from itertools import pairwise
 from typing import Annotated, Any, NoReturn, cast
 
@@ -30,6 +31,7 @@ from kinectbench.cli.synthesize import synthesize
 from kinectbench.cli.track import track
 from kinectbench.cli.verify import verify
 from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
+from kinectbench.core.extras import missing_extra, missing_module
 from kinectbench.core.storage import remove_half_filled
 from kinectbench.core.store.address import unusable
 from kinectbench.core.untrusted import printable
@@ -91,9 +93,26 @@ def _options(
     pass
 
 
+# What works on recordings needs an extra; the others say so where they need it.
+ON_RECORDINGS = ("build", "inspect", *STAGE_COMMANDS, "track", "segment", "publish")
+
+
+def _with_build(command: Command) -> Command:
+    """A command that ends in one line where the extra `build` is not installed."""
+
+    @wraps(command)
+    def checked(*args: Any, **options: Any) -> None:
+        if missing := missing_extra("build"):
+            raise SettingsError(missing)
+        return command(*args, **options)
+
+    return checked
+
+
 for _panel, _commands in PANELS.items():
     for _name, _command in _commands.items():
-        app.command(_name, rich_help_panel=_panel)(_command)
+        _checked = _with_build(_command) if _name in ON_RECORDINGS else _command
+        app.command(_name, rich_help_panel=_panel)(_checked)
 
 # UsageError, wherever typer has it from.
 USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
@@ -200,6 +219,8 @@ def _call() -> tuple[int, tuple[str, ...]]:
         check_interrupt()
         if os.environ.get("KINECTBENCH_DEBUG"):
             raise
+        if isinstance(error, ModuleNotFoundError) and (missing := missing_module(error)):
+            return 2, (missing,)
         return 1, (internal_error(error),)
 
 

@@ -1,0 +1,32 @@
+"""What is not installed with kinectbench alone, and which extra brings it."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+
+# Top-level module -> extra of pyproject.toml.
+EXTRA_OF: Mapping[str, str] = {
+    **dict.fromkeys(("cv2", "fast_simplification", "lz4", "manifold3d", "matplotlib"), "build"),
+    **dict.fromkeys(("open3d", "rosbags", "trimesh", "zstandard"), "build"),
+    **dict.fromkeys(("distributed", "obstore"), "cluster"),
+    "av": "azure",
+    "imagecodecs": "record3d",
+    "pyarrow": "tables",
+    "torch": "methods",
+}
+
+
+def missing_module(error: ModuleNotFoundError) -> str | None:
+    """One line about a module that an extra brings; None of any other module."""
+    module = (error.name or "").partition(".")[0]
+    return _advice([module], EXTRA_OF[module]) if module in EXTRA_OF else None
+
+
+def missing_extra(extra: str) -> str | None:
+    """One line if something that an extra brings is not installed; else None."""
+    missing = [module for module, of in EXTRA_OF.items() if of == extra and find_spec(module) is None]
+    return _advice(missing, extra) if missing else None
+
+
+def _advice(modules: list[str], extra: str) -> str:
+    more = f" and {len(modules) - 1} more" if len(modules) > 1 else ""
+    return f"{modules[0]}{more}: not installed; run `pip install 'kinectbench[{extra}]'`"
