@@ -141,13 +141,12 @@ def inspect(
     diagnosis, look = look_over(
         path,
         given,
-        without_trajectory=known is not None and known.trajectory_mode == "ignore",
+        mode=known.trajectory_mode if known else None,
         fusion=Common().settings.fusion if known else None,
         own_pixels=known is not None and known.segment_by is not None,
         plane_world=known.plane_world if known else None,
         boxed=known is not None and known.box is not None,
         tracking=Common().settings.tracking if known else TrackingSettings(),
-        refined=known is not None and known.trajectory_mode == "refine",
         follow_links=follow_links or (known is not None and known.follow_links),
     )
     if page is not None:

@@ -15,6 +15,9 @@ from kinectbench.doctor.pose_delay import check_trajectory_delay
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
+# Where the poses are meant otherwise, all that is made with them is wrong.
+POSES = frozenset({"trajectory_scale", "trajectory_reading"})
+IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # What ingest itself does not notice; the poses are judged by `track`, on all frames.
 CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
 
@@ -33,8 +36,8 @@ def refuse_hopeless(recording: Recording) -> None:
             )
 
 
-def doubted_scale(recording: Recording) -> str:
-    """What `inspect` says against the depth's scale where the depth is unlikely, one line; "" if nothing.
+def likely_cause(recording: Recording) -> str:
+    """What `inspect` says against the poses' convention or the depth's scale, one line; "" if nothing.
 
     Depth of a small thing is as near as depth with a wrong scale: this is no reason to refuse a recording,
     but the likely one if nothing can be made of it.
@@ -45,14 +48,17 @@ def doubted_scale(recording: Recording) -> str:
     fit = fit_trajectory(look)
     for found in check_codes(look, fit):
         doubt = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
-        return f"{found.where}: {doubt}: {found.what}; {found.advice}"
+        return f"{found.where}: {doubt}: {found.what}; {found.advice}{IN_CAMERA}"
+    of_poses = list(check_trajectory(look, fit))
+    for found in of_poses:
+        if found.name in POSES:
+            return f"{found.where}: {found.what}; {found.advice}"
     if not by_depth:
         return ""
     if fit is not None and fit.proven:
         return ""
-    by_poses = [found for found in check_trajectory(look, fit) if found.name == "depth_scale"]
-    found = (by_poses or by_depth)[0]
-    return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}"
+    found = next((found for found in of_poses if found.name == "depth_scale"), by_depth[0])
+    return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}{IN_CAMERA}"
 
 
 class OffsetWatch:

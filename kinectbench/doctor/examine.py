@@ -28,7 +28,7 @@ from kinectbench.doctor.grade import check_grade
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.settings.models import CameraSettings, FusionSettings, TrackingSettings, Vector4
+from kinectbench.settings.models import CameraSettings, FusionSettings, TrackingSettings, TrajectoryMode, Vector4
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
@@ -74,28 +74,26 @@ def inspect(
     path: Path,
     settings: CameraSettings | None = None,
     *,
-    without_trajectory: bool = False,
+    mode: TrajectoryMode | None = None,
     fusion: FusionSettings | None = None,
     own_pixels: bool = False,
     follow_links: bool = False,
     plane_world: Vector4 | None = None,
     boxed: bool = False,
     tracking: TrackingSettings | None = None,
-    refined: bool = False,
 ) -> tuple[Diagnosis, Look | None]:
     """Look a recording over.
 
     Args:
         path: folder or file.
         settings: of its camera, as under `camera:` in benchmark.yaml.
-        without_trajectory: take no notice of a given trajectory.
+        mode: what benchmark.yaml says of a given trajectory; "ignore": no notice is taken of it.
         fusion: how far depth is to make surface; None: by the recording.
         own_pixels: benchmark.yaml says `segment_by`: no floor is needed, and the camera may stand still.
         follow_links: links in it are followed, as benchmark.yaml may say.
         plane_world: it gives the plane that the object stands on.
         boxed: it gives a box around the object: no floor is needed.
         tracking: by which a given trajectory is graded as a build will; None: it is not graded.
-        refined: it says that the given trajectory is to be refined.
 
     Returns:
         What was found; and what was looked at, None if it cannot be opened.
@@ -104,7 +102,7 @@ def inspect(
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
     ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
-    if without_trajectory:
+    if mode == "ignore":
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     look = take_look(recording)
     found += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
@@ -119,7 +117,7 @@ def inspect(
         # Of poses that cannot be used, or that do not move what moves, no more is to be said.
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in found)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
-            found += [_by_own_pixels(look)] if own_pixels else check_grade(look, tracking, refined=refined)
+            found += [_by_own_pixels(look)] if own_pixels else check_grade(look, tracking, mode)
     return Diagnosis(facts, gravest_first(found)), look
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from kinectbench.core.errors import RecordingError, TrackingError
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
-from kinectbench.settings.models import TrackingSettings
+from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.ingest.in_memory import as_sequence
 from kinectbench.stages.track import track
 
@@ -15,13 +15,15 @@ from kinectbench.stages.track import track
 MOST_FRAMES = 150
 
 
-def check_grade(look: Look, tracking: TrackingSettings, *, refined: bool = False) -> Iterator[Finding]:
+def check_grade(
+    look: Look, tracking: TrackingSettings, mode: TrajectoryMode | None = None
+) -> Iterator[Finding]:
     """Grade a given trajectory as the stage `track` does; of up to 150 frames the result is the same.
 
     Args:
         look: at a recording whose given trajectory can be read.
         tracking: what counts as disagreement.
-        refined: a build will refine the poses, and grade what becomes of them.
+        mode: what a build does with the trajectory; it grades what becomes of poses that it refines.
     """
     count = len(look.recording)
     every = count <= MOST_FRAMES
@@ -30,8 +32,10 @@ def check_grade(look: Look, tracking: TrackingSettings, *, refined: bool = False
     if not every:
         indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
     which = "" if every else f", by {MOST_FRAMES} of {count} frames"
+    refined = mode == "refine"
     try:
-        health = track(as_sequence(look.recording, indices), "trust", tracking).health
+        sequence = as_sequence(look.recording, indices)
+        health = track(sequence, "trust" if refined else mode, tracking).health
     except TrackingError as error:
         severity: Severity = "stops" if every and not refined else "warning"
         yield Finding("trajectory_wrong", severity, f"{error}{which}", look.where)

@@ -258,15 +258,15 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:
-    """The line of a failure, behind the doubts about the depth's scale, if there are any: they explain it."""
-    from kinectbench.doctor.during_build import doubted_scale
+    """The line of a failure, after its likely cause if the recording shows one."""
+    from kinectbench.doctor.during_build import likely_cause
     from kinectbench.stages.ingest.readers import open_recording
 
     try:
         recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
         if job.recording.trajectory_mode == "ignore":
             recording = replace(recording, given_trajectory=None, trajectory_error="")
-        doubt = doubted_scale(recording)
+        cause = likely_cause(recording)
     except KinectBenchError:
-        doubt = ""  # the recording itself is gone or damaged since it was read
-    return f"{doubt} (under `camera:` in benchmark.yaml). What failed: {failure}" if doubt else str(failure)
+        cause = ""  # the recording itself is gone or damaged since it was read
+    return f"{cause}. What failed: {failure}" if cause else str(failure)

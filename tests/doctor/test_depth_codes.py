@@ -12,7 +12,7 @@ from ingest_writers import png
 from numpy.typing import NDArray
 
 from kinectbench.doctor import inspect
-from kinectbench.doctor.during_build import doubted_scale
+from kinectbench.doctor.during_build import likely_cause
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.models import CameraSettings, TrackingSettings
@@ -139,10 +139,10 @@ def test_a_build_that_fails_names_the_code(base: Path, tmp_path: Path) -> None:
     """Where depth along the ray leaves no floor, say: not a line about the recording."""
     lengths = ray_lengths(open_recording(base).camera)
     folder = recoded(base, tmp_path / "r", lambda metres: mm(metres * lengths))
-    assert "depth may be coded: the given poses fit if depth is the distance along the ray" in doubted_scale(
+    assert "depth may be coded: the given poses fit if depth is the distance along the ray" in likely_cause(
         open_recording(folder)
     )
-    assert doubted_scale(open_recording(base)) == ""
+    assert likely_cause(open_recording(base)) == ""
 
 
 def test_holes_of_65535_are_no_exchanged_bytes(base: Path, tmp_path: Path) -> None:

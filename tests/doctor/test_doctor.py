@@ -1,6 +1,7 @@
 """The doctor on the sample recordings, which are right, and on copies of them with one thing wrong."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Finding, inspect
-from kinectbench.doctor.during_build import doubted_scale, refuse_hopeless
+from kinectbench.doctor.during_build import likely_cause, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
 from kinectbench.doctor.look import frames_to_read
 from kinectbench.lab.simulate.simulate import simulate
@@ -204,7 +205,7 @@ def test_a_build_that_fails_names_the_scale(
 def test_a_build_that_fails_does_not_blame_a_right_scale(
     small_chair: Path, command: Callable[..., Run], tmp_path: Path
 ) -> None:
-    assert doubted_scale(open_recording(small_chair)) == ""
+    assert likely_cause(open_recording(small_chair)) == ""
     yaml = f"name: x\nrecordings: [{{id: a, path: '{small_chair}', category: chair}}]\n"
     (tmp_path / "benchmark.yaml").write_text(yaml)
     built = command(tmp_path, "build", "--jobs", "1", "--set", "fusion.max_depth_m=0.35")
@@ -231,3 +232,17 @@ def test_depth_out_of_reach_is_not_called_missing(
     (tmp_path / "benchmark.yaml").write_text(f"name: x\nrecordings:\n  - {yaml}\n")
     built = command(tmp_path, "build", "--jobs", "1")
     assert "it has no depth between 0.3 and 4.5 m; correct the poses or the depth" in built.err
+
+
+def test_poses_in_millimetres_end_a_build_before_it_fuses(
+    small_chair: Path, command: Callable[..., Run], tmp_path: Path
+) -> None:
+    shutil.copytree(small_chair, tmp_path / "r")
+    WRONG["poses in millimetres"][0](tmp_path / "r")
+    yaml = "name: x\nrecordings: [{id: a, path: r, category: chair}]\n"
+    (tmp_path / "benchmark.yaml").write_text(yaml)
+    built = command(tmp_path, "build", "--jobs", "1")
+    (error,) = (line for line in built.err.splitlines() if line.startswith("a: error:"))
+    assert built.status == 1 and not (tmp_path / "build/a/reconstruction").exists()
+    assert "lengths 0.001 times as long" in error and "write the poses in metres" in error
+    assert error.index("in metres. What failed") < error.index("agrees with 0 of the 24 given poses")

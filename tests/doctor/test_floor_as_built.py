@@ -187,7 +187,7 @@ def test_an_accelerometer_counts(
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
     for module in ("floor", "seen_floor"):
         monkeypatch.setattr(f"kinectbench.stages.segment.{module}.find_floor", find_floor)
-    inspect(recording.path, without_trajectory=ignored)
+    inspect(recording.path, mode="ignore" if ignored else None)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]
     if not ignored:
         (up_world,) = ups
@@ -202,9 +202,9 @@ def test_gravity_of_poses_that_are_ignored_counts(
 ) -> None:
     """As in a build, which takes it over frame by frame."""
     path = recordings(40, True)
-    assert "floor_doubtful" in {f.name for f in inspect(path, without_trajectory=True)[0].findings}
+    assert "floor_doubtful" in {f.name for f in inspect(path, mode="ignore")[0].findings}
     monkeypatch.setattr(TumRecording, "up_world", (0.0, 0.0, 1.0))
-    said = {found.name for found in inspect(path, without_trajectory=True)[0].findings}
+    said = {found.name for found in inspect(path, mode="ignore")[0].findings}
     assert not said & {"no_floor", "floor_doubtful"}
 
 

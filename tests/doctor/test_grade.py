@@ -60,7 +60,7 @@ def test_the_grade_is_that_of_the_build(jumping: Look, findings: dict[str, Findi
 
 def test_of_a_long_recording_some_frames_are_compared(jumping: Look, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grade, "MOST_FRAMES", 10)
-    (found,) = check_grade(jumping, TRACKING, refined=True)
+    (found,) = check_grade(jumping, TRACKING, mode="refine")
     assert found.what.startswith("the given trajectory, by 10 of 20 frames: ") and found.severity == "note"
     assert found.what.endswith("a build refines it, and grades the result") and found.advice == ""
 

@@ -11,7 +11,7 @@ from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry.depth import DepthCalibration
 from kinectbench.core.sequence import Sequence, counts_frames
 from kinectbench.core.trajectory.compare import compare_poses, has_pose
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track.depth_calibration import calibrate_posed
 from kinectbench.stages.track.disagreement import distant_residual_m, tie_distant
@@ -52,6 +52,11 @@ class GivenCheck:
     figures: GivenFigures
     sharpness: Mapping[int, float]
     calibration: DepthCalibration
+
+    @property
+    def agrees(self) -> Bools:
+        """(n,) whether the depth of a frame was compared with that of others, and agrees."""
+        return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
 def check_given(

@@ -11,10 +11,12 @@ from kinectbench.core.artefacts.trajectory import Source
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track.check_given import (
+    CAUSES,
     GivenCheck,
     as_refined,
     check_given,
@@ -40,7 +42,7 @@ def track(
     Args:
         sequence: the recording.
         mode: of a given trajectory: trust it (frames that disagree with it are left out), refine it, or
-            ignore it. None: trust it if there is one.
+            ignore it. None: trust it if there is one, and if the depth agrees with any of it.
         settings: what counts as disagreement.
         progress: called with (done, total).
 
@@ -67,7 +69,14 @@ def track(
     checked = check_given(sequence, T_given, settings, lambda done, total: report(done, rounds * total))
     warnings = warnings_of(sequence, checked)
     if mode != "refine":
-        return _finished(sequence, "trust", trusted(checked, settings), warnings, checked)
+        kept, agreeing = trusted(checked, settings), int(checked.agrees.sum())
+        if mode is None and agreeing < MIN_GOOD_FRAMES <= int(has_pose(kept.T_world_camera).sum()):
+            raise TrackingError(
+                f"the depth agrees with {agreeing} of the {posed} given poses, the others overlap too little "
+                f"to be checked: {CAUSES}, and are they in metres? `trajectory: trust` goes on with them, "
+                "`trajectory: ignore` does without them"
+            )
+        return _finished(sequence, "trust", kept, warnings, checked)
     refined = track_frames(sequence, T_given, lambda done, total: report(n + done, n + total))
     check = as_refined(sequence, checked, refined.T_world_camera, settings)
     return _finished(sequence, "refine", refined, warnings, check)
