@@ -227,7 +227,8 @@ def build_jobs(
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
-        own = row.summary.warnings if row.made or verbose else (*outcome.warnings, *unused)
+        again = not told and len(chosen) <= SHOWN_RECORDINGS  # of more, what is up to date is not read
+        own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [reason] if reason else [], "red")

@@ -112,10 +112,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]") -> None:
-    """What the table has no room for: why an object's estimate is uncertain, and what to record again.
-
-    Of what was made in this run the latter stands among the warnings already.
-    """
+    """What the table has no room for: why an object's estimate is uncertain."""
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
     for row in rows:
@@ -125,8 +122,6 @@ def object_lines(rows: "Sequence[RecordingSummary]") -> None:
             out.print(Text(found), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
-        for frontier in () if row.made else row.frontiers or ():
-            out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
