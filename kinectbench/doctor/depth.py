@@ -11,7 +11,13 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
-from kinectbench.stages.ingest.plausibility import COMMON_SCALES, FARTHEST_M, NEAREST_M, TYPICAL_M
+from kinectbench.stages.ingest.plausibility import (
+    COMMON_SCALES,
+    FARTHEST_M,
+    MAX_DAMAGED,
+    NEAREST_M,
+    TYPICAL_M,
+)
 
 # Of cameras that people hold: horizontal field of view, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
@@ -36,7 +42,6 @@ HIGHEST = 65535
 # What poses that fit settle: by another scale or other intrinsics they would not.
 SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
 VALID_SHARE = 0.35
-HARMLESS_DAMAGE = 0.05
 
 
 def check_intrinsics(look: Look) -> Iterator[Finding]:
@@ -115,12 +120,14 @@ def suggested_scale(native: float) -> float:
 
 def _readable(look: Look) -> Iterator[Finding]:
     count = len(look.frames) + len(look.damaged) + len(look.refused)
+    # Of fewer a build leaves out what is damaged and what is of another kind, together.
+    few = len(look.refused) + len(look.damaged) < MAX_DAMAGED * count
+    severity: Severity = "warning" if few else "stops"
     if look.refused:
-        yield Finding("depth_format", "stops", look.refused[0], look.where, "export the depth again, raw")
+        what = f"{len(look.refused)} of {count} frames looked at are of another kind: {look.refused[0]}"
+        yield Finding("depth_format", severity, what, look.where, "export the depth again, raw, in one kind")
     if look.damaged:
-        share = len(look.damaged) / count
         what = f"{len(look.damaged)} of {count} frames looked at are damaged; the first: {look.damaged[0]}"
-        severity: Severity = "stops" if share >= HARMLESS_DAMAGE else "warning"
         yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")
     step = look.depth_step_px
     small = {(frame.depth_m.shape[0] * step, frame.depth_m.shape[1] * step) for frame in look.frames}

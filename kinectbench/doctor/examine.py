@@ -28,7 +28,13 @@ from kinectbench.doctor.grade import check_grade
 from kinectbench.doctor.look import Look, take_look
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
-from kinectbench.settings.models import CameraSettings, FusionSettings, TrackingSettings, TrajectoryMode, Vector4
+from kinectbench.settings.models import (
+    CameraSettings,
+    FusionSettings,
+    TrackingSettings,
+    TrajectoryMode,
+    Vector4,
+)
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 

@@ -1,7 +1,7 @@
 """A look at a recording: some of its frames, small, and a few whole."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,7 +12,8 @@ from kinectbench.core.encoded_images import decoded
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
-from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, image_header
+from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_color_bgr, image_header
+from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, check_size
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # A recording with more frames is looked at in runs: a long one in its middle, two at its ends, by which
@@ -144,9 +145,12 @@ class Gathering:
         if whole:
             self._whole.append(WholeFrame(index, raw.depth, bgr))
 
-    def look(self, damaged: Sequence[str] = (), refused: Sequence[str] = ()) -> Look:
-        """What was gathered."""
-        frames, whole = tuple(self._frames), tuple(self._whole)
+    def look(
+        self, damaged: Sequence[str] = (), refused: Sequence[str] = (), without: Collection[int] = ()
+    ) -> Look:
+        """What was gathered, `without` frames of these indices."""
+        frames = tuple(frame for frame in self._frames if frame.index not in without)
+        whole = tuple(frame for frame in self._whole if frame.index not in without)
         return Look(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
 
 
@@ -159,13 +163,20 @@ def take_look(recording: Recording, few: bool = False) -> Look:
     gathering = Gathering(recording, indices)
     damaged: list[str] = []
     refused: list[str] = []
+    odd: dict[int, str] = {}
     for index in indices.tolist():
         try:
-            gathering.take(index, recording.frame(index))
-        except DamagedImageError as error:
-            damaged.append(str(error))
+            frame = recording.frame(index)
+            gathering.take(index, frame)
+            try:
+                check_size(frame, recording)
+            except OddImageError as error:
+                odd[index] = str(error)
         except RecordingError as error:
-            refused.append(str(error))
+            whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
+            (refused if whole else damaged).append(str(error))
+    if len(odd) < MAX_DAMAGED * len(indices):  # a build leaves so few out; of more the sizes are named
+        return gathering.look(damaged, [*refused, *odd.values()], odd)
     return gathering.look(damaged, refused)
 
 

@@ -1,24 +1,28 @@
-"""Depth images as people store them: 16-bit PNG, NumPy arrays, TIFF, floats in metres, two 8-bit channels."""
+"""Depth images as people store them: 16-bit PNG, .npy, .npz, TIFF, floats in metres, two 8-bit channels."""
 
 import io
 import struct
 from itertools import permutations
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import PNG_MAGIC, decoded, image_head
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Float32
-from kinectbench.core.untrusted import is_too_large
-from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, image_header
+from kinectbench.core.untrusted import UNPACKED_BYTES, is_too_large, printable
+from kinectbench.core.voxels.npy import MAGIC, read_npy
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
+from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_depth_png, image_header
 
 UInt16 = NDArray[np.uint16]
 Channels = tuple[int, int]
-NUMPY_MAGIC = b"\x93NUMPY"
+ZIP_MAGIC, NPZ_KEY = b"PK", "depth"
+ARRAYS = frozenset({".npy", ".npz"})
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
-SUFFIXES = frozenset({".png", ".npy", ".tif", ".tiff"})
+SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS
 # Floats beyond are no metres of a room, but millimetres.
 FARTHEST_M, MM_PER_M = 50.0, 1000.0
 # Of neighbours whose high bytes differ by one, depth in two channels differs by less in nearly all: surfaces
@@ -39,10 +43,10 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
     Raises:
         DamagedImageError: it is damaged.
-        RecordingError: it is whole, but no depth image.
+        OddImageError: it is whole, but no depth image.
     """
-    if data.startswith(NUMPY_MAGIC):
-        return _as_depth(_numpy_array(data, name), name)
+    if _is_array(data, name):
+        return _as_depth(_array(data, name), name)
     if data[:4] in TIFF_MAGICS:
         _tiff_size_px(data, name)
         return _as_depth(_pixels(data, name), name)
@@ -54,12 +58,21 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
 def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
     """Width and height of a depth image, pixels; raises as `decode_depth_file`."""
-    if data.startswith(NUMPY_MAGIC):
-        height, width = _numpy_array(data, name).shape
+    if _is_array(data, name):
+        height, width = _array(data, name).shape
         return width, height
     if data[:4] in TIFF_MAGICS:
         return _tiff_size_px(data, name)
     return image_header(data, name)[1:]
+
+
+def _is_array(data: bytes, name: str) -> bool:
+    return data.startswith((MAGIC, ZIP_MAGIC)) or Path(name).suffix.lower() in ARRAYS
+
+
+def kind_of(depth: UInt16 | Float32) -> str:
+    """What a depth image holds, in words: "whole numbers" or "floats"."""
+    return "whole numbers" if depth.dtype == np.uint16 else "floats"
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
@@ -113,40 +126,48 @@ def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
             return pixels.astype(np.float32)
     if pixels.ndim == 2 and pixels.dtype.kind in "ui":
         if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
-            raise RecordingError(f"{name}: its whole numbers do not fit into 16 bits: write metres as floats")
+            raise OddImageError(f"{name}: its whole numbers do not fit into 16 bits: write metres as floats")
         return pixels.astype(np.uint16)
-    raise RecordingError(
+    raise OddImageError(
         f"{name}: depth is {pixels.dtype} of shape {pixels.shape}, not one channel of floats or of 16-bit "
         "numbers"
     )
 
 
-def _numpy_array(data: bytes, name: str) -> NDArray[np.generic]:
-    """The image in a .npy file, (height, width); nothing is unpickled."""
-    stream = io.BytesIO(data)
+def _array(data: bytes, name: str) -> NDArray[np.generic]:
+    """The image in a .npy or .npz file, (height, width); nothing is unpickled."""
+    kind = Path(name).suffix or "NumPy"
     try:
-        version = np.lib.format.read_magic(stream)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, by_column, dtype = read(stream)
-    except (ValueError, EOFError, TypeError) as error:
-        raise DamagedImageError(f"{name}: the .npy file is damaged ({error})") from error
-    sides = tuple(side for side in shape if side != 1)
-    if dtype.kind not in "fui" or len(sides) != 2:
-        raise RecordingError(f"{name}: depth is {dtype} of shape {shape}, not (height, width) of numbers")
+        found = _of_npz(data, name) if data.startswith(ZIP_MAGIC) else read_npy(io.BytesIO(data), len(data))
+    except UNREADABLE as error:
+        raise DamagedImageError(f"{name}: the {kind} file is damaged ({error})") from error
+    sides = _sides(found)
+    if found.dtype.kind not in "fui" or len(sides) != 2:
+        raise OddImageError(f"{name}: depth is {found.dtype} of shape {found.shape}, not (height, width)")
     if is_too_large(*sides):
         raise DamagedImageError(f"{name}: {sides} are more pixels than an image may have")
-    pixels = (
-        np.frombuffer(data, dtype, offset=stream.tell()) if _fits(data, stream.tell(), dtype, sides) else None
-    )
-    if pixels is None:
-        raise DamagedImageError(f"{name}: the .npy file is cut off")
-    return pixels.reshape(sides, order="F" if by_column else "C")
+    return found.reshape(sides)
 
 
-def _fits(data: bytes, start: int, dtype: np.dtype[np.generic], sides: tuple[int, ...]) -> bool:
-    return len(data) - start == dtype.itemsize * sides[0] * sides[1]
+def _of_npz(data: bytes, name: str) -> NDArray[Any]:
+    """The array `depth` of a .npz file, or its only image."""
+    file = io.BytesIO(data)
+    with open_npz(file, UNPACKED_BYTES) as archive:
+        keys = sorted(entry.filename.removesuffix(".npy") for entry in archive.infolist())
+    file.seek(0)
+    arrays = arrays_of(file, UNPACKED_BYTES, [NPZ_KEY] if NPZ_KEY in keys else None)
+    images = [array for array in arrays.values() if len(_sides(array)) == 2]
+    if len(images) != 1:
+        shapes = ", ".join(f"'{key}' {array.shape}" for key, array in sorted(arrays.items()))
+        raise OddImageError(
+            f"{name}: holds {printable(shapes, 200) or 'no arrays'}: which one is depth? give it the key "
+            f"'{NPZ_KEY}', (height, width)"
+        )
+    return images[0]
+
+
+def _sides(array: NDArray[Any]) -> tuple[int, ...]:
+    return tuple(side for side in array.shape if side != 1)
 
 
 def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:

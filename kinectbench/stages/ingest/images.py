@@ -15,6 +15,10 @@ class DamagedImageError(RecordingError):
     """One image is missing or damaged; a few of those among many frames can be left out."""
 
 
+class OddImageError(DamagedImageError):
+    """One image is whole, but of another kind or size than depth of this recording has."""
+
+
 def image_header(data: bytes, name: str) -> tuple[str, int, int]:
     """Read the type and size of a PNG or JPEG and check that it is whole and costs little to decode.
 
@@ -42,7 +46,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises:
         DamagedImageError: the image is damaged or not a PNG.
-        RecordingError: it is whole, but not 16-bit grey.
+        OddImageError: it is whole, but not 16-bit grey.
     """
     if not data.startswith(PNG_MAGIC):
         kind = "is empty" if not data else "is not a PNG image"
@@ -50,7 +54,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
     head = _head(data, name)
     if not head.is_gray16:
         channels = "1 channel" if head.color_type in (0, 3) else "several channels"
-        raise RecordingError(
+        raise OddImageError(
             f"{name}: depth is {head.bits}-bit (uint{max(head.bits, 8)}) with {channels}, not 16-bit grey "
             "(uint16): export the raw depth again, not a picture of it"
         )

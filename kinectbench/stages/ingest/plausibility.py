@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import format_stamp
-from kinectbench.stages.ingest.images import image_header
+from kinectbench.stages.ingest.images import OddImageError, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 MIN_FRAMES = 3
@@ -40,15 +40,10 @@ class FrameChecks:
         """Check one frame; the suffix that its colour image should have, None if it has no colour.
 
         Raises:
-            DamagedImageError: the colour image is damaged.
-            RecordingError: an image has the wrong size, or stamps do not increase.
+            DamagedImageError: the colour image is damaged, or an image has the wrong size.
+            RecordingError: stamps do not increase.
         """
-        height, width = frame.depth.shape
-        if (width, height) != self._size_px:
-            raise RecordingError(
-                f"{frame.name}: depth is {width}x{height}, but the first frame's is "
-                f"{self._size_px[0]}x{self._size_px[1]}: a recording must keep one size"
-            )
+        check_size(frame, self._recording)
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             raise RecordingError(
                 f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase"
@@ -94,7 +89,7 @@ class FrameChecks:
             return None
         suffix, width, height = image_header(frame.color[1], f"colour of {frame.name}")
         if self._recording.color_registered and (width, height) != self._size_px:
-            raise RecordingError(
+            raise OddImageError(
                 f"{frame.name}: its colour is {width}x{height}, but its depth is {self._size_px[0]}x"
                 f"{self._size_px[1]}; in a recording whose colour is registered to depth "
                 f"(format {self._recording.format}) the sizes must agree"
@@ -121,6 +116,20 @@ class FrameChecks:
             f"per metre, which no room has: give its unit in benchmark.yaml, `camera: {{depth_scale: ...}}` "
             f"(units a metre; at {better:g} it would be {native / better:.3g} m); where it has poses, "
             "`kinectbench inspect` tries scales and codes by them"
+        )
+
+
+def check_size(frame: RawFrame, recording: Recording) -> None:
+    """Refuse a frame whose depth has another size than the recording's camera.
+
+    Raises:
+        OddImageError: it has.
+    """
+    (height, width), camera = frame.depth.shape, recording.camera
+    if (width, height) != (camera.width, camera.height):
+        raise OddImageError(
+            f"{frame.name}: depth is {width}x{height}, but the first frame's is "
+            f"{camera.width}x{camera.height}: a recording must keep one size"
         )
 
 

@@ -19,8 +19,14 @@ from kinectbench.core.types import Bools, DepthCode, Float64, Int64
 from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import read_by_code
-from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px
-from kinectbench.stages.ingest.images import DamagedImageError, decode_mask, image_header, quantised
+from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of
+from kinectbench.stages.ingest.images import (
+    DamagedImageError,
+    OddImageError,
+    decode_mask,
+    image_header,
+    quantised,
+)
 
 # Damaged images or messages that are tried in search of one that is whole: five minutes at 30 frames a
 # second; an index may begin long before the images that were kept of it (own choice).
@@ -203,6 +209,7 @@ class FileRecording(Recording):
         depth_code: how its values are to be read (`core.types.DepthCode`).
         float_scale: units a metre of the files, where depth is float; None: its values are those stored.
         channels: of depth in two 8-bit channels: those of the high and of the low byte; None: it is in one.
+        kind: "floats" or "whole numbers", and a file that holds such; None: files are not compared.
     """
 
     often_rotated: ClassVar[bool] = False
@@ -211,11 +218,17 @@ class FileRecording(Recording):
     depth_code: DepthCode = "plain"
     float_scale: float | None = None
     channels: tuple[int, int] | None = None
+    kind: tuple[str, Path] | None = None
 
     def frame(self, index: int) -> RawFrame:
         """Read the files of a frame."""
         files = self.places[index]
         stored = decode_depth_file(read_image_file(files.depth), str(files.depth), self.channels)
+        kind = kind_of(stored)
+        if self.kind is not None and kind != self.kind[0]:
+            raise OddImageError(
+                f"{files.depth}: holds {kind}, but {self.kind[1]} holds {self.kind[0]}: keep one kind"
+            )
         native = (
             stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale or 1.0))
         )

@@ -44,7 +44,8 @@ ABOVE_CAMERAS = (
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 UPSIDE_DOWN = (
     "the cameras are taken for held upside down: only so there is a floor; if they were, write its plane "
-    "into benchmark.yaml (`floor: {plane_world: [a, b, c, d]}`, of build/<id>/object/floor.json)"
+    "into benchmark.yaml (`floor: {plane_world: [a, b, c, d]}`; `kinectbench build` writes the numbers to "
+    "build/<id>/object/floor.json)"
 )
 # Of the surface, so much must lie on a floor that is seen upside down (own choice: of 30 fused scenes .15 to
 # .97 lies on the floor; of a ceiling, while cameras look at a thing below it, hardly anything is in view).

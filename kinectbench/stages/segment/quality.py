@@ -199,7 +199,7 @@ def _warnings(
         ),
         (
             estimate.value < GOOD_ESTIMATED_IOU,
-            f"estimated IoU of the solid to the truth: {estimate.value:.2f} only because of {why}{closer}",
+            f"the estimated IoU of the solid to the truth is {estimate.value:.2f}, lowered by: {why}{closer}",
         ),
         (
             share_per_mm > MAX_VOLUME_SHARE_PER_MM,

@@ -203,8 +203,8 @@ def witness(
     warnings = [*_of_trajectory(trajectory), *doubts]
     if side.share > 0:
         warnings.append(
-            f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, {side.share:.0%} of "
-            "the way around: what is there is inferred; show it to the camera, too"
+            f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, over "
+            f"{360 * side.share:.0f} degrees of arc: what is there is inferred; show it to the camera, too"
         )
     if len(good) < MIN_FRAMES:
         warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")

@@ -117,8 +117,8 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
     if wrong.sum() > 0.5 * compared:
         raise TrackingError(
             f"the given trajectory does not fit the depth: {wrong.sum()} of {compared} frames disagree by "
-            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `kinectbench inspect` tries "
-            "other readings of them, and `trajectory: ignore` does without them"
+            f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
+            "without them"
         )
     odd = checked.frames.stands_out
     kept = posed & ~wrong & ~blind & ~odd

@@ -197,7 +197,10 @@ def test_a_camera_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
 def test_depth_images_of_two_kinds_are_told(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "depth" / "9.npy").write_bytes(npy(depth_image(0, 1000.0)))
-    assert any("1 .npy images beside the 4 .png are not read" in line for line in opened(folder).warnings)
+    assert any(
+        "1 .npy (such as 9.npy) images beside the 4 .png (such as 0.png) are" in line
+        for line in opened(folder).warnings
+    )
 
 
 def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:

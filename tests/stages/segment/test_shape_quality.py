@@ -39,7 +39,7 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
     estimate = IouEstimate(0.7, 0.3, 0.9, ("an opening that nobody looked into",) * told)
     lines = _warnings([], shape, 0.95, estimate, ("record from above",) * told, 0.5)
     assert len(lines) == 2 and lines[0].startswith(
-        "estimated IoU of the solid to the truth: 0.70 only because of "
+        "the estimated IoU of the solid to the truth is 0.70, lowered by: "
     )
     assert ("an opening that nobody" in lines[0]) == told
     remedies = [line for line in lines for words in ("closer", "all sides") if words in line]

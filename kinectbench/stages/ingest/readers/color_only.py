@@ -15,7 +15,7 @@ LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 # The head of a PNG, which tells its bits.
 HEAD_BYTES = 26
-KINDS = "16-bit PNG, .npy, TIFF"
+KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
 

@@ -15,7 +15,13 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.depth_files import SUFFIXES, decode_depth_file, packed_channels, units_a_metre
+from kinectbench.stages.ingest.depth_files import (
+    SUFFIXES,
+    decode_depth_file,
+    kind_of,
+    packed_channels,
+    units_a_metre,
+)
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError
 from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
@@ -54,12 +60,14 @@ class Stored:
         depth_scale: units a metre as it is read, if it is float.
         float_scale: units a metre of the floats; None: it is none.
         channels: the 8-bit channels of the high and the low byte.
+        kind: of their values, and a file that holds such, as `FileRecording` has it.
         warnings: what people should know, a line each.
     """
 
     depth_scale: float | None = None
     float_scale: float | None = None
     channels: tuple[int, int] | None = None
+    kind: tuple[str, Path] | None = None
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -81,13 +89,14 @@ class Stored:
             return cls(channels=channels, warnings=(said,))
         if file.suffix.lower() == ".png":
             return cls()
-        units = units_a_metre(decode_depth_file(data, str(file)))
+        depth = decode_depth_file(data, str(file))
+        units, kind = units_a_metre(depth), (kind_of(depth), file)
         if units is None:
-            return cls()
+            return cls(kind=kind)
         float_scale = settings.depth_scale or units
         said = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
         mm = settings.depth_scale is None and units != 1
-        return cls(FLOAT_SCALE, float_scale, warnings=(said,) if mm else ())
+        return cls(FLOAT_SCALE, float_scale, kind=kind, warnings=(said,) if mm else ())
 
 
 class FolderRecording(FileRecording):
@@ -99,8 +108,8 @@ class FolderRecording(FileRecording):
 
     format: ClassVar[str] = "folder"
     looks_for: ClassVar[str] = (
-        "a folder with depth/*.png, .npy or .tiff (and color/, masks/, intrinsics.json, trajectory.log or "
-        "pose/), or with 000000-depth.png beside 000000-color.jpg"
+        "a folder with depth/*.png, .npy, .npz or .tiff (and color/, masks/, intrinsics.json, "
+        "trajectory.log or pose/), or with 000000-depth.png beside 000000-color.jpg"
     )
     verified: ClassVar[str] = "folders and trajectories that Open3D reads alike"
 
@@ -136,6 +145,7 @@ class FolderRecording(FileRecording):
             depth_scale=stored.depth_scale or intrinsics.depth_scale or DEPTH_SCALE,
             float_scale=stored.float_scale,
             channels=stored.channels,
+            kind=stored.kind,
             color_registered=first_color_size(files) == size_px if registered is None else registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=recorded,

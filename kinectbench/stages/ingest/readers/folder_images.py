@@ -1,11 +1,10 @@
 """The images of a plain folder: in depth/ and color/, or side by side and told apart by a word in names."""
 
 import re
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed, read_head
+from kinectbench.core.untrusted import listed, printable, read_head
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import is_depth_png
@@ -50,14 +49,18 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
     folder = path / "depth"
     if not folder.is_dir() or not read.files:
         return ()
-    kinds = Counter(file.suffix.lower() for file in listed(folder) if not file.name.startswith("."))
-    others = {kind: count for kind, count in sorted(kinds.items()) if kind in DEPTH_SUFFIXES}
-    others.pop(read.files[0].suffix.lower(), None)
+    read_kinds = {file.suffix.lower() for file in read.files}
+    others: dict[str, list[str]] = {}
+    for file in sorted(listed(folder)):
+        kind = file.suffix.lower()
+        if kind in DEPTH_SUFFIXES - read_kinds and not file.name.startswith("."):
+            others.setdefault(kind, []).append(file.name)
     if not others:
         return ()
-    counted = " and ".join(f"{count} {kind}" for kind, count in others.items())
-    kind = read.files[0].suffix.lower()
-    return (f"{folder}: {counted} images beside the {len(read.files)} {kind} are not read: keep one kind",)
+    counted = " and ".join(f"{len(n)} {kind} (such as {printable(n[0])})" for kind, n in others.items())
+    kinds = f"{', '.join(sorted(read_kinds))} (such as {printable(read.files[0].name)})"
+    said = f"{counted} images beside the {len(read.files)} {kinds} are not read: keep one kind"
+    return (f"{folder}: {said}",)
 
 
 def color_images(path: Path) -> NamedImages:

@@ -1,0 +1,118 @@
+"""Depth in .npz files, and single frames of another kind: left out as damaged ones are, or named."""
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_writers import HEIGHT, WIDTH, depth_image, png, write_folder
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.doctor import Diagnosis, inspect
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import write_sequence
+
+MANY = tuple(map(str, range(24)))
+Image = NDArray[np.generic]
+
+
+def npy(array: Image) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def npz(**arrays: Image) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def metres(index: int) -> NDArray[np.float32]:
+    return (depth_image(index, 1000.0) / 1000).astype(np.float32)
+
+
+def recorded(folder: Path, suffix: str, images: list[bytes]) -> Path:
+    """A plain folder whose depth images are these files."""
+    write_folder(folder, MANY[: len(images)])
+    for number, data in enumerate(images):
+        (folder / f"depth/{number}.png").unlink()
+        (folder / f"depth/{number}{suffix}").write_bytes(data)
+    return folder
+
+
+@pytest.mark.parametrize("others", [{}, {"depth": 1}, {"depth": 1, "confidence": 1}])
+def test_depth_in_npz(tmp_path: Path, others: dict[str, int]) -> None:
+    """The only image under any key, or the one that is called depth."""
+    files = []
+    for i in range(4):
+        arrays: dict[str, Image] = {"K": np.eye(3)[0], "arr_0": metres(i)}
+        if others:
+            arrays = {"K": np.eye(3), **dict.fromkeys(others, np.ones((HEIGHT, WIDTH)))} | {
+                "depth": metres(i)
+            }
+        files.append(npz(**arrays))
+    recording = open_recording(recorded(tmp_path / "r", ".npz", files))
+    for i in range(4):
+        np.testing.assert_allclose(recording.frame(i).depth / recording.depth_scale, metres(i), atol=0.0006)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"a": metres(0), "b": metres(1)}, r"0\.npz: holds 'a' \(\d+, \d+\), 'b' .*which one is depth"),
+        ({"a": metres(0)[0]}, r"0\.npz: holds 'a' \(\d+,\): which one is depth"),
+        ({"depth": np.array([{}], object)}, r"0\.npz: the \.npz file is damaged .*pickle"),
+    ],
+)
+def test_npz_without_one_image_is_named_with_its_keys(
+    tmp_path: Path, arrays: dict[str, Image], words: str
+) -> None:
+    folder = recorded(tmp_path / "r", ".npz", [npz(**arrays)] * 4)
+    with pytest.raises(RecordingError, match=words):
+        open_recording(folder)
+    assert "unreadable" in {found.name for found in inspect(folder)[0].findings}
+
+
+ODD = {
+    "one axis": (".npy", npy(metres(0)[0]), r"7\.npy: depth is float32 of shape \(\d+,\), not \(height"),
+    "no bytes": (".npy", b"", r"7\.npy: the \.npy file is damaged \(the file is empty\)"),
+    "another size": (".npy", npy(metres(0)[:-4]), r"7\.npy: depth is \d+x\d+, but the first frame's is"),
+    "whole numbers": (
+        ".npy",
+        npy(depth_image(7, 1000.0)),
+        r"7\.npy: holds whole numbers, but .*0\.npy holds floats: keep one kind",
+    ),
+    "8 bits": (".png", png(np.ones((HEIGHT, WIDTH), np.uint8)), r"7\.png: depth is 8-bit"),
+    "small PNG": (".png", png(depth_image(0, 1000.0)[:-4]), r"7\.png: depth is \d+x\d+, but the first"),
+}
+
+
+def looked_over(folder: Path) -> tuple[Diagnosis, list[str]]:
+    diagnosis = inspect(folder)[0]
+    kinds = ("depth_format", "damaged_frames", "depth_sizes")
+    return diagnosis, [found.severity for found in diagnosis.findings if found.name in kinds]
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_frame_of_another_kind_is_left_out(tmp_path: Path, name: str) -> None:
+    suffix, odd, words = ODD[name]
+    right = [npy(metres(i)) if suffix == ".npy" else png(depth_image(i, 1000.0)) for i in range(24)]
+    folder = recorded(tmp_path / "r", suffix, [*right[:7], odd, *right[8:]])
+    (warning,) = write_sequence(open_recording(folder), tmp_path / "out")
+    assert re.match(f"frame left out: .*{words}", warning)
+    diagnosis, severities = looked_over(folder)
+    assert severities == ["warning"] and not diagnosis.stops
+
+
+@pytest.mark.parametrize("name", [name for name in ODD if name != "no bytes"])
+def test_several_frames_of_another_kind_stop_build_and_inspect(tmp_path: Path, name: str) -> None:
+    suffix, odd, words = ODD[name]
+    right = [npy(metres(i)) if suffix == ".npy" else png(depth_image(i, 1000.0)) for i in range(24)]
+    folder = recorded(tmp_path / "r", suffix, [*right[:7], odd, odd, *right[9:]])
+    with pytest.raises(RecordingError, match=rf"{words}.*2 of 24 frames cannot be used"):
+        write_sequence(open_recording(folder), tmp_path / "out")
+    diagnosis, severities = looked_over(folder)
+    assert severities == ["stops"] and diagnosis.stops
