@@ -16,6 +16,8 @@ from kinectbench.core.untrusted import printable
 
 NS_PER_S = 10**9
 LIMIT_NS = 2**63
+# Stamps of today: seconds from 2001 to 2096.
+TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
 # What seconds since 1970 are in other units, by the exponent of ten; and steps of cameras, by the least.
 UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
@@ -81,12 +83,18 @@ def no_times(stamps_ns: Sequence[int]) -> str:
         return ""
     steps = np.diff(np.asarray(stamps_ns, np.int64))
     back_share = float((steps < 0).mean())
-    if back_share >= BACK_SHARE:
+    # Rows of a list may be in any order.
+    if back_share >= BACK_SHARE and not are_of_today(stamps_ns):
         return f"they go back in {back_share:.0%} of their steps"
     period_ns = usual_period_ns(np.sort(np.asarray(stamps_ns, np.int64)))
     if 0 < period_ns < NS_PER_S / FASTEST_HZ:
         return f"they would be of {NS_PER_S / period_ns:.0f} frames a second"
     return ""
+
+
+def are_of_today(stamps_ns: Sequence[int]) -> bool:
+    """Whether all stamps, nanoseconds, count from 1970: they are times in whatever order they come."""
+    return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 
 def counted_ns(count: int) -> list[int]:

@@ -1,6 +1,7 @@
 """Trajectories in TUM text format (`t tx ty tz qx qy qz qw`, camera to world), in and out."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -76,7 +77,10 @@ def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTraject
         )
     if frames is not None:
         rows = [row._replace(stamp_ns=ns) for row, ns in zip(rows, counted_ns(frames), strict=True)]
-    return trajectory_from_poses(rows, str(path))
+    trajectory, warnings = trajectory_from_poses(rows, str(path))
+    if any(after.stamp_ns < before.stamp_ns for before, after in pairwise(rows)):
+        warnings.append(f"{path}: its rows are in no order of time: each pose is taken by its stamp")
+    return trajectory, warnings
 
 
 def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTrajectory, list[str]]:

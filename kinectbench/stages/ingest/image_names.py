@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, no_times, usual_period_ns
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, TODAY_NS, no_times, usual_period_ns
 
 # Longer numbers are no frame numbers.
 FRAME_NUMBER = re.compile(r"\d{1,9}")
@@ -36,8 +36,6 @@ UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
 PART_DIGITS, MORE_REGULAR = 9, 1.5
 # Parts that are nearer to each other count frames (own choice: 333 Hz, as above).
 LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3
-# Stamps of today: seconds from 2001 to 2096.
-TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
 # Steps between frames, if the unit is right (own choices): at most 2000 Hz, keyframes of up to 10 s.
 LEAST_STEP_NS, MOST_STEP_NS = NS_PER_S // 2000, 10 * NS_PER_S
 # From so many units a step on a number is of milliseconds, micro- and nanoseconds: 3 ms are 333 Hz, and

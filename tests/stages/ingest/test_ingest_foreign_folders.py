@@ -144,6 +144,10 @@ def poses() -> Float64:
     return T
 
 
+def in_rows(matrix: Float64) -> str:
+    return "\n".join(" ".join(map(str, row)) for row in matrix)
+
+
 def with_id(order: list[int]) -> str:
     """RTAB-Map's rows, times of its own and ids of frames."""
     rows = [f"{1341841279.5 + i} {0.1 * i} 0 0 0 0 0 1 {i}" for i in order]
@@ -162,6 +166,11 @@ def with_id(order: list[int]) -> str:
             "\n".join(f"{1305031102.1 + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)),
             [0, 1, 2, 3],
         ),
+        ("poses.txt", "\n\n".join(in_rows(T) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(in_rows(T[:3]) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(str(T) for T in poses()), [0, 1, 2, 3]),  # as NumPy prints them
+        ("poses.txt", "\n".join(f"{i}\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
+        ("traj.txt", "\n".join(f"{i} {i} 0\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
     ],
 )
 def test_poses_by_other_programs(tmp_path: Path, name: str, text: str, known: list[int]) -> None:
@@ -201,6 +210,31 @@ def test_depth_images_of_two_kinds_are_told(tmp_path: Path) -> None:
         "1 .npy (such as 9.npy) images beside the 4 .png (such as 0.png) are" in line
         for line in opened(folder).warnings
     )
+
+
+@pytest.mark.parametrize(("first_s", "by_stamp"), [(1305031102.1, True), (0.033, False)])
+def test_rows_in_no_order_are_taken_by_stamps_of_today(
+    tmp_path: Path, first_s: float, by_stamp: bool
+) -> None:
+    """Small stamps may be steps since the frame before: of these only the rows' order tells."""
+    folder = write_folder(tmp_path / "r")
+    order = [2, 0, 3, 1]
+    rows = [f"{first_s + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in order]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None
+    expected = poses() if by_stamp else poses()[order]
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, expected, atol=1e-12)
+    said = [
+        line for line in recording.warnings if "no order of time: each pose is taken by its stamp" in line
+    ]
+    assert len(said) == by_stamp
+
+
+def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "poses.txt").write_text("\n".join(in_rows(T) for T in poses()).rsplit("\n", 2)[0] + "\n")
+    assert "holds 14 rows of four numbers" in opened(folder).trajectory_error
 
 
 def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:

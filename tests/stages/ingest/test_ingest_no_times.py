@@ -88,6 +88,7 @@ def test_logs_with_such_stamps_are_counted(tmp_path: Path, name: str) -> None:
         np.arange(200) / 30 + 0.05 * (np.arange(200) % 20 == 7),  # two frames of twenty exchanged
         STEPS_S[:9],  # too few to tell
         [0.0] * 200,
+        np.random.default_rng(0).permutation(200) / 30 + 1.3e9,  # a list in no order
     ],
 )
 def test_stamps_of_clocks_are_times(stamps_s: np.ndarray) -> None:

@@ -6,14 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
-import numpy as np
-
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
-from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed, printable
+from kinectbench.core.untrusted import listed
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import (
     SUFFIXES,
@@ -22,7 +17,7 @@ from kinectbench.stages.ingest.depth_files import (
     packed_channels,
     units_a_metre,
 )
-from kinectbench.stages.ingest.image_names import FRAME_NUMBER, NUMBER_AND_STAMP, stamps_of_names
+from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError
 from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
@@ -34,7 +29,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     lie_beside_each_other,
     unread_depth,
 )
-from kinectbench.stages.ingest.readers.pose_files import pose_file, read_pose_file
+from kinectbench.stages.ingest.readers.pose_files import pose_file, read_log, read_pose_file
 from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -204,29 +199,9 @@ def _read_trajectory(
     logs = sorted(visible(path, "*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
     if not ours.is_file() and file.is_file():
-        matrices = _read_log(file, len(stamps_ns))
+        matrices = read_log(file, len(stamps_ns))
         return trajectory_from_matrices(stamps_ns, matrices, str(file))
     in_one = ours if ours.is_file() else None if pose_folder(path) else pose_file(path)
     if in_one is None:
         return read_pose_folder(path, files)
     return read_pose_file(in_one, stamps_ns, stems)
-
-
-def _read_log(file: Path, frames: int) -> list[Float64]:
-    """Redwood log, `i j k` and four matrix rows, camera to world: the matrix of the i-th frame, or NaN."""
-    rows = text_rows(file)
-    if len(rows) % 5:
-        raise RecordingError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
-    matrices = [np.full((4, 4), np.nan)] * frames
-    for start in range(0, len(rows), 5):
-        where, head = rows[start]
-        index = head.split()[0]
-        if not FRAME_NUMBER.fullmatch(index) or int(index) >= frames:
-            raise RecordingError(
-                f"{where}: '{printable(head)}' does not name one of the {frames} frames (0-{frames - 1})"
-            )
-        values = [parse_floats(row.split(), row_where) for row_where, row in rows[start + 1 : start + 5]]
-        if any(len(row) != 4 for row in values):
-            raise RecordingError(f"{where}: the four rows after it are not four numbers each")
-        matrices[int(index)] = np.array(values)
-    return matrices

@@ -9,10 +9,11 @@ import numpy as np
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
-from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
+from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
+from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_from_matrices
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import printable
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.recording import first_file
@@ -47,7 +48,8 @@ def read_pose_file(
 
     TUM's rows are of the frames of their stamps. Where only the rows have stamps, and are as many as frames,
     each is of one frame, in their order. RTAB-Map's rows with an id are of the frames that are numbered so.
-    Matrices, 12 or 16 values a row, are of the frames in their order.
+    Matrices, 12 or 16 values a row or four a row below each other, are of the frames in their order; where a
+    number stands above each, of the frames of these numbers, from 0.
 
     Args:
         file: text, a pose a row.
@@ -58,7 +60,12 @@ def read_pose_file(
         RecordingError: a row holds something else, or which pose is of which frame cannot be told.
     """
     rows = text_rows(file)
-    lengths = {len(row.replace(",", " ").split()) for _, row in rows}
+    lengths = {len(row.translate(PUNCTUATION).split()) for _, row in rows}
+    if lengths in ({1, 4}, {3, 4}):
+        return trajectory_from_matrices(stamps_ns, read_log(file, len(stems)), str(file))
+    if lengths == {4}:
+        rows = _joined(rows, file)
+        lengths = {len(row.split()) for _, row in rows}
     if lengths == {WITH_ID}:
         return trajectory_from_matrices(stamps_ns, _by_id(rows, stems), str(file))
     if lengths in ({KITTI}, {MATRIX}):
@@ -75,13 +82,15 @@ def read_pose_file(
     numbered = counts_frames(trajectory.stamps_ns)
     if numbered and (len(trajectory.stamps_ns) < len(rows) or set(trajectory.stamps_ns) == set(frames_ns)):
         return trajectory, warnings
-    in_order, warnings = read_trajectory(file, len(stems))
     if numbered:
         # Counted from 0 or 1: by equal numbers each pose would be of the frame beside its own.
-        in_order, shift = trajectory, int(trajectory.stamps_ns[0] - frames_ns[0]) // NS_PER_S
+        shift = int(trajectory.stamps_ns[0] - frames_ns[0]) // NS_PER_S
         said = f"{file}: its numbers are {shift:+d} off those of the frames: rows are taken in their order"
         warnings = [*warnings, said]
-    return GivenTrajectory(frames_ns, in_order.T_world_camera), warnings
+    elif len(trajectory.stamps_ns) < len(rows) or not are_of_today(trajectory.stamps_ns.tolist()):
+        # They repeat, or may be steps since the frame before: only the rows' order tells.
+        trajectory, warnings = read_trajectory(file, len(stems))
+    return GivenTrajectory(frames_ns, trajectory.T_world_camera), warnings
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
@@ -100,7 +109,51 @@ def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float6
     return [poses.get(number) for number in numbered]
 
 
+def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]]:
+    """A row of each matrix, of rows of four values: four a pose, of which the last is 0 0 0 1, or three."""
+    values = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in rows]
+    side = 4 if all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
+    if len(rows) % side:
+        raise RecordingError(
+            f"{file}: holds {len(rows)} rows of four numbers, no whole number of matrices: write 4x4 "
+            "matrices below each other, the last row of each 0 0 0 1, or 3x4 matrices"
+        )
+    texts = [row.translate(PUNCTUATION) for _, row in rows]
+    return [(rows[i][0], " ".join(texts[i : i + side])) for i in range(0, len(rows), side)]
+
+
 def _matrix(row: str, where: str) -> Float64:
-    numbers = parse_floats(row.replace(",", " ").split(), where)
+    numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
     last = [] if len(numbers) == MATRIX else [0.0, 0.0, 0.0, 1.0]
     return np.array([*numbers, *last]).reshape(4, 4)
+
+
+def read_log(file: Path, frames: int) -> list[Float64]:
+    """Redwood log, `i j k` and four matrix rows, camera to world: the matrix of the i-th frame, or NaN.
+
+    Args:
+        file: blocks of five rows; of the first only the number of the frame counts.
+        frames: how many there are.
+
+    Raises:
+        RecordingError: a block is not whole, or names no frame.
+    """
+    rows = text_rows(file)
+    if len(rows) % 5:
+        raise RecordingError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
+    matrices = [np.full((4, 4), np.nan)] * frames
+    for start in range(0, len(rows), 5):
+        where, head = rows[start]
+        index = head.split()[0]
+        if not FRAME_NUMBER.fullmatch(index) or int(index) >= frames:
+            raise RecordingError(
+                f"{where}: '{printable(head)}' does not name one of the {frames} frames (0-{frames - 1})"
+            )
+        values = [
+            parse_floats(row.translate(PUNCTUATION).split(), row_where)
+            for row_where, row in rows[start + 1 : start + 5]
+        ]
+        if any(len(row) != 4 for row in values):
+            raise RecordingError(f"{where}: the four rows after it are not four numbers each")
+        matrices[int(index)] = np.array(values)
+    return matrices
