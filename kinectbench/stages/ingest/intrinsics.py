@@ -35,7 +35,7 @@ MM_PER_M = 1000.0
 MOST_MM_A_UNIT = 100.0
 # Names of librealsense and of Record3D; and keys of a matrix in place of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
-MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "K")
+MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
 HELD = "width, height, fx, fy, cx, cy"
 
 
@@ -136,8 +136,9 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered; or
     a matrix in place of fx ... cy: `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it),
-    `cam_K` or `K` (row by row). A depth_scale beside `cam_K` is BOP's, mm a unit; one below 1 is metres a
-    unit, as librealsense has it, for no unit of depth images is longer.
+    `cam_K`, `camera_matrix`, `K` or `k` (row by row; or an object with these as `data`). A depth_scale beside
+    `cam_K` is BOP's, mm a unit; one below 1 is metres a unit, as librealsense has it, for no unit of depth
+    images is longer.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
@@ -157,7 +158,8 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         values["color_registered"] = known["color_registered"]
     if "depth_scale" in values:
         values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
-    key = next((key for key in MATRIX_KEYS if key in known), None)
+    # Others have another thing under "k".
+    key = next((key for key in MATRIX_KEYS if key in known and (key != "k" or _is_matrix(known[key]))), None)
     if key is not None:
         matrix = pinhole(_open3d_matrix(known[key], path, key), path)
         for name in NEEDED:
@@ -369,13 +371,17 @@ def number_of(value: object, where: str) -> float:
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
     """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
-    numbers = numbers_of(value)
+    numbers = numbers_of(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers
     if numbers.shape != (9,):
         raise RecordingError(f"{path}: '{key}' must hold nine numbers")
     by_row = not numbers[6:8].any()
     return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
+
+
+def _is_matrix(value: object) -> bool:
+    return numbers_of(value).shape in ((9,), (3, 3))
 
 
 def pinhole(K: Float64, path: Path) -> Intrinsics:

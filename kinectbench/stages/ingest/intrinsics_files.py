@@ -1,18 +1,21 @@
 """Intrinsics in files beside the images: which files are read, and which only look like such."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.text_rows import read_text
+from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
+    MATRIX_SHAPES,
     NEEDED,
     Intrinsics,
     pinhole,
@@ -28,11 +31,21 @@ LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt"
 # As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
 YAML_BYTES, MOST_YAML = 64 << 10, 200
-YAML_MATRIX = re.compile(r"^camera_matrix:(?:.*\n){1,8}?[ \t]+data:[ \t]*\[([^\]]{,2000})\]", re.MULTILINE)
+YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
+# Other programs have something else under these: they count where they hold as many numbers as a camera has.
+LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
+YAML_DISTORTIONS = ("distortion_coefficients", "distortion", "dist_coeffs")
 YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
-YAML_DISTORTION = re.compile(
-    r"^distortion_coefficients:(?:.*\n){1,8}?[ \t]+data:[ \t]*\[([^\]]{,2000})\]", re.MULTILINE
+# As ORB-SLAM has them (Camera.fx), and many others.
+YAML_FOCAL = re.compile(
+    r"^[ \t]*(?:Camera\d?\.)?(fx|fy|cx|cy)[ \t]*:[ \t]*([-+.\deE]{1,30})[ \t]*(?:#.*)?$", re.MULTILINE
 )
+# A key, and what may stand between the numbers of its value. Of the lines below a key so many are looked at:
+# 4x4 numbers, one a line, and what OpenCV writes before them (own choice).
+# What OpenCV and ROS write beside `data`.
+OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
+YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:(.*)"), 24
+YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Names of files that may hold intrinsics in a layout that is not read.
 LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
@@ -49,12 +62,12 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
     Raises:
         RecordingError: the file does not hold what its name says.
     """
-    camera_file = first_file(path / name for name in JSON_FILES)
-    if camera_file is not None:
-        return read_intrinsics_json(camera_file), camera_file
-    matrix_file = first_file(path / name for name in MATRIX_FILES)
-    if matrix_file is not None:
-        return read_intrinsics_matrix(matrix_file), None
+    file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
+    if file is not None:
+        by_json = file.name in JSON_FILES
+        said = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
+        others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
+        return replace(said, notes=(*said.notes, *others)), file if by_json else None
     if all(getattr(settings, key) is not None for key in NEEDED):
         return Intrinsics(), None
     for file in (path / name for name in LOOSE_FILES):
@@ -88,6 +101,14 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
     return f"; {how} {printable(', '.join(names))}" if names else ""
 
 
+def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
+    """A line that names files beside one that is read, which would be if it were not there; none: no line."""
+    others = [name for name in names if name != read.name and (read.parent / name).is_file()]
+    if not others:
+        return ()
+    return (f"{read}: is read, and not {printable(', '.join(others))} beside it; remove the wrong ones",)
+
+
 def _of_yaml(files: list[Path]) -> Intrinsics:
     """The camera that all of some YAML files say, of very many the first."""
     found: tuple[Path, Intrinsics] | None = None
@@ -105,26 +126,55 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
-    """The pinhole camera of a YAML file of OpenCV's or ROS's; None if it holds none."""
+    """The pinhole camera of a YAML file of OpenCV's, ROS's or others'; None if it holds none.
+
+    Raises:
+        RecordingError: it names a matrix that does not hold one, as where a file was cut off.
+    """
     text = read_text(file, YAML_BYTES)
-    matrix = YAML_MATRIX.search(text)
-    if matrix is None:
-        return None
-    numbers = _numbers(matrix[1], file)
-    if len(numbers) != 9:
-        raise RecordingError(f"{file}: 'camera_matrix' must hold nine numbers")
-    sizes = {key: int(value) for key, value in YAML_SIZE.findall(text)}
-    distortion = YAML_DISTORTION.search(text)
-    distorted = distortion is not None and any(_numbers(distortion[1], file))
+    values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS))
+    sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
+    distorted = any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
     note = f"{file}: its distortion is not taken away; if depth is not rectified, undistort it first"
-    K = pinhole(np.array(numbers).reshape(3, 3), file)
-    return Intrinsics(
-        sizes.get("width"), sizes.get("height"), K.fx, K.fy, K.cx, K.cy, notes=(note,) if distorted else ()
-    )
+    sizes["notes"] = (note,) if distorted else ()
+    for key in (key for key in YAML_MATRICES if key in values):
+        numbers = values[key]
+        if numbers is not None and len(numbers) == len(NEEDED):
+            fx, fy, cx, cy = numbers
+            return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, **sizes)
+        shape = MATRIX_SHAPES.get(len(numbers or ()))
+        if shape is not None:
+            K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
+            return replace(K, **sizes)
+        if key not in LOOSE_KEYS or len(numbers or ()) > len(NEEDED):
+            held = "something else than numbers" if numbers is None else f"{len(numbers)} numbers"
+            raise RecordingError(
+                f"{file}: '{key}' holds {held}, not the nine of a pinhole matrix (or fx, fy, cx, cy): "
+                "correct it, or give fx, fy, cx, cy under `camera:`"
+            )
+    said: dict[str, Any] = {key: parse_floats([word], str(file))[0] for key, word in YAML_FOCAL.findall(text)}
+    return Intrinsics(**said, **sizes) if said else None
 
 
-def _numbers(text: str, file: Path) -> list[float]:
-    try:
-        return [float(word) for word in text.replace(",", " ").split()]
-    except ValueError as error:
-        raise RecordingError(f"{file}: {error}") from error
+def _yaml_numbers(text: str, wanted: Collection[str]) -> dict[str, list[float] | None]:
+    """The numbers under some keys, in lists of any kind, or in the `data` of OpenCV's; None: not numbers."""
+    lines, found = text.splitlines(), dict[str, list[float] | None]()
+    for at, line in enumerate(lines):
+        match = YAML_KEY.fullmatch(line)
+        if match is None or match[1] not in wanted or match[1] in found:
+            continue
+        parts = [match[2]]
+        for below in lines[at + 1 : at + 1 + YAML_LINES]:
+            key = YAML_KEY.fullmatch(below)
+            if key is None and not below.startswith(("---", "...")):
+                parts.append(below)
+            elif key is not None and key[1] == "data":
+                parts = [key[2]]
+            elif key is None or key[1] not in OPENCV_KEYS:
+                break
+        words = " ".join(YAML_SIGNS.sub(" ", part) for part in parts).replace(OPENCV_TAG, " ").split()
+        try:
+            found[match[1]] = parse_floats(words, "")
+        except RecordingError:
+            found[match[1]] = None
+    return found

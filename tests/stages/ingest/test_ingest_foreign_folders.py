@@ -1,4 +1,4 @@
-"""Folders as other programs write them: their names, their intrinsics and poses, their kinds of images."""
+"""Folders as other programs write them: their names, their intrinsics, their kinds of images."""
 
 import io
 import json
@@ -13,7 +13,7 @@ import pytest
 from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, depth_image, write_folder, write_tum
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.types import Float64
+from kinectbench.doctor import inspect
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import FileRecording
@@ -70,6 +70,18 @@ def camera_of(recording: FileRecording) -> tuple[float, ...]:
         ("calibration.txt", f"{FX} {FY} {CX} {CY}\n", 1000, ""),
         ("calib/000000.yaml", YAML, 1000, ""),
         ("calib.yml", YAML.replace("[ 0.,", "[ 0.1,"), 1000, "its distortion is not taken away"),
+        ("intrinsics.json", {"k": MATRIX}, 1000, ""),
+        ("camera.json", {"camera_matrix": {"rows": 3, "data": MATRIX}}, 1000, ""),
+        ("intrinsics.yaml", f"K: {MATRIX}\n", 1000, ""),
+        ("intrinsics.yaml", f"camera:\n  k: [[{FX}, 0, {CX}],\n  [0, {FY}, {CY}],\n  [0, 0, 1]]\n", 1000, ""),
+        (
+            "camera.yaml",
+            f"camera_matrix:\n- - {FX}\n  - 0.\n  - {CX}\n- [0, {FY}, {CY}]\n- [0, 0, 1]",
+            1000,
+            "",
+        ),
+        ("kalibr.yaml", f"cam0:\n  intrinsics: [{FX}, {FY}, {CX}, {CY}]  # fu fv\n  k: 3\n", 1000, ""),
+        ("orb.yaml", f"Camera.fx: {FX}\nCamera.fy: {FY}\nCamera.cx: {CX}\nCamera.cy: {CY}\n", 1000, ""),
     ],
 )
 def test_intrinsics_by_other_programs(
@@ -81,6 +93,24 @@ def test_intrinsics_by_other_programs(
     recording = opened(folder)
     assert camera_of(recording) == CAMERA and recording.depth_scale == pytest.approx(scale)
     assert any(note in line for line in recording.warnings) if note else recording.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"K: [{FX}, 0, {CX}, 0, {FY}", r"intrinsics\.yaml: 'K' holds 5 numbers, not the nine"),
+        ("camera_matrix: {file: cam.npy}\n", "'camera_matrix' holds something else than numbers"),
+        (f"fx: {FX}\nfy: {FY}\n", r"does not say its intrinsics \(cx, cy\).*may stand in intrinsics\.yaml"),
+        ("k: 4\n", r"does not say its intrinsics \(fx, fy, cx, cy\).*may stand in intrinsics\.yaml"),
+    ],
+)
+def test_intrinsics_that_are_not_whole_are_named(tmp_path: Path, text: str, words: str) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "intrinsics.yaml").write_text(text)
+    with pytest.raises(RecordingError, match=words):
+        open_recording(folder)
+    diagnosis, _ = inspect(folder)
+    assert diagnosis.stops and re.search(words, diagnosis.findings[0].what)
 
 
 def test_the_lists_of_tum_with_a_calibration_of_eth3d(tmp_path: Path) -> None:
@@ -113,6 +143,13 @@ def test_what_is_no_intrinsics_does_not_stand_in_the_way(tmp_path: Path, name: s
     assert camera_of(opened(folder, CameraSettings(fx=FX, fy=FY, cx=CX, cy=CY))) == CAMERA
 
 
+def test_a_second_file_with_intrinsics_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "cam_K.txt").write_text(f"{FX} {FY} {CX} {CY}\n")
+    (line,) = opened(folder).warnings
+    assert "camera_intrinsic.json: is read, and not cam_K.txt beside it" in line
+
+
 def test_a_hostile_yaml_is_read_in_no_time(tmp_path: Path) -> None:
     folder = without_intrinsics(tmp_path / "r")
     for text in (
@@ -122,7 +159,7 @@ def test_a_hostile_yaml_is_read_in_no_time(tmp_path: Path) -> None:
     ):
         (folder / "calib.yaml").write_text(text)
         started = time.process_time()
-        with pytest.raises(RecordingError, match="does not say its intrinsics"):
+        with pytest.raises(RecordingError, match=r"does not say its intrinsics|'camera_matrix' holds"):
             open_recording(folder)
         assert time.process_time() - started < 2
 
@@ -134,113 +171,11 @@ def test_files_that_look_like_intrinsics_are_named(tmp_path: Path) -> None:
         open_recording(folder)
 
 
-# --- poses --------------------------------------------------------------------------------------------
-
-
-def poses() -> Float64:
-    """(4, 4, 4): cameras side by side."""
-    T = np.tile(np.eye(4), (4, 1, 1))
-    T[:, 0, 3] = [0.0, 0.1, 0.2, 0.3]
-    return T
-
-
-def in_rows(matrix: Float64) -> str:
-    return "\n".join(" ".join(map(str, row)) for row in matrix)
-
-
-def with_id(order: list[int]) -> str:
-    """RTAB-Map's rows, times of its own and ids of frames."""
-    rows = [f"{1341841279.5 + i} {0.1 * i} 0 0 0 0 0 1 {i}" for i in order]
-    return "\n".join(["#timestamp x y z qx qy qz qw id", *rows])
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "known"),
-    [
-        ("poses.txt", with_id([0, 1, 2, 3]), [0, 1, 2, 3]),
-        ("poses.txt", with_id([3, 1]), [1, 3]),
-        ("traj.txt", "\n".join(" ".join(map(str, T.ravel())) for T in poses()), [0, 1, 2, 3]),
-        ("poses.txt", "\n".join(" ".join(map(str, T[:3].ravel())) for T in poses()), [0, 1, 2, 3]),
-        (
-            "groundtruth.txt",
-            "\n".join(f"{1305031102.1 + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)),
-            [0, 1, 2, 3],
-        ),
-        ("poses.txt", "\n\n".join(in_rows(T) for T in poses()), [0, 1, 2, 3]),
-        ("poses.txt", "\n".join(in_rows(T[:3]) for T in poses()), [0, 1, 2, 3]),
-        ("poses.txt", "\n".join(str(T) for T in poses()), [0, 1, 2, 3]),  # as NumPy prints them
-        ("poses.txt", "\n".join(f"{i}\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
-        ("traj.txt", "\n".join(f"{i} {i} 0\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
-    ],
-)
-def test_poses_by_other_programs(tmp_path: Path, name: str, text: str, known: list[int]) -> None:
-    folder = write_folder(tmp_path / "r")
-    (folder / name).write_text(text + "\n")
-    recording = opened(folder)
-    assert recording.given_trajectory is not None and not recording.trajectory_error
-    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns[known])
-    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[known], atol=1e-12)
-
-
-@pytest.mark.parametrize(("first", "words"), [(0, ""), (1, "its numbers are +1 off those of the frames")])
-def test_poses_counted_from_one_are_of_the_frames_counted_from_zero(
-    tmp_path: Path, first: int, words: str
-) -> None:
-    folder = write_folder(tmp_path / "r")
-    rows = [f"{first + i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)]
-    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
-    recording = opened(folder)
-    assert recording.given_trajectory is not None
-    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns)
-    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses(), atol=1e-12)
-    assert any(words in line for line in recording.warnings) if words else recording.warnings == ()
-
-
 def test_a_camera_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     folder = without_intrinsics(tmp_path / "r")
     (folder / "camera.json").write_text(json.dumps({"cam_K": MATRIX, "fx": 2 * FX}))
     with pytest.raises(RecordingError, match=r"'fx' is .* and that of 'cam_K'"):
         open_recording(folder)
-
-
-def test_depth_images_of_two_kinds_are_told(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "r")
-    (folder / "depth" / "9.npy").write_bytes(npy(depth_image(0, 1000.0)))
-    assert any(
-        "1 .npy (such as 9.npy) images beside the 4 .png (such as 0.png) are" in line
-        for line in opened(folder).warnings
-    )
-
-
-@pytest.mark.parametrize(("first_s", "by_stamp"), [(1305031102.1, True), (0.033, False)])
-def test_rows_in_no_order_are_taken_by_stamps_of_today(
-    tmp_path: Path, first_s: float, by_stamp: bool
-) -> None:
-    """Small stamps may be steps since the frame before: of these only the rows' order tells."""
-    folder = write_folder(tmp_path / "r")
-    order = [2, 0, 3, 1]
-    rows = [f"{first_s + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in order]
-    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
-    recording = opened(folder)
-    assert recording.given_trajectory is not None
-    expected = poses() if by_stamp else poses()[order]
-    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, expected, atol=1e-12)
-    said = [
-        line for line in recording.warnings if "no order of time: each pose is taken by its stamp" in line
-    ]
-    assert len(said) == by_stamp
-
-
-def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "r")
-    (folder / "poses.txt").write_text("\n".join(in_rows(T) for T in poses()).rsplit("\n", 2)[0] + "\n")
-    assert "holds 14 rows of four numbers" in opened(folder).trajectory_error
-
-
-def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "r")
-    (folder / "traj.txt").write_text("\n".join(" ".join(map(str, T.ravel())) for T in poses()[:3]) + "\n")
-    assert "holds 3 poses for 4 frames" in opened(folder).trajectory_error
 
 
 # --- images -------------------------------------------------------------------------------------------
@@ -402,3 +337,12 @@ def test_an_array_of_objects_is_refused(tmp_path: Path) -> None:
         image.unlink()
     with pytest.raises(RecordingError, match="object"):
         open_recording(folder)
+
+
+def test_depth_images_of_two_kinds_are_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "depth" / "9.npy").write_bytes(npy(depth_image(0, 1000.0)))
+    assert any(
+        "1 .npy (such as 9.npy) images beside the 4 .png (such as 0.png) are" in line
+        for line in opened(folder).warnings
+    )

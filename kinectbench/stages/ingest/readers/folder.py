@@ -20,7 +20,7 @@ from kinectbench.stages.ingest.depth_files import (
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError
 from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
-from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
+from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics, passed_over
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
     NamedImages,
@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     lie_beside_each_other,
     unread_depth,
 )
-from kinectbench.stages.ingest.readers.pose_files import pose_file, read_log, read_pose_file
+from kinectbench.stages.ingest.readers.pose_files import POSE_FILES, pose_file, read_log, read_pose_file
 from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -198,10 +198,13 @@ def _read_trajectory(
     ours = path / "trajectory.txt"
     logs = sorted(visible(path, "*.log"))
     file = path / "trajectory.log" if len(logs) != 1 else logs[0]
+    names = (*(log.name for log in logs), *POSE_FILES)
     if not ours.is_file() and file.is_file():
         matrices = read_log(file, len(stamps_ns))
-        return trajectory_from_matrices(stamps_ns, matrices, str(file))
+        trajectory, warnings = trajectory_from_matrices(stamps_ns, matrices, str(file))
+        return trajectory, [*warnings, *passed_over(file, names)]
     in_one = ours if ours.is_file() else None if pose_folder(path) else pose_file(path)
     if in_one is None:
         return read_pose_folder(path, files)
-    return read_pose_file(in_one, stamps_ns, stems)
+    trajectory, warnings = read_pose_file(in_one, stamps_ns, stems)
+    return trajectory, [*warnings, *passed_over(in_one, names)]

@@ -1,0 +1,110 @@
+"""Files with the poses of all frames, as other programs write them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_writers import write_folder
+
+from kinectbench.core.types import Float64
+from kinectbench.stages.ingest.readers import open_recording as opened
+
+
+def poses() -> Float64:
+    """(4, 4, 4): cameras side by side."""
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3] = [0.0, 0.1, 0.2, 0.3]
+    return T
+
+
+def in_rows(matrix: Float64) -> str:
+    return "\n".join(" ".join(map(str, row)) for row in matrix)
+
+
+def with_id(order: list[int]) -> str:
+    """RTAB-Map's rows, times of its own and ids of frames."""
+    rows = [f"{1341841279.5 + i} {0.1 * i} 0 0 0 0 0 1 {i}" for i in order]
+    return "\n".join(["#timestamp x y z qx qy qz qw id", *rows])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "known"),
+    [
+        ("poses.txt", with_id([0, 1, 2, 3]), [0, 1, 2, 3]),
+        ("poses.txt", with_id([3, 1]), [1, 3]),
+        ("traj.txt", "\n".join(" ".join(map(str, T.ravel())) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(" ".join(map(str, T[:3].ravel())) for T in poses()), [0, 1, 2, 3]),
+        (
+            "groundtruth.txt",
+            "\n".join(f"{1305031102.1 + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)),
+            [0, 1, 2, 3],
+        ),
+        ("poses.txt", "\n\n".join(in_rows(T) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(in_rows(T[:3]) for T in poses()), [0, 1, 2, 3]),
+        ("poses.txt", "\n".join(str(T) for T in poses()), [0, 1, 2, 3]),  # as NumPy prints them
+        ("poses.txt", "\n".join(f"{i}\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
+        ("traj.txt", "\n".join(f"{i} {i} 0\n{in_rows(T)}" for i, T in enumerate(poses())), [0, 1, 2, 3]),
+    ],
+)
+def test_poses_by_other_programs(tmp_path: Path, name: str, text: str, known: list[int]) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / name).write_text(text + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None and not recording.trajectory_error
+    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns[known])
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[known], atol=1e-12)
+
+
+@pytest.mark.parametrize(("first", "words"), [(0, ""), (1, "its numbers are +1 off those of the frames")])
+def test_poses_counted_from_one_are_of_the_frames_counted_from_zero(
+    tmp_path: Path, first: int, words: str
+) -> None:
+    folder = write_folder(tmp_path / "r")
+    rows = [f"{first + i} {0.1 * i} 0 0 0 0 0 1" for i in range(4)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None
+    np.testing.assert_array_equal(recording.given_trajectory.stamps_ns, recording.stamps_ns)
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses(), atol=1e-12)
+    assert any(words in line for line in recording.warnings) if words else recording.warnings == ()
+
+
+@pytest.mark.parametrize(("first_s", "by_stamp"), [(1305031102.1, True), (0.033, False)])
+def test_rows_in_no_order_are_taken_by_stamps_of_today(
+    tmp_path: Path, first_s: float, by_stamp: bool
+) -> None:
+    """Small stamps may be steps since the frame before: of these only the rows' order tells."""
+    folder = write_folder(tmp_path / "r")
+    order = [2, 0, 3, 1]
+    rows = [f"{first_s + 0.033 * i} {0.1 * i} 0 0 0 0 0 1" for i in order]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    recording = opened(folder)
+    assert recording.given_trajectory is not None
+    expected = poses() if by_stamp else poses()[order]
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, expected, atol=1e-12)
+    said = [
+        line for line in recording.warnings if "no order of time: each pose is taken by its stamp" in line
+    ]
+    assert len(said) == by_stamp
+
+
+@pytest.mark.parametrize("read", ["trajectory.txt", "trajectory.log", "poses.txt"])
+def test_a_second_file_with_poses_is_named(tmp_path: Path, read: str) -> None:
+    folder = write_folder(tmp_path / "r")
+    rows = "".join(f"{i} {0.1 * i} 0 0 0 0 0 1\n" for i in range(4))
+    log = "".join(f"{i} {i} 0\n{in_rows(T)}\n" for i, T in enumerate(poses()))
+    for name in (read, "groundtruth.txt"):
+        (folder / name).write_text(log if name.endswith("log") else rows)
+    assert any(f"{read}: is read, and not groundtruth.txt" in line for line in opened(folder).warnings)
+
+
+def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "poses.txt").write_text("\n".join(in_rows(T) for T in poses()).rsplit("\n", 2)[0] + "\n")
+    assert "holds 14 rows of four numbers" in opened(folder).trajectory_error
+
+
+def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "traj.txt").write_text("\n".join(" ".join(map(str, T.ravel())) for T in poses()[:3]) + "\n")
+    assert "holds 3 poses for 4 frames" in opened(folder).trajectory_error
