@@ -28,7 +28,7 @@ from kinectbench.doctor.fit import (
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
 from kinectbench.doctor.look import Look
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
-from kinectbench.stages.ingest.readers.pose_files import named_like_poses
+from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Another reading is said to be right only if poses fit so much better by it.
@@ -147,8 +147,10 @@ def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
         return
     if given is None:
         beside = named_like_poses(look.recording.path)
+        if beside and any(beside in line for line in look.recording.warnings):
+            beside = ""  # said already
         what = f"no trajectory: the camera will be tracked{beside}"
-        advice = "write `trajectory.txt` as TUM has it: t tx ty tz qx qy qz qw, camera to world"
+        advice = f"write `trajectory.txt` {TUM_ROWS}"
         yield Finding("no_trajectory", "note", what, look.where, advice if beside else "")
         return
     stamps_ns = look.recording.stamps_ns

@@ -1,12 +1,14 @@
 """Files with the poses of all frames, as other programs write them."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import write_folder
+from ingest_writers import write_folder, write_tum
 
 from kinectbench.core.types import Float64
+from kinectbench.doctor import inspect
 from kinectbench.stages.ingest.readers import open_recording as opened
 
 
@@ -96,6 +98,18 @@ def test_a_second_file_with_poses_is_named(tmp_path: Path, read: str) -> None:
     for name in (read, "groundtruth.txt"):
         (folder / name).write_text(log if name.endswith("log") else rows)
     assert any(f"{read}: is read, and not groundtruth.txt" in line for line in opened(folder).warnings)
+
+
+@pytest.mark.parametrize("write", [write_folder, write_tum])
+def test_files_that_look_like_poses_are_named_once(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    folder = write(tmp_path / "r")
+    (folder / "groundtruth.txt").unlink(missing_ok=True)
+    assert not any("by name poses" in line for line in opened(folder).warnings)
+    (folder / "camera_poses.csv").touch()
+    (line,) = (line for line in opened(folder).warnings if "poses" in line)
+    assert "no trajectory is read; not read, by name poses: camera_poses.csv; write it as" in line
+    said = [found.what for found in inspect(folder)[0].findings if "camera_poses.csv" in found.what]
+    assert said == [line]
 
 
 def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:

@@ -29,7 +29,13 @@ from kinectbench.stages.ingest.readers.folder_images import (
     lie_beside_each_other,
     unread_depth,
 )
-from kinectbench.stages.ingest.readers.pose_files import POSE_FILES, pose_file, read_log, read_pose_file
+from kinectbench.stages.ingest.readers.pose_files import (
+    POSE_FILES,
+    pose_file,
+    read_log,
+    read_pose_file,
+    unread_poses,
+)
 from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -203,8 +209,10 @@ def _read_trajectory(
         matrices = read_log(file, len(stamps_ns))
         trajectory, warnings = trajectory_from_matrices(stamps_ns, matrices, str(file))
         return trajectory, [*warnings, *passed_over(file, names)]
-    in_one = ours if ours.is_file() else None if pose_folder(path) else pose_file(path)
-    if in_one is None:
+    if pose_folder(path) and not ours.is_file():
         return read_pose_folder(path, files)
+    in_one = ours if ours.is_file() else pose_file(path)
+    if in_one is None:
+        return None, unread_poses(path)
     trajectory, warnings = read_pose_file(in_one, stamps_ns, stems)
     return trajectory, [*warnings, *passed_over(in_one, names)]

@@ -23,6 +23,7 @@ POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
 # Values of a row: a stamp, a position and a quaternion; the same with an id; matrices without or with their
 # last row.
 STAMPED, WITH_ID, KITTI, MATRIX = 8, 9, 12, 16
+TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may hold poses in a layout that is not read.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|groundtruth|cam2world|c2w)).+"
@@ -34,6 +35,14 @@ LIKE_POSES = re.compile(
 def named_like_poses(path: Path) -> str:
     """What a message says of files in a folder that look like poses; "" if there are none."""
     return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
+
+
+def unread_poses(path: Path) -> list[str]:
+    """A line that names files that look like poses, of a folder none of whose poses are read; or none."""
+    beside = named_like_poses(path)
+    return (
+        [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
+    )
 
 
 def pose_file(path: Path) -> Path | None:

@@ -18,6 +18,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import read_color_calibration, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
+from kinectbench.stages.ingest.readers.pose_files import unread_poses
 from kinectbench.stages.ingest.recording import (
     Evidence,
     FileRecording,
@@ -79,7 +80,11 @@ class TumRecording(FileRecording):
         intrinsics = said.overridden_by(settings)
         truth = path / "groundtruth.txt"
         trajectory, trajectory_warnings, error = read_given(
-            lambda: read_trajectory(truth, len(depth) if why else None) if truth.is_file() else (None, [])
+            lambda: (
+                read_trajectory(truth, len(depth) if why else None)
+                if truth.is_file()
+                else (None, unread_poses(path))
+            )
         )
         return cls(
             path=path,
