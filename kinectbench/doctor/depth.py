@@ -11,13 +11,7 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
-from kinectbench.stages.ingest.plausibility import (
-    COMMON_SCALES,
-    FARTHEST_M,
-    MAX_DAMAGED,
-    NEAREST_M,
-    TYPICAL_M,
-)
+from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, scale_problem, suggested_scale
 
 # Of cameras that people hold: horizontal field of view, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
@@ -113,11 +107,6 @@ def is_likely(median_m: float, far_m: float) -> bool:
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
 
 
-def suggested_scale(native: float) -> float:
-    """The usual depth scale with which a median depth in native units is most like a room's."""
-    return min(COMMON_SCALES, key=lambda scale: abs(math.log(native / scale / TYPICAL_M)))
-
-
 def _readable(look: Look) -> Iterator[Finding]:
     count = len(look.frames) + len(look.damaged) + len(look.refused)
     # Of fewer a build leaves out what is damaged and what is of another kind, together.
@@ -188,10 +177,11 @@ def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     if is_likely(median / scale, far / scale):
         return
     better = suggested_scale(median)
-    severity: Severity = "warning" if NEAREST_M <= median / scale <= FARTHEST_M else "stops"
-    what = (
+    problem = scale_problem(median, scale)
+    severity: Severity = "stops" if problem else "warning"
+    what = problem or (
         f"half of the depth is nearer than {median / scale:.3g} m and 95 % nearer than {far / scale:.3g} m "
-        f"at {scale:g} units per metre, which is {'unlikely' if severity == 'warning' else 'no room'}"
+        f"at {scale:g} units per metre, which is unlikely"
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     # Things on a table are recorded from as near as this by cameras that can.

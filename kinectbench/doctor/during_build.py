@@ -16,7 +16,7 @@ from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # Where the poses are meant otherwise, or fit in no way, all that is made with them is wrong.
-POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong"})
+POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # What ingest itself does not notice; the poses are judged by `track`, on all frames.
 CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})

@@ -41,6 +41,10 @@ from kinectbench.stages.ingest.recording import Recording
 # Focal length of a Kinect, as a share of the width.
 USUAL_FOCAL = 525 / 640
 UNKNOWN = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
+SAME_UNIT = (
+    "the given poses fit by this unit, so that it is theirs, too: give `depth_scale` (units a metre), and "
+    "write the poses in metres"
+)
 # Depth that is no depth: nothing that is computed from it says anything.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 
@@ -151,7 +155,12 @@ def _examined(
     if not own_pixels:
         late += [*check_floor(look, floor, ground), *still]
     if poses is not None and poses.proven:
-        found, late = ([f for f in each if f.name not in SETTLED_BY_POSES] for each in (found, late))
+        # A build refuses depth that no room has, also where poses are in the same unit.
+        found, late = (
+            [f for f in each if f.name not in SETTLED_BY_POSES or f.severity == "stops"]
+            for each in (found, late)
+        )
+        found = [replace(f, advice=SAME_UNIT) if f.name == "depth_scale" else f for f in found]
     # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
     if any(f.name == "depth_scale" for f in found):
@@ -160,7 +169,7 @@ def _examined(
         finding
         for finding in late
         if not (explained and finding.name == "trajectory_wrong")
-        and not (stands and (finding.name == "arc" or finding.name.startswith("trajectory")))
+        and not (stands and finding.severity != "stops" and finding.name.startswith(("arc", "trajectory")))
     ]
     facts = _late_facts(edges, poses, floor.heights_m)
     if poses is not None:

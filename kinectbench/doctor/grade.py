@@ -5,11 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinectbench.core.errors import RecordingError, TrackingError
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.look import Look
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.ingest.in_memory import as_sequence
 from kinectbench.stages.track import track
+from kinectbench.stages.track.track import MIN_GOOD_FRAMES
 
 # So many frames are compared, evenly spread if there are more (own choice): 5.4 CPU seconds of 640 x 480.
 MOST_FRAMES = 150
@@ -32,12 +35,16 @@ def check_grade(
     if not every:
         indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
     which = "" if every else f", by {MOST_FRAMES} of {count} frames"
-    refined = mode == "refine"
+    refined, given = mode == "refine", look.recording.given_trajectory
+    assert given is not None
+    posed = has_pose(poses_at(given, look.recording.stamps_ns, tracking.max_stamp_gap_s))
+    # Of a longer recording the frames that are compared lie farther apart; that most have no pose is certain.
+    certain = every or posed.sum() < MIN_GOOD_FRAMES
     try:
         sequence = as_sequence(look.recording, indices)
         health = track(sequence, "trust" if refined else mode, tracking).health
     except TrackingError as error:
-        severity: Severity = "stops" if every and not refined else "warning"
+        severity: Severity = "stops" if certain and not refined else "warning"
         yield Finding("trajectory_wrong", severity, f"{error}{which}", look.where)
         return
     except RecordingError as error:

@@ -154,8 +154,9 @@ def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
         yield Finding("no_trajectory", "note", what, look.where, advice if beside else "")
         return
     stamps_ns = look.recording.stamps_ns
-    if given.stamps_ns[0] > stamps_ns[-1] or given.stamps_ns[-1] < stamps_ns[0]:
-        yield _other_time(look, given, stamps_ns)
+    unit = _time_unit(given.stamps_ns, stamps_ns)
+    if unit is not None or given.stamps_ns[0] > stamps_ns[-1] or given.stamps_ns[-1] < stamps_ns[0]:
+        yield _other_time(look, given, unit)
         return
     inside = (stamps_ns >= given.stamps_ns[0]) & (stamps_ns <= given.stamps_ns[-1])
     if inside.mean() < POSED_SHARE:
@@ -182,18 +183,35 @@ def _simplest(readings: list[Reading], costs: NDArray[np.float64]) -> int:
     return int(min(good, key=lambda i: (readings[i].changes, costs[i])))
 
 
-def _other_time(look: Look, given: GivenTrajectory, stamps_ns: NDArray[np.int64]) -> Finding:
+def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
+    """The key of FACTORS by which poses have the time of the frames; None: by none, or as they are."""
+    together = [
+        int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
+    ]
+    if min(together) >= LEAST_PAIRS:
+        return None
+    (first, last), (start, end) = ((float(ns[0]), float(ns[-1])) for ns in (poses_ns, frames_ns))
+    for factor in FACTORS:
+        share = (last - first) * factor / max(end - start, 1.0)
+        # Of poses and frames that begin together most of the time must agree.
+        least = LEAST_SPAN if first > end or last < start else POSED_SHARE
+        if first * factor <= end and last * factor >= start and least < share < 1 / least:
+            return factor
+    return None
+
+
+def _other_time(look: Look, given: GivenTrajectory, unit: float | None) -> Finding:
+    stamps_ns = look.recording.stamps_ns
     first_s, last_s = (float(given.stamps_ns[i]) / 1e9 for i in (0, -1))
     start_s, end_s = (float(stamps_ns[i]) / 1e9 for i in (0, -1))
+    much = "no" if first_s > end_s or last_s < start_s else "hardly any"
     what = (
-        f"the poses ({first_s:.10g} to {last_s:.10g} s) share no time with the frames ({start_s:.10g} to "
+        f"the poses ({first_s:.10g} to {last_s:.10g} s) share {much} time with the frames ({start_s:.10g} to "
         f"{end_s:.10g} s)"
     )
-    for factor, said in FACTORS.items():
-        meets = first_s * factor <= end_s and last_s * factor >= start_s
-        if meets and (last_s - first_s) * factor > LEAST_SPAN * (end_s - start_s):
-            what = f"{what}: their stamps are {said}"
-            return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {factor:g}")
+    if unit is not None:
+        what = f"{what}: their stamps are {FACTORS[unit]}"
+        return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {unit:g}")
     line = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + first_s - start_s)
     advice = f"if both begin together, {line}; or `trajectory: ignore`"
     return Finding("trajectory_time", "stops", what, look.where, advice)

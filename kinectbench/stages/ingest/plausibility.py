@@ -107,16 +107,30 @@ class FrameChecks:
 
     def _check_scale(self) -> None:
         native = float(np.median(self._medians))
-        scale = self._recording.depth_scale
-        if NEAREST_M <= native / scale <= FARTHEST_M:
+        problem = scale_problem(native, self._recording.depth_scale)
+        if not problem:
             return
-        better = min(COMMON_SCALES, key=lambda s: abs(math.log(native / s / TYPICAL_M)))
+        better = suggested_scale(native)
         raise RecordingError(
-            f"{self._recording.path}: the median depth is {native / scale:.3g} m at {scale:g} native units "
-            f"per metre, which no room has: give its unit in benchmark.yaml, `camera: {{depth_scale: ...}}` "
-            f"(units a metre; at {better:g} it would be {native / better:.3g} m); where it has poses, "
-            "`kinectbench inspect` tries scales and codes by them"
+            f"{self._recording.path}: {problem}: give its unit in benchmark.yaml, "
+            f"`camera: {{depth_scale: ...}}` (units a metre; at {better:g} it would be {native / better:.3g} "
+            "m); where it has poses, `kinectbench inspect` tries scales and codes by them"
         )
+
+
+def scale_problem(median: float, depth_scale: float) -> str:
+    """What is said of depth whose median, native units, is no room's at this scale; "" if it is one's."""
+    if NEAREST_M <= median / depth_scale <= FARTHEST_M:
+        return ""
+    return (
+        f"the median depth is {median / depth_scale:.3g} m at {depth_scale:g} native units per metre, which "
+        "no room has"
+    )
+
+
+def suggested_scale(median: float) -> float:
+    """The usual depth scale with which a median depth in native units is most like a room's."""
+    return min(COMMON_SCALES, key=lambda scale: abs(math.log(median / scale / TYPICAL_M)))
 
 
 def check_size(frame: RawFrame, recording: Recording) -> None:
