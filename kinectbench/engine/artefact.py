@@ -30,10 +30,10 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 10,
+    "ingest": 11,
     "track": 9,
     "fuse": 5,
-    "segment": 31,
+    "segment": 32,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

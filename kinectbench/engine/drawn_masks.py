@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, Views
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import replaced_file
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed, printable
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import Job
@@ -140,6 +140,20 @@ class DrawnMasks:
                     f"{self.folder}/{file}: {UNKNOWN}, as the numbers of views change; name it by its frame, "
                     f"frame_<index>{name.kind}.png (views.json has the frames of views)"
                 )
+
+    def check_numbers(self, frames: int) -> None:
+        """Refuse masks that are named by frames beyond the last, as soon as their number is known.
+
+        Raises:
+            SettingsError: there are some; the line names them.
+        """
+        beyond = [file for file, name in self.names.items() if name.of_frame and name.number >= frames]
+        if not beyond:
+            return
+        what = f"the recording has frames 0 to {frames - 1}, and no frame of {first_of(beyond)}"
+        if any(file in self.entries for file in beyond):
+            raise self._refusal(what)
+        raise SettingsError(f"{self.folder}: {what}: name these masks by their frames, or remove them")
 
     def check_frames(self, sequence: Sequence) -> Self:
         """Refuse masks of frames that are other images now, or were drawn on other pictures of them.
@@ -295,11 +309,14 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Tie masks to the images in the recording's build, before anything is made again; lines to tell.
+    """Tie masks to the images in the recording's build, before anything is made again.
 
     Args:
         job: the recording.
         used: whether views are to be sampled with them.
+
+    Returns:
+        Lines for people: which images masks were taken as drawn on, and which files are no masks by name.
 
     Raises:
         SettingsError: they are to be used, and nobody knows which images they were drawn on.
@@ -310,7 +327,30 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
     drawn, lines = drawn.tied_to_build(job.build)
     if used and job.masks is not None:
         drawn.check_known()
+        lines += _unnamed(drawn)
     return lines
+
+
+def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
+    """A line that names the PNGs beside masks that are masks of no frame or view by their names, if any."""
+    pngs = (path.name for path in listed(drawn.folder) if path.suffix.lower() == ".png")
+    others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
+    if not others:
+        return ()
+    shown = first_of([printable(name) for name in others])
+    advice = "name the mask of a frame by its number, from 0, such as frame_000012.png"
+    return (f"{drawn.folder}: not used, as their names name no frame: {shown}; {advice}",)
+
+
+def check_mask_numbers(job: Job) -> None:
+    """Refuse masks of frames that a recording, whose sequence is current, has not.
+
+    Raises:
+        SettingsError: there are some.
+    """
+    drawn = DrawnMasks.of(job)
+    if drawn is not None:
+        drawn.check_numbers(len(read_sequence(job.build / "sequence")))
 
 
 def carry_masks(job: Job) -> Carried:

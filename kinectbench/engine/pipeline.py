@@ -92,6 +92,8 @@ def build_recording(
             stages = stages_upto(upto)
             warnings = _look_at_masks(job, stages)
             for stage in stages:
+                if job.masks is not None and tuple(artefacts) == ("ingest",):
+                    _check_mask_numbers(job, stages)
                 with _failure_kept(job, stage, artefacts):
                     sources = stage.sources(job)
                     artefact = artefacts[stage.name] = _artefact(job, stage, sources, artefacts)
@@ -125,6 +127,14 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
         from kinectbench.engine.drawn_masks import look_at_masks
 
         return look_at_masks(job, used=samples is not None)
+
+
+def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
+    """Refuse masks of frames that are not there, before what takes long; `ingest` has counted the frames."""
+    from kinectbench.engine.drawn_masks import check_mask_numbers
+
+    with _failure_kept(job, stages[-1], {}):
+        check_mask_numbers(job)
 
 
 @contextmanager

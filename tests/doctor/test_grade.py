@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import kinectbench
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.doctor import grade
 from kinectbench.doctor.finding import Finding
@@ -74,3 +75,11 @@ def test_poses_that_fit_nowhere_stop_as_in_a_build(chair: Recording) -> None:
     (found,) = check_grade(take_look(wrong), TRACKING)
     assert found.name == "trajectory_wrong" and found.severity == "stops"
     assert "frames disagree" in found.what or "frames can be used" in found.what
+
+
+def test_inspect_never_points_at_itself() -> None:
+    """What it shows comes from the rooms below; these say it where a build alone does."""
+    package = Path(kinectbench.__file__).parent
+    rooms = (file for room in ("core", "stages", "doctor") for file in (package / room).rglob("*.py"))
+    pointing = {file.name for file in rooms if "`kinectbench inspect`" in file.read_text(encoding="utf-8")}
+    assert pointing == {"during_build.py", "plausibility.py"}

@@ -87,6 +87,19 @@ def test_masks_of_frames_that_are_other_images_are_refused(tmp_path: Path) -> No
         masks.check_frames(sequence(10, 11))
 
 
+def test_masks_beyond_the_last_frame_and_of_no_frame_are_named(command: Command, one: Path) -> None:
+    shutil.rmtree(one / "build")
+    for name in ("frame_000024.png", "frame_000003.include.png", "chair.png", "000003_mask.png"):
+        draw(one, name)
+    refused = command(one, "build", *MASKS)
+    assert "the recording has frames 0 to 23, and no frame of frame_000024.png: name these" in refused.err
+    assert refused.status == 1 and not (one / "build/chair/trajectory").exists()  # at once
+    said = [line for line in refused.err.splitlines() if "name no frame: 000003_mask.png, chair.png" in line]
+    assert len(said) == 1
+    (one / "masks/chair/frame_000024.png").rename(one / "masks/chair/frame_000023.png")
+    assert command(one, "track", *MASKS).status == 0
+
+
 def test_a_mask_of_a_frame_without_a_build_is_that_frames_from_then_on(tmp_path: Path) -> None:
     unknown = drawn(tmp_path / "masks", {"frame_1.png": None})
     unknown.check_frames(sequence(10, 11))

@@ -16,7 +16,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
-from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, listed, printable, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of
@@ -281,6 +281,17 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
     if depth.parent == recording:
         return None
     return first_file([depth.parent.parent / "masks" / f"{depth.stem}.png"])
+
+
+def unused_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
+    """A line that counts the masks in a recording's masks/ that are of no frame, if there are any."""
+    used = {frame.mask for frame in files}
+    others = sorted(mask for mask in visible(path / "masks", "*.png") if mask not in used)
+    if not others:
+        return ()
+    count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
+    such = f"{count} of no frame, such as {printable(others[0].name)}"
+    return (f"{path / 'masks'}: {such}: name each as its depth image is named",)
 
 
 def visible(folder: Path, pattern: str) -> list[Path]:

@@ -59,6 +59,16 @@ def test_masks_by_hand_beside_a_tum_folder(tmp_path: Path) -> None:
     assert (masks[1] == true_mask(recording, 1)).all()
 
 
+@pytest.mark.parametrize("layout", ["tum", "folder"])
+def test_masks_of_no_frame_are_named(layout: str, tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "mug", layout)
+    (first, *_) = sorted((recording / "masks").iterdir())
+    assert not any("masks" in line for line in open_recording(recording, CameraSettings()).warnings)
+    shutil.copy(first, recording / "masks" / "000999.png")
+    (line,) = (line for line in open_recording(recording, CameraSettings()).warnings if "masks" in line)
+    assert "1 mask is of no frame, such as 000999.png" in line
+
+
 @pytest.mark.parametrize("moves", ["turntable", "hand"])
 def test_around_what_moves_nothing_does(moves: str, tmp_path: Path) -> None:
     recording = recorded(tmp_path / "mug", "folder", moves=moves)

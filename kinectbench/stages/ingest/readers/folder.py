@@ -45,6 +45,7 @@ from kinectbench.stages.ingest.recording import (
     first_whole,
     mask_beside,
     read_image_file,
+    unused_masks,
     visible,
 )
 
@@ -158,6 +159,7 @@ class FolderRecording(FileRecording):
                 *stored.warnings,
                 *said_warnings(path, said, settings),
                 *warnings,
+                *unused_masks(path, files),
             ),
         )
 

@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.recording import (
     FrameFiles,
     first_depth_size,
     mask_beside,
+    unused_masks,
 )
 
 DEPTH_SCALE = 5000.0
@@ -101,6 +102,7 @@ class TumRecording(FileRecording):
                 *partners.warnings,
                 *said_warnings(path, said, settings),
                 *trajectory_warnings,
+                *unused_masks(path, files),
             ),
         )
 
