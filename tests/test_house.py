@@ -117,6 +117,7 @@ RAW = {
     "engine/cluster.py": "the file of a Dask scheduler",
     "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
     "cli/": "tables that are printed",
+    "stages/ingest/depth_files.py": "depth of recordings, which others wrote",
     "stages/fuse/reconstruction.py": "owner of reconstruction/volume.npz",
     "lab/simulate/writers/": "recordings as other programs write them",
     "lab/simulate/truth.py": "owner of a simulated recording's truth",
