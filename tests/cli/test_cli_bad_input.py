@@ -62,8 +62,8 @@ def depth_of_8_bits(recording: Path) -> None:
 
 
 def depth_of_another_size(recording: Path) -> None:
-    path = depth_files(recording)[5]
-    write(path, cv2.resize(read(path), (80, 60), interpolation=cv2.INTER_NEAREST))
+    for path in depth_files(recording)[5:7]:  # one alone is left out
+        write(path, cv2.resize(read(path), (80, 60), interpolation=cv2.INTER_NEAREST))
 
 
 def no_intrinsics(recording: Path) -> None:
@@ -120,7 +120,7 @@ BAD_RECORDINGS = {
     "unknown layout": (unknown_layout, f"recordings/chair: not a recording of a known format|{LAYOUTS}"),
     "colour of another size": (color_of_another_size, "colour is 320x240|depth is 160x120"),
     "depth of 8 bits": (depth_of_8_bits, "/depth/|.png: depth is 8-bit|16-bit|export"),
-    "depth of another size": (depth_of_another_size, "/depth/|80x60|160x120"),
+    "depth of another size": (depth_of_another_size, "/depth/|80x60|160x120|2 of 24 frames cannot be used"),
     "a room of 60 m": (with_depth_scale(200), "m at 200 native units per metre|at 5000 it would be"),
     "a room of 6 cm": (with_depth_scale(200_000), "m at 200000 native units per metre|at 5000 it would be"),
     "no intrinsics": (no_intrinsics, "recordings/chair: |fx, fy, cx, cy|camera: {fx"),
