@@ -83,6 +83,8 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             limit_s=common.time_limit,
             executor=executor,
             verbose=common.verbose,
+            # --json says it; and of more recordings, what is up to date is not read.
+            again=not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
     if common.as_json:
         common.tell([row.summary.json_value() for row in rows], ())
@@ -202,8 +204,12 @@ def build_jobs(
     limit_s: float | None = None,
     executor: "Executor | None" = None,
     verbose: bool = False,
+    again: bool = False,
 ) -> "list[BuiltRecording]":
-    """`build_recordings` of jobs that are known already, on so many processes or by an executor."""
+    """`build_recordings` of jobs that are known already, on so many processes or by an executor.
+
+    With `again`, what is up to date says its warnings again.
+    """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
@@ -227,7 +233,6 @@ def build_jobs(
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
-        again = not told and len(chosen) <= SHOWN_RECORDINGS  # of more, what is up to date is not read
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
