@@ -84,7 +84,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             executor=executor,
             verbose=common.verbose,
             # --json says it; and of more recordings, what is up to date is not read.
-            again=not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
+            again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
     if common.as_json:
         common.tell([row.summary.json_value() for row in rows], ())

@@ -349,7 +349,7 @@ def check_mask_numbers(job: Job) -> None:
         SettingsError: there are some.
     """
     drawn = DrawnMasks.of(job)
-    if drawn is not None:
+    if drawn is not None and any(name.of_frame for name in drawn.names.values()):
         drawn.check_numbers(len(read_sequence(job.build / "sequence")))
 
 
