@@ -201,13 +201,14 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
         lambda f: empty_full(f / pair),
         (f"{pair}: 'full' is empty", f"{pair}: containment is 0.000"),
         True,
-        (f"{pair}: 0.0 of the true shape is unknown",),
+        (f"{pair}: 0.0 of the true shape is unknown", "cells of 'full' are not as its mesh.ply"),
     )
     yield Damage(
         "nothing known",
         pair_with(known=np.zeros((256, 256, 32), np.uint8)),
         (f"{pair}: only 0 of the", f"{pair}: 1.0 of the true shape is unknown"),
         True,
+        ("cells of 'known' are not as its volume.npz",),
     )
     yield Damage(
         "nothing seen", pair_with(seen=np.zeros((256, 256, 32), np.uint8)), (f"{pair}: only 0 of the",), True

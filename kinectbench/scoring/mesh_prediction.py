@@ -18,9 +18,6 @@ MAX_MESH_BYTES = 64 << 20
 MAX_FAR = 16  # grid sides
 # Vertices that differ by rounding alone, as trimesh joins them.
 SAME_PLACE_M = 1e-8
-# Four times what the finest mesh needs: a sphere of a million triangles has 2.3 million. 26 bytes each.
-MAX_CROSSINGS = 1 << 23
-MAX_IN_A_COLUMN = 4096
 
 
 def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArray[np.bool_], float]:
@@ -39,7 +36,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         PredictionError: not a readable, closed, evenly oriented mesh, one that would cost too much, or one
             without any cell inside the grid; without the file's name.
     """
-    from kinectbench.core.voxels.solid import voxelize_solid
+    from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 
     grid = Grid((FULL_CELLS,) * 3, voxel_size_m, np.eye(4))
     vertices, faces = _parsed(file, suffix[1:])
@@ -47,7 +44,8 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
     if ((vertices.max(axis=0) <= 0) | (vertices.min(axis=0) >= grid.size_m)).any():
         raise _outside(vertices, grid)
     vertices, faces = _joined(vertices, faces)
-    _refuse_costly(vertices[:, :2] / voxel_size_m, faces)
+    if costs_too_much(vertices[:, :2] / voxel_size_m, faces, (FULL_CELLS, FULL_CELLS)):
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh, or submit a grid")
     if not _is_closed(faces):
         raise PredictionError("the mesh is not closed, or not oriented alike; close it, or submit a grid")
     packed = voxelize_solid(vertices, faces, grid)
@@ -108,18 +106,3 @@ def _outside(vertices: Float64, grid: Grid) -> PredictionError:
         f"the mesh lies outside the cube of its pair ({box} m, the cube is 0 to {grid.size_m[0]:.3g}): in "
         "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes"
     )
-
-
-def _refuse_costly(vertices_cells: Float64, faces: Int32) -> None:
-    """Bound the columns of cells that each face can cross, by its rectangle; those outside cross none."""
-    cells = np.floor(np.clip(vertices_cells, -1, FULL_CELLS)).astype(np.int32)
-    corners = [cells[faces[:, corner]] for corner in range(3)]
-    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
-    crossing = ((high >= 0) & (low < FULL_CELLS)).all(axis=1)
-    low, high = low[crossing] + 1, high[crossing] + 2
-    total = int((high - low).astype(np.int64).prod(axis=1).sum())
-    steps = np.zeros((FULL_CELLS + 3, FULL_CELLS + 3), np.int64)
-    for x, y, sign in ((low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)):
-        np.add.at(steps, (x[:, 0], y[:, 1]), sign)
-    if total > MAX_CROSSINGS or steps.cumsum(axis=0).cumsum(axis=1).max() > MAX_IN_A_COLUMN:
-        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh, or submit a grid")

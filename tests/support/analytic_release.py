@@ -11,10 +11,10 @@ import numpy as np
 import trimesh
 from analytic_scenes import box, depth_of, sphere
 from numpy.typing import NDArray
-from synthetic_release import RECORDINGS, Recordings, synthetic_settings, write_build
+from synthetic_release import RECORDINGS, Recordings, synthetic_settings, write_build, write_object
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.geometry.mesh import read_own_ply, write_ply
+from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -106,7 +106,8 @@ def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
     write_build(build, wanted)
     for index, (name, category, _, _, count) in enumerate(wanted):
         folder = build / name
-        write_ply(true_mesh(category, index), folder / "object" / "mesh.ply")
+        true = true_mesh(category, index)
+        write_object(folder / "object", true, true.vertices[0] - 0.02)
         mesh = read_own_ply(folder / "object" / "mesh.ply")  # of float32, as the stages have it
         T_floor_world = invert_rigid(T_world_floor(index))
         _update(

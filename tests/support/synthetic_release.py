@@ -1,7 +1,7 @@
 """A small release of simple shapes, made as the stages would make it: a build folder, then publish."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -9,15 +9,23 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from references import shell_of
 
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
-from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.geometry.mesh import TriangleMesh, write_ply
+from kinectbench.core.geometry import (
+    Grid,
+    TriangleMesh,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
+from kinectbench.core.geometry.mesh import join, read_own_ply, write_ply
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -130,8 +138,8 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = 
             }
             write_json(build / name / folder / "manifest.json", manifest)
         rows = []
-        for view in views:
-            pair = pair_of(index + int(view), category)
+        pairs = [pair_of(index + int(view), category) for view in views]
+        for view, pair in zip(views, pairs, strict=True):
             (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
             write_images(build / name / "views", view)
             pose = pair.T_world_camera.tolist()
@@ -140,23 +148,42 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = 
         write_json(build / name / "pairs" / "pairs.json", listed)
         write_json(build / name / "views" / "views.json", {"format_version": 1, "views": rows, "refused": []})
         write_json(build / name / "object" / "floor.json", FLOOR)
-        write_object(build / name / "object", index)
+        numbers = [index + int(view) for view in views]
+        # On the front of the first pair's shape.
+        front = transform_points(pairs[0].T_world_grid, np.array([[0.48, 0.48, 0.14]]))[0]
+        write_object(build / name / "object", mesh_of(pairs, numbers, category), front)
         write_json(build / name / "object" / "quality.json", {"repeatability_iou": 0.93})
         write_json(build / name / "sequence" / "camera.json", CAMERA)
         write_json(build / name / "sources.json", {"depth/0.png": [10, 20, "ab" * 32]})
 
 
-def write_object(folder: Path, index: int) -> None:
-    """A tetrahedron and a volume, another for each recording."""
-    corners = np.vstack([np.zeros(3), np.eye(3) * (1 + index)])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
-    write_ply(TriangleMesh(corners, faces), folder / "mesh.ply")
-    shape = (4, 5, 6)
-    solid = np.zeros(shape, dtype=bool)
-    solid[1, 1, 1 : 2 + index % 4] = True
+def mesh_of(pairs: Sequence[Pair], numbers: Sequence[int], category: str) -> TriangleMesh:
+    """A ball or a board for each pair, world frame, metres: `full` is what of it lies in the pair's cube.
+
+    The cubes are a metre apart along the world's z: no shape reaches into the cube of another. A ball of so
+    many triangles differs from `full` in 0.07 % of its cells, a board in none.
+    """
+    shapes = []
+    for pair, number in zip(pairs, numbers, strict=True):
+        if category == "chair":
+            shape = trimesh.creation.icosphere(subdivisions=4, radius=90.0 - 3 * number)
+            shape.vertices *= (4 / 3 * np.pi * (90.0 - 3 * number) ** 3 / shape.volume) ** (1 / 3)
+            shape.apply_translation((120 + number, 128, 130))
+        else:
+            shape = trimesh.creation.box(bounds=[(20, 100 + number, 30), (230, 130, 220)])
+        mesh = TriangleMesh(np.array(shape.vertices) * pair.voxel_size_m, np.array(shape.faces, np.int32))
+        shapes.append(mesh.transformed(pair.T_world_grid))
+    return join(shapes)
+
+
+def write_object(folder: Path, mesh: TriangleMesh, corner_world: NDArray[np.float64]) -> None:
+    """The mesh, and as its volume what of it lies in a few voxels from a corner on, metres."""
+    write_ply(mesh, folder / "mesh.ply")
+    mesh = read_own_ply(folder / "mesh.ply")  # of float32
+    grid = Grid((4, 5, 8), 0.01, rigid(np.eye(3), corner_world))
+    solid = unpack(voxelize_solid(mesh.vertices, mesh.faces, grid))
     labels = np.where(solid, Label.SURFACE, Label.FREE).astype(np.uint8)
-    grid, probability = Grid(shape, 0.01, np.eye(4)), solid.astype(np.float16)
-    ObjectVolume(grid, solid, labels, probability, np.zeros_like(solid)).write(folder)
+    ObjectVolume(grid, solid, labels, solid.astype(np.float16), np.zeros_like(solid)).write(folder)
 
 
 def write_images(views: Path, view: str) -> None:

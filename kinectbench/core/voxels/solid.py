@@ -13,6 +13,9 @@ from kinectbench.core.types import Float64, Int32, Int64
 # Vertices are snapped to 2^-16 of a cell, so that the tests on shared edges are exact integers.
 SUBCELL_BITS = 16
 SUBCELL = 1 << SUBCELL_BITS
+# Four times what the finest mesh needs: a sphere of a million triangles has 2.3 million. 26 bytes each.
+MAX_CROSSINGS = 1 << 23
+MAX_IN_A_COLUMN = 4096
 
 
 def snapped_cells(vertices_world: Float64, grid: Grid) -> Int64:
@@ -130,6 +133,29 @@ def _longer(values, count, capacity):  # type: ignore[no-untyped-def]
     longer = np.empty(capacity, values.dtype)
     longer[:count] = values[:count]
     return longer
+
+
+def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]) -> bool:
+    """Whether a stranger's mesh could cross more lines than any that is made of an object.
+
+    The columns that each face can cross are bounded by its rectangle; faces outside cross none.
+
+    Args:
+        vertices_cells: (n, 2) float64, finite, across the lines, in cells from the grid's corner.
+        faces: (m, 3) int32.
+        shape: number of lines along both.
+    """
+    most = np.array(shape, np.int32)
+    cells = np.floor(np.clip(vertices_cells, -1, most)).astype(np.int32)
+    corners = [cells[faces[:, corner]] for corner in range(3)]
+    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    crossing = ((high >= 0) & (low < most)).all(axis=1)
+    low, high = low[crossing] + 1, high[crossing] + 2
+    total = int((high - low).astype(np.int64).prod(axis=1).sum())
+    steps = np.zeros(most + 3, np.int64)
+    for x, y, sign in ((low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)):
+        np.add.at(steps, (x[:, 0], y[:, 1]), sign)
+    return bool(total > MAX_CROSSINGS or steps.cumsum(axis=0).cumsum(axis=1).max() > MAX_IN_A_COLUMN)
 
 
 def voxelize_solid(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:

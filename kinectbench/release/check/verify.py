@@ -1,9 +1,12 @@
 """Check a release, every byte and every pair of it, in a folder or in an archive."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
+
+import numpy as np
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import (
@@ -19,12 +22,14 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError, StorageError
+from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
+from kinectbench.release.check.truth_check import ObjectTruth, object_truth, truth_problems
 from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
@@ -73,9 +78,10 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         lines += found
         lines += _object_lines(contents, sums.keys() - damaged.keys(), metadata)
         shares = _stated_shares(contents, metadata, targets)
-        for done, name in enumerate(pairs, start=len(sums) + 1):
+        objects = _Objects(contents, sums.keys() - damaged.keys())
+        for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
-                lines += _pair_lines(contents, name, metadata, shares.get(name, {}))
+                lines += _pair_lines(contents, name, metadata, shares.get(name, {}), objects)
             if progress:
                 progress(done, total)
     return lines
@@ -174,8 +180,35 @@ def _stated_shares(
     return shares
 
 
+@dataclass
+class _Objects:
+    """The objects of a release, one at a time in memory, for its pairs lie together.
+
+    Attributes:
+        contents: the release.
+        whole: names of the files that are the published ones.
+    """
+
+    contents: Contents
+    whole: Collection[str]
+    _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
+
+    def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
+        """What is wrong with the truth of a pair of this name, and at its first pair with the object."""
+        lines = list[str]()
+        if self._last[0] != recording:
+            self._last = recording, ObjectTruth()  # before the next is read
+            truth, lines = object_truth(self.contents, recording, self.whole)
+            self._last = recording, truth
+        return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
+
+
 def _pair_lines(
-    contents: Contents, name: str, metadata: ReleaseInfo, unknown_shares: Mapping[str, float]
+    contents: Contents,
+    name: str,
+    metadata: ReleaseInfo,
+    unknown_shares: Mapping[str, float],
+    objects: _Objects,
 ) -> list[str]:
     """What is wrong with one pair; `unknown_shares` is what files say of it, by their names."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
@@ -185,7 +218,9 @@ def _pair_lines(
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)
             problems = pair_problems(pair, min_containment=least, unknown_shares=unknown_shares, **rules)
-            return [f"{name}: {problem}" for problem in problems]
+            lines = [f"{name}: {problem}" for problem in problems]
+            placed = is_rigid(pair.T_world_grid) and 0 < pair.voxel_size_m < np.inf
+            return lines + (objects.lines(name.split("/")[1], name, pair) if placed else [])
         told = [key for key in values if key in TRUTH_KEYS]
         lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
         problems = input_problems(checked_pair(PairInput, values, name), **rules)

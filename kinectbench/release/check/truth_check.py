@@ -1,0 +1,184 @@
+"""Check what a release says of an object against its mesh: every pair's truth, and the volume.
+
+A recording's pairs are made of its mesh and its volume. All that they say of the object is computed anew, so
+no pair can be changed alone. Somebody who changes mesh, volume and pairs alike is found by `--rebuild` only.
+"""
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
+from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.untrusted import printable
+from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
+from kinectbench.core.voxels.open_mesh import voxelize_open
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, pack, packed_count, unpack
+from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+from kinectbench.release.contents import OBJECT_FILES, VOLUME_BYTES, Contents
+
+MESH, VOLUME = OBJECT_FILES
+# Share of the cells of a shape that may be others. No cell of 111 pairs and of 12 volumes was another (eight
+# releases, of recordings and simulated); an IoU keeps its third decimal below that.
+MOST_OTHER_SHARE = 0.001
+# Cells beyond the mesh's box that are solid by the definition of air: half a cell was the most of 20 pairs.
+MOST_BEYOND_CELLS = 1
+# Sixteen sides of a pair's cube, as of predictions: a vertex farther away is in another frame, and products of
+# its lengths might not fit in 64 bits.
+MAX_FAR_CELLS = 16 * FULL_CELLS
+# Of a volume that is compared: 2 m at 5 mm. Four grids of as many bytes take 256 MB.
+MOST_VOXELS, MOST_SIDE = 64 << 20, 1024
+# Axes across the lines of each rule.
+ACROSS = {"winding": ((0, 1),), "seeable": ((0, 1),), "six-rays": ((0, 1), (0, 2), (1, 2))}
+NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
+
+
+@dataclass(frozen=True)
+class ObjectTruth:
+    """What a release has of an object.
+
+    Attributes:
+        mesh: its closed mesh, world frame, metres; None: there is none that can be read.
+        cells: by name the voxels of its volume: "known", "unknown", "interior", "said"; none without it.
+    """
+
+    mesh: TriangleMesh | None = None
+    cells: Mapping[str, KnownGrid] = field(default_factory=dict)
+
+
+def object_truth(
+    contents: Contents, recording: str, whole: Collection[str]
+) -> tuple[ObjectTruth, list[str]]:
+    """What a release has of an object, and a line for each thing in which its volume is not its mesh.
+
+    Files that are missing or damaged are left out: `object_problems` names them.
+
+    Args:
+        contents: the release.
+        recording: id of its recording.
+        whole: names of the files that are the published ones.
+    """
+    folder = f"objects/{recording}"
+    try:
+        mesh = parse_ply(contents.read(_published(f"{folder}/{MESH}", whole)))
+    except (ReleaseError, ValueError):
+        return ObjectTruth(), []
+    if not len(mesh.faces):
+        return ObjectTruth(), []
+    try:
+        name = _published(f"{folder}/{VOLUME}", whole)
+        with contents.stream(name) as file:
+            volume = arrays_of(file, VOLUME_BYTES, ("solid", "labels", "voxel_size_m", "T_world_grid"))
+        with contents.stream(name) as file:
+            under = arrays_of(file, VOLUME_BYTES, ("underside",), {"underside": np.zeros(0, bool)})
+        solid, labels, underside = volume["solid"], volume["labels"], under["underside"]
+        nx, ny, nz = labels.shape
+        grid = Grid((nx, ny, nz), float(volume["voxel_size_m"]), volume["T_world_grid"].reshape(4, 4))
+    except (ReleaseError, KeyError, ValueError, *UNREADABLE):
+        return ObjectTruth(mesh), []
+    if labels.size > MOST_VOXELS or max(labels.shape) > MOST_SIDE or solid.shape != labels.shape:
+        return ObjectTruth(mesh), []
+    faults = [f"{folder}/{VOLUME}: {fault}" for fault in _volume_faults(mesh, grid, solid, labels)]
+    known = labels != Label.UNKNOWN
+    cells = {"known": known, "unknown": ~known, "interior": labels == Label.INTERIOR}
+    if underside.shape == labels.shape:
+        cells["said"] = known & underside
+    return ObjectTruth(mesh, {name: known_grid(grid, which) for name, which in cells.items()}), faults
+
+
+def _published(name: str, whole: Collection[str]) -> str:
+    """The name itself.
+
+    Raises:
+        ReleaseError: no such file was published, or it is another one.
+    """
+    if name not in whole:
+        raise ReleaseError(f"{name}: not as it was published")
+    return name
+
+
+def _volume_faults(
+    mesh: TriangleMesh, grid: Grid, solid: NDArray[Any], labels: NDArray[Any]
+) -> Iterator[str]:
+    """In what a volume is not its mesh, nor its solid what its labels say."""
+    nx, ny, nz = grid.shape
+    padded = Grid((nx, ny, nz + -nz % 8), grid.voxel_size_m, grid.T_world_grid)
+    inside = _filled(mesh, padded, "winding")
+    if isinstance(inside, str):
+        yield inside
+        return
+    other = int(np.count_nonzero(unpack(inside)[:, :, :nz] != solid))
+    if other > MOST_OTHER_SHARE * np.count_nonzero(solid):
+        yield f"{other} voxels of 'solid' are not as {MESH} has them"
+    occupied, empty = (Label.SURFACE, Label.INTERIOR), (Label.FREE, Label.OTHER)
+    other = int(np.count_nonzero(np.isin(labels, occupied) & ~solid))
+    other += int(np.count_nonzero(np.isin(labels, empty) & solid))
+    if other:
+        yield f"{other} voxels of 'solid' are not as 'labels' has them"
+
+
+def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
+    """The cells of a grid inside a stranger's mesh; or why that cannot be computed."""
+    cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
+    if not np.abs(cells).max() <= MAX_FAR_CELLS:
+        return f"{MESH} has vertices far from it"
+    for i, j in ACROSS[rule]:
+        if costs_too_much(cells[:, (i, j)], mesh.faces, (grid.shape[i] + 1, grid.shape[j] + 1)):
+            return f"{MESH} has {len(mesh.faces)} faces across each other, and is not compared"
+    fill = voxelize_open if rule == "six-rays" else voxelize_solid
+    return fill(mesh.vertices, mesh.faces, grid)
+
+
+def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
+    """Yield in what the truth of a pair is not that of its object, a clause each.
+
+    Args:
+        pair: its matrices are checked to be rigid, and `voxel_size_m` to be a length.
+        truth: of its object.
+    """
+    if truth.mesh is not None:
+        yield from _full_problems(pair, truth.mesh, recorded=bool(truth.cells))
+    for name, said in (("known", pair.known), ("interior", pair.interior), ("said", pair.said)):
+        if said is None or name not in truth.cells:
+            continue
+        here = known_in(truth.cells[name], NOWHERE, pair.grid)
+        # Beyond the volume, what is known is told by a grid that no release has.
+        beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~here
+        if other := packed_count(here & ~said) + packed_count(beyond & said):
+            yield f"{other} cells of '{name}' are not as its {VOLUME} has them"
+
+
+def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
+    """In what `full` is not the mesh; that of a recording is filled by one rule."""
+    rule = pair.occupancy_rule
+    if rule not in ACROSS or (recorded and rule != "winding"):
+        yield f"occupancy_rule is '{printable(rule)}', which is not that of such an object"
+        return
+    filled = _filled(mesh, pair.grid, rule)
+    if isinstance(filled, str):
+        yield f"'full' cannot be compared: {filled}"
+        return
+    other = packed_count(filled & ~pair.full if rule == "seeable" else filled ^ pair.full)
+    cells = packed_count(pair.full)
+    if other > MOST_OTHER_SHARE * cells:
+        yield f"{other} of the {cells} cells of 'full' are not as its {MESH} has them"
+    elif rule == "seeable" and (beyond := _beyond(pair, mesh)):
+        yield f"{beyond} cells of 'full' lie beyond the box of its {MESH}"
+
+
+def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
+    """Cells of `full` whose centre lies outside the mesh's box, along the grid's axes."""
+    corners = transform_points(pair.grid.T_grid_world, mesh.vertices) / pair.voxel_size_m
+    first = np.ceil(corners.min(axis=0) - 0.5) - MOST_BEYOND_CELLS
+    end = np.floor(corners.max(axis=0) + 0.5) + MOST_BEYOND_CELLS
+    within = np.zeros((FULL_CELLS,) * 3, bool)
+    x, y, z = (slice(max(0, int(a)), max(0, int(b))) for a, b in zip(first, end, strict=True))
+    within[x, y, z] = True
+    return packed_count(pair.full & ~pack(within))
