@@ -13,6 +13,7 @@ from damaged_releases import seal
 from scipy import ndimage
 from synthetic_release import publish_synthetic
 
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
 from kinectbench.core.geometry import Grid
 from kinectbench.core.geometry.mesh import parse_ply, read_own_ply, write_ply
@@ -22,6 +23,7 @@ from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, read_pair,
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.release.check.truth_check import ObjectTruth, truth_problems
 from kinectbench.release.check.verify import verify
+from kinectbench.release.publish.object_glb import glb_bytes
 
 PAIR, FOLDER = "pairs/chair_02/000.npz", "objects/chair_02"
 
@@ -70,13 +72,29 @@ def larger_mesh(folder: Path) -> None:
     write_ply(replace(mesh, vertices=middle + 1.02 * (mesh.vertices - middle)), folder / FOLDER / "mesh.ply")
 
 
+def larger_glb(folder: Path) -> None:
+    mesh = read_own_ply(folder / FOLDER / "mesh.ply")
+    floor = FloorFile.read(folder / FOLDER)
+    content = glb_bytes(replace(mesh, vertices=mesh.vertices * 1.02), floor.T_floor_world)
+    assert content is not None
+    (folder / f"{FOLDER}.glb").write_bytes(content)
+
+
+def glb_of_fewer(folder: Path) -> None:
+    path = folder / f"{FOLDER}.glb"
+    path.write_bytes(re.sub(rb'("triangles_of_mesh_ply": ?)2', rb"\g<1>1", path.read_bytes()))
+
+
 def unknown_part(volume: ObjectVolume) -> ObjectVolume:
     labels = volume.labels.copy()
     labels[1] = Label.UNKNOWN
     return replace(volume, labels=labels)
 
 
-OF_FULL, OF_VOLUME = f"{PAIR}: [0-9]+ of the [0-9]+ cells of 'full' are", f"{FOLDER}/volume.npz: [0-9]+ voxels"
+OF_FULL, OF_VOLUME = (
+    f"{PAIR}: [0-9]+ of the [0-9]+ cells of 'full' are",
+    f"{FOLDER}/volume.npz: [0-9]+ voxels",
+)
 FORGED: dict[str, tuple[Callable[[Path], None], str]] = {
     "full is grown": (forged_pair(grown), OF_FULL),
     "full is eroded": (forged_pair(shrunk), OF_FULL),
@@ -106,6 +124,12 @@ FORGED: dict[str, tuple[Callable[[Path], None], str]] = {
         forged_volume(lambda volume: replace(volume, labels=np.zeros_like(volume.labels))),
         f"{OF_VOLUME} of 'solid' are not as 'labels' has them",
     ),
+    "another camera": (
+        forged_pair(lambda pair: replace(pair, K=pair.K * [[1.1], [1.1], [1]])),
+        f"{PAIR}: K is not that of views.json",
+    ),
+    "the GLB is larger": (larger_glb, f"{FOLDER}.glb: the box around it is [0-9.]+ m from that of mesh.ply"),
+    "the GLB is of another mesh": (glb_of_fewer, f"{FOLDER}.glb: is of a mesh of 10480 triangles where"),
     "the mesh is larger": (larger_mesh, OF_FULL),
 }
 

@@ -92,7 +92,7 @@ def synthetic_pair(number: int, category: str) -> Pair:
         seen=pack(seen),
         T_world_grid=T,
         T_world_camera=rigid(T[:3, :3], [0.0, 0.0, 0.0]),
-        K=np.array([[525.0, 0, 320], [0, 525, 240], [0, 0, 1]]),
+        K=np.array([[5.0, 0, 3.5], [0, 5, 2.5], [0, 0, 1]]),
         voxel_size_m=0.004,
         surface_sigma_m=0.003,
         framing="object",

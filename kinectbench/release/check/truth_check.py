@@ -4,7 +4,6 @@ A recording's pairs are made of its mesh and its volume. All that they say of th
 no pair can be changed alone. Somebody who changes mesh, volume and pairs alike is found by `--rebuild` only.
 """
 
-import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,17 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, pack, packed_count, unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
-from kinectbench.release.contents import OBJECT_FILES, VOLUME_BYTES, Contents
+from kinectbench.release.check.object_check import GLB_HEAD, glb_faults
+from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents
 
 MESH, VOLUME = OBJECT_FILES
 # Share of the cells of a shape that may be others. No cell of 111 pairs and of 12 volumes was another (eight
@@ -53,10 +55,8 @@ class ObjectTruth:
     cells: Mapping[str, KnownGrid] = field(default_factory=dict)
 
 
-def object_truth(
-    contents: Contents, recording: str, whole: Collection[str]
-) -> tuple[ObjectTruth, list[str]]:
-    """What a release has of an object, and a line for each thing in which its volume is not its mesh.
+def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> tuple[ObjectTruth, list[str]]:
+    """What a release has of an object, and a line for each thing in which volume and GLB are not its mesh.
 
     Files that are missing or damaged are left out: `object_problems` names them.
 
@@ -72,25 +72,51 @@ def object_truth(
         return ObjectTruth(), []
     if not len(mesh.faces):
         return ObjectTruth(), []
+    faults = [f"{folder}{GLB}: {fault}" for fault in _glb_faults(contents, folder, whole, mesh)]
     try:
-        name = _published(f"{folder}/{VOLUME}", whole)
-        with contents.stream(name) as file:
-            volume = arrays_of(file, VOLUME_BYTES, ("solid", "labels", "voxel_size_m", "T_world_grid"))
-        with contents.stream(name) as file:
-            under = arrays_of(file, VOLUME_BYTES, ("underside",), {"underside": np.zeros(0, bool)})
-        solid, labels, underside = volume["solid"], volume["labels"], under["underside"]
-        nx, ny, nz = labels.shape
-        grid = Grid((nx, ny, nz), float(volume["voxel_size_m"]), volume["T_world_grid"].reshape(4, 4))
-    except (ReleaseError, KeyError, ValueError, *UNREADABLE):
-        return ObjectTruth(mesh), []
-    if labels.size > MOST_VOXELS or max(labels.shape) > MOST_SIDE or solid.shape != labels.shape:
-        return ObjectTruth(mesh), []
-    faults = [f"{folder}/{VOLUME}: {fault}" for fault in _volume_faults(mesh, grid, solid, labels)]
+        grid, solid, labels, underside = _volume(contents, _published(f"{folder}/{VOLUME}", whole))
+    except (ReleaseError, *UNREADABLE):
+        return ObjectTruth(mesh), faults
+    faults += [f"{folder}/{VOLUME}: {fault}" for fault in _volume_faults(mesh, grid, solid, labels)]
     known = labels != Label.UNKNOWN
     cells = {"known": known, "unknown": ~known, "interior": labels == Label.INTERIOR}
     if underside.shape == labels.shape:
         cells["said"] = known & underside
     return ObjectTruth(mesh, {name: known_grid(grid, which) for name, which in cells.items()}), faults
+
+
+def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
+    """In what the GLB of an object is not its mesh; nothing of one that is not there or damaged."""
+    try:
+        content = contents.read(_published(f"{folder}{GLB}", whole))
+        floor = f"{folder}/{FloorFile.FILE}"
+        T_floor_world = np.eye(4)
+        if floor in whole:
+            T_floor_world = FloorFile.parse(contents.text(floor), floor).T_floor_world
+    except (ReleaseError, StorageError):
+        return
+    if len(content) >= GLB_HEAD.size:
+        yield from glb_faults(content, mesh, T_floor_world)
+
+
+def _volume(contents: Contents, name: str) -> tuple[Grid, NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """A volume's grid, solid, labels and underside.
+
+    Raises:
+        ReleaseError: it is too large to be compared.
+        UNREADABLE: one of these exceptions: it is damaged.
+    """
+    names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
+    with contents.stream(name) as file:
+        arrays = arrays_of(file, VOLUME_BYTES, names, {"underside": np.zeros(0, bool)})
+    solid, labels, size_m = arrays["solid"], arrays["labels"], arrays["voxel_size_m"]
+    if labels.ndim != 3 or labels.size > MOST_VOXELS or max(labels.shape) > MOST_SIDE:
+        raise ReleaseError(f"{name}: too large to be compared")
+    T = arrays["T_world_grid"].reshape(4, 4)
+    if solid.shape != labels.shape or not is_rigid(T) or not 0 < float(size_m) < np.inf:
+        raise ValueError("its arrays have different shapes, or its grid is none")
+    nx, ny, nz = labels.shape
+    return Grid((nx, ny, nz), float(size_m), T), solid, labels, arrays["underside"]
 
 
 def _published(name: str, whole: Collection[str]) -> str:

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import (
     parse_sums,
     parse_targets,
 )
-from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError, StorageError
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.types import Progress
@@ -77,11 +77,11 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         metadata, targets, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
         lines += _object_lines(contents, sums.keys() - damaged.keys(), metadata)
-        shares = _stated_shares(contents, metadata, targets)
+        stated = _stated(contents, metadata, targets)
         objects = _Objects(contents, sums.keys() - damaged.keys())
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
-                lines += _pair_lines(contents, name, metadata, shares.get(name, {}), objects)
+                lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
             if progress:
                 progress(done, total)
     return lines
@@ -159,25 +159,46 @@ def _object_lines(contents: Contents, whole: Iterable[str], metadata: ReleaseInf
     return lines
 
 
-def _stated_shares(
+@dataclass
+class _OfPair:
+    """What other files say of a pair.
+
+    Attributes:
+        unknown_shares: {file: share of the true shape that is unknown}, of the files that say it.
+        view: its row of views.json; None without one.
+    """
+
+    unknown_shares: dict[str, float] = field(default_factory=dict)
+    view: ViewRow | None = None
+
+
+def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
-) -> dict[str, dict[str, float]]:
-    """{pair file: {file: share of the true shape that it says is unknown}}, of the files that say it."""
-    shares: dict[str, dict[str, float]] = {
-        target.file: {TARGETS_CSV: target.unknown_share}
-        for target in targets
-        if target.unknown_share is not None
-    }
+) -> dict[str, _OfPair]:
+    """{pair file: what other files say of it}."""
+    stated = {target.file: _OfPair() for target in targets}
+    for target in targets:
+        if target.unknown_share is not None:
+            stated[target.file].unknown_shares[TARGETS_CSV] = target.unknown_share
     for recording in metadata.recordings if metadata else ():
         try:
             rows = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE).views
         except (ReleaseError, StorageError):  # its own faults are named elsewhere
             continue
         for row in rows:
+            of_pair = stated.setdefault(f"pairs/{recording}/{row.view}.npz", _OfPair())
+            of_pair.view = row
             if row.unknown_share is not None:
-                of_pair = shares.setdefault(f"pairs/{recording}/{row.view}.npz", {})
-                of_pair[ViewsFile.FILE] = row.unknown_share
-    return shares
+                of_pair.unknown_shares[ViewsFile.FILE] = row.unknown_share
+    return stated
+
+
+def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str]:
+    """Whether views.json has another camera than a pair."""
+    for name in ("T_world_camera", "K"):
+        said = None if view is None else getattr(view, name)
+        if said is not None and not np.array_equal(said, getattr(pair, name)):
+            yield f"{name} is not that of {ViewsFile.FILE}"
 
 
 @dataclass
@@ -207,23 +228,28 @@ def _pair_lines(
     contents: Contents,
     name: str,
     metadata: ReleaseInfo,
-    unknown_shares: Mapping[str, float],
+    stated: _OfPair,
     objects: _Objects,
 ) -> list[str]:
-    """What is wrong with one pair; `unknown_shares` is what files say of it, by their names."""
+    """What is wrong with one pair; `stated` is what other files say of it."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
         if not metadata.hides(name.split("/")[1]):
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)
-            problems = pair_problems(pair, min_containment=least, unknown_shares=unknown_shares, **rules)
+            shares = stated.unknown_shares
+            problems = [
+                *pair_problems(pair, min_containment=least, unknown_shares=shares, **rules),
+                *_view_problems(pair, stated.view),
+            ]
             lines = [f"{name}: {problem}" for problem in problems]
             placed = is_rigid(pair.T_world_grid) and 0 < pair.voxel_size_m < np.inf
             return lines + (objects.lines(name.split("/")[1], name, pair) if placed else [])
         told = [key for key in values if key in TRUTH_KEYS]
         lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
-        problems = input_problems(checked_pair(PairInput, values, name), **rules)
+        given = checked_pair(PairInput, values, name)
+        problems = [*input_problems(given, **rules), *_view_problems(given, stated.view)]
         return [*lines, *(f"{name}: {problem}" for problem in problems)]
     except (PairError, ReleaseError) as error:
         return [str(error)]
