@@ -1,5 +1,6 @@
 """Check what a release says for people and other programs against benchmark.json and targets.csv."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -19,6 +20,7 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError, StorageError
 from kinectbench.core.untrusted import printable, quoted
 from kinectbench.release.check.figure_check import (
+    gate_problems,
     lineage_problems,
     own_problems,
     quality_problems,
@@ -41,6 +43,7 @@ from kinectbench.release.contents import (
 )
 from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown
+from kinectbench.release.publish.gate import left_out_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.schemas import schema_problems
 from kinectbench.release.publish.view_pictures import row_picture, rows_text
@@ -48,6 +51,8 @@ from kinectbench.settings.yaml_nodes import compose, items
 
 # Of an object whose truth is held back.
 PUBLIC_OF_OBJECT = ("floor.json",)
+# In a line of the card, after the name of a recording.
+OF_GATE = re.compile(" is left out: | is published all the same ")
 # A CITATION.cff of two thousand authors (own choice); PyYAML reads 0.1 MB a second. LICENSE and README.md may
 # have as much beside what benchmark.json lets them say, such as the words of a licence.
 CITATION_BYTES = 256 << 10
@@ -120,6 +125,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     checks |= {f"{SPLIT_TARGETS}/{split}.csv": partial(_split_problems, split) for split in SPLITS}
     if stated.says_twice:
         yield from own_problems(stated.metadata)
+        yield from gate_problems(stated.metadata)
         checks[DATASHEET] = _datasheet_problems
     checks |= {f"{PREVIEWS}/{split}/{ROWS}": partial(_rows_problems, split) for split in SPLITS}
     checks |= {
@@ -195,6 +201,21 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
         metadata = stated.metadata
         rows = f"{card.figures(metadata)}\n{card.origins_table(metadata.recordings)}"
         yield from _missing(text, rows, f"the row '{{}}' of {BENCHMARK_JSON}")
+        yield from _gate_missing(text, metadata)
+
+
+def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
+    """Recordings that benchmark.json calls poor or left out, and the card does not, or the other way."""
+    wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
+    for name, info in metadata.recordings.items():
+        if info.poor:
+            wanted[name] = poor_line(name, info.poor, info.accepted or "")
+    lines = (line.removeprefix("- ") for _, line in _lines(text) if line.startswith("- "))
+    said = {ids[0]: line for line in lines if len(ids := OF_GATE.split(line, maxsplit=1)) == 2}
+    for name in sorted(wanted.keys() | said.keys()):
+        # Advice may follow.
+        if name not in wanted or not said.get(name, "").startswith(wanted[name]):
+            yield f"says otherwise than {BENCHMARK_JSON} whether {printable(name)} is left out or poor"
 
 
 def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:

@@ -6,12 +6,16 @@ Of releases whose benchmark.json has `benchmark_sha256_version`; earlier ones ma
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pydantic import ValidationError
+
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import Lineage
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.untrusted import printable
 from kinectbench.release.publish.attribution import reasons_against_distribution
+from kinectbench.release.publish.gate import ALLOWED, NOT_TOLD, REJECTED
+from kinectbench.settings.publishing import GateSettings
 
 # Of the settings, for all pairs at once.
 OF_PAIRS = ("framing", "partial_rule")
@@ -36,6 +40,62 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
         for key in _other_keys(row, here, metadata) if here else ():
             where = f"settings.recordings of {printable(str(row['id']))}"
             yield f"{BENCHMARK_JSON}: {where} has another {key} than recordings"
+
+
+def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
+    """Yield a line for each recording that is said to be poor or left out, and is not, or the other way.
+
+    The figures of its quality and `settings.publish.gate` decide. The grade of a trajectory and the doubts of
+    a camera are not in a release: a limit of these is believed.
+    """
+    try:
+        limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
+    except ValidationError:
+        yield f"{BENCHMARK_JSON}: settings.publish.gate has keys or values that no setting has"
+        return
+    reviews = {str(row.get("id")): row.get("review") for row in metadata.settings.recordings or ()}
+    for name, info in metadata.recordings.items():
+        where = f"{BENCHMARK_JSON}: recordings.{printable(name)}"
+        if bool(info.poor) != (info.accepted is not None):
+            yield f"{where}: 'poor' and 'accepted' go together"
+        if metadata.hides(name):
+            if set(info.poor) - {NOT_TOLD} or info.accepted not in (None, NOT_TOLD):
+                yield f"{where}: 'poor' or 'accepted' tells why, which is held back"
+            continue
+        if info.accepted not in (None, ALLOWED) and not _reviewed(reviews.get(name), "accept"):
+            yield f"{where}: 'accepted' is by no review of the settings, nor {ALLOWED}"
+        yield from (f"{where}: {fault}" for fault in _poor_problems(info, limits))
+    for name, why in (metadata.left_out or {}).items():
+        where = f"{BENCHMARK_JSON}: left_out.{printable(name)}"
+        if name in metadata.recordings or name not in reviews:
+            yield f"{where}: is not of the settings, or is published"
+        elif why.startswith(REJECTED) and not _reviewed(reviews[name], "reject"):
+            yield f"{where}: is rejected by no review of the settings"
+
+
+def _reviewed(review: Any, decision: str) -> bool:
+    return isinstance(review, dict) and review.get("decision") == decision
+
+
+def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
+    """Limits that figures of its quality break without a line of `poor`, and lines that no figure bears out."""
+    quality = info.quality
+    values = (quality.estimated_iou, quality.estimated_iou_low)
+    known = [value for value in values if value is not None]
+    # Of a trajectory that is not good it is the lower end, so either may break the limit.
+    low_iou, any_low = (values[0] or 1) < limits.min_estimated_iou, min([*known, 1]) < limits.min_estimated_iou
+    unknown = (quality.unknown_share or 0) > limits.max_unknown_share
+    doubts = len(quality.known_doubts) > limits.max_doubts
+    for key, must, may in (
+        ("min_estimated_iou", low_iou, any_low),
+        ("max_unknown_share", unknown, unknown),
+        ("max_doubts", doubts, True),
+    ):
+        said = any(f"publish.gate.{key}" in line for line in info.poor)
+        if said and not may:
+            yield f"'poor' names publish.gate.{key}, which its quality keeps"
+        elif must and not said:
+            yield f"'poor' does not name publish.gate.{key}, which its quality does not keep"
 
 
 def _other_keys(row: Mapping[str, Any], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
@@ -77,6 +137,8 @@ def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
 
 def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a clause for each setting of a stage that benchmark.json has otherwise, and each other origin."""
+    if lineage.package_version != metadata.package_version:
+        yield f"another package_version than in {BENCHMARK_JSON}"
     settings = metadata.settings.json_value()
     of_recordings = {str(row.get("id")): row for row in metadata.settings.recordings or ()}
     for name, recording in lineage.recordings.items():

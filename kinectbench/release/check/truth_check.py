@@ -32,8 +32,8 @@ MESH, VOLUME = OBJECT_FILES
 MOST_OTHER_SHARE = 0.001
 # Cells beyond the mesh's box that are solid by the definition of air: half a cell was the most of 20 pairs.
 MOST_BEYOND_CELLS = 1
-# Sixteen sides of a pair's cube, as of predictions: a vertex farther away is in another frame, and products of
-# its lengths might not fit in 64 bits.
+# Sixteen sides of a pair's cube, as of predictions: a vertex farther away is in another frame, and products
+# of its lengths might not fit in 64 bits.
 MAX_FAR_CELLS = 16 * FULL_CELLS
 # Of a volume that is compared: 2 m at 5 mm. Four grids of as many bytes take 256 MB.
 MOST_VOXELS, MOST_SIDE = 64 << 20, 1024

@@ -15,6 +15,7 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
 
 ALLOWED = "--allow-poor"
+REJECTED = "rejected by review: "
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
 # What is said in place of figures and a person's reason, which tell of a truth that is held back.
 NOT_TOLD = "why is held back, as its truth is"
@@ -28,6 +29,16 @@ def first_lines(lines: Sequence[str]) -> str:
     """Lines as one, after semicolons: the first few, and a count of the others."""
     more = [f"and {len(lines) - SHOWN_REASONS} more"] if len(lines) > SHOWN_REASONS else []
     return "; ".join([*lines[:SHOWN_REASONS], *more])
+
+
+def left_out_line(name: str, why: str) -> str:
+    """How the card says that a recording is left out; advice may follow."""
+    return f"{name} is left out: {why}"
+
+
+def poor_line(name: str, limits: Sequence[str], why: str) -> str:
+    """How the card says that a recording is published though it does not keep some limits."""
+    return f"{name} is published all the same ({why}): {'; '.join(limits)}"
 
 
 @dataclass(frozen=True)
@@ -50,7 +61,7 @@ class Gate:
     def left_out(self) -> dict[str, str]:
         """Id -> why it is not in the release, in a line."""
         return {name: "; ".join(limits) for name, limits in self.refused.items()} | {
-            name: f"rejected by review: {reason}" for name, reason in self.rejected.items()
+            name: f"{REJECTED}{reason}" for name, reason in self.rejected.items()
         }
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
@@ -62,13 +73,13 @@ class Gate:
 
     def first_reasons(self) -> str:
         """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
-        lines = [f"{name} is left out: {why}" for name, why in self.left_out.items()]
+        lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 
     def reasons(self) -> Iterator[str]:
         """Why each of those that are not in the release is not, a line each."""
         for name, why in self.left_out.items():
-            yield f"{name} is left out: {why}{ADVICE if name in self.refused else ''}"
+            yield f"{left_out_line(name, why)}{ADVICE if name in self.refused else ''}"
 
     def lines(self) -> Iterator[str]:
         """What the card says: how many are left out, why, and which are published though they are poor."""
@@ -76,7 +87,7 @@ class Gate:
             yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
         yield from self.reasons()
         for name, (limits, why) in self.poor.items():
-            yield f"{name} is published all the same ({why}): {'; '.join(limits)}"
+            yield poor_line(name, limits, why)
 
 
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:
