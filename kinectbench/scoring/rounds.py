@@ -154,6 +154,7 @@ class Rounds:
                 None if thresholds is None else thresholds.of[target.category],
                 self.counting,
                 self.journal.earlier(target.name),
+                self.journal.is_checked(target.name),
             )
             for target, file in sorted(files.items(), key=lambda item: item[0])
         ]

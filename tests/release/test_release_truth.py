@@ -124,6 +124,10 @@ FORGED: dict[str, tuple[Callable[[Path], None], str]] = {
         forged_volume(lambda volume: replace(volume, labels=np.zeros_like(volume.labels))),
         f"{OF_VOLUME} of 'solid' are not as 'labels' has them",
     ),
+    "no mesh to compare with": (
+        lambda folder: (folder / FOLDER / "mesh.ply").unlink(),
+        f"{FOLDER}/mesh.ply: missing, a release of recordings has it",
+    ),
     "another camera": (
         forged_pair(lambda pair: replace(pair, K=pair.K * [[1.1], [1.1], [1]])),
         f"{PAIR}: K is not that of views.json",

@@ -294,11 +294,23 @@ def _small_file_problems(
     lines += [*sum_problems(targets, sums), *_file_problems(targets, sums)]
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)
+    if metadata:
+        lines += _without_object(metadata, sums)
     if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
         lines += _split_problems(contents, targets)
     if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
         lines += agreement_problems(contents, Stated(targets, metadata, sums), damaged)
     return metadata, targets, lines
+
+
+def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
+    """Objects of recordings that are not there, so that their pairs could be compared with nothing."""
+    if metadata.benchmark_sha256_version is None or not metadata.settings.recordings:
+        return  # earlier releases, and those of other commands, may have fewer files
+    for recording in metadata.recordings:
+        for file in OBJECT_FILES if not metadata.hides(recording) else ():
+            if (name := f"objects/{recording}/{file}") not in sums:
+                yield f"{printable(name, 200)}: missing, a release of recordings has it"
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:

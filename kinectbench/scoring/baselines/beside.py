@@ -13,7 +13,7 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe
-from kinectbench.scoring.baselines.counted import counted_baselines
+from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.read_table import read_table
@@ -32,7 +32,8 @@ def baselines_beside(
     """The scores of every baseline that the release allows, as `score` would give them for its files.
 
     They are kept in `out/baselines/<name>/scores.json` and read from there where release, settings and the
-    versions of counting and of the baselines are the same. Thresholds are found on the validation split for
+    versions of counting and of the baselines are the same, and a few pairs that are counted again give the
+    rows that are kept; otherwise they are made anew. Thresholds are found on the validation split for
     each, else they are 0.5.
 
     Args:
@@ -53,6 +54,9 @@ def baselines_beside(
     folder = out / BASELINES_FOLDER
     kept = {name: _kept(folder / name, name, release, counting) for name in names}
     tables = {name: table for name, table in kept.items() if table is not None}
+    if tables:
+        for name in baselines_that_differ(release, tables, counting, jobs):
+            del tables[name]
     wanted = tuple(name for name in names if name not in tables)
     if wanted:
         for table in counted_baselines(release, wanted, counting, jobs=jobs, progress=progress):

@@ -11,9 +11,10 @@ from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.assemble import describe, make_table, rows_of
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
-from kinectbench.scoring.pair_result import Counting, ceilings, count, surfaces
+from kinectbench.scoring.pair_result import Counting, ceilings, count, drawn, surfaces
+from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.score import check_words, counting_of
@@ -115,6 +116,38 @@ def counted_baselines(
         )
         for name in names
     ]
+
+
+def baselines_that_differ(
+    release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
+) -> set[str]:
+    """Names of tables some of whose rows are not what their baseline gives: a few pairs are counted again.
+
+    Args:
+        release: what is predicted.
+        tables: by name, of `release` and `counting`, without surface metrics.
+        counting: how pairs are counted.
+        jobs: number of processes that read the truth.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    rates = base_rates(release, jobs)
+    tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
+    pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
+    chosen = [task for task in tasks if task.target.name in pairs]
+    found = run_tasks(partial(_count, counting, {}), chosen, jobs)
+    wrong = set()
+    for name, table in tables.items():
+        results = {task.target: of[name] for task, of in zip(chosen, found, strict=True)}
+        kept = {(row.pair, row.protocol): row for row in table.rows}
+        if any(target.category not in table.thresholds for target in results):
+            wrong.add(name)
+            continue
+        again = rows_of(results, counting.protocols, Thresholds(table.thresholds, ""), rates)
+        if any(any(differing(kept.get((row.pair, row.protocol)), row, "", whole=True)) for row in again):
+            wrong.add(name)
+    return wrong
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
