@@ -23,6 +23,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 from hostile_cases import (
     bags,
+    forged,
     meshes,
     methods,
     names,
@@ -31,6 +32,7 @@ from hostile_cases import (
     pairs,
     pictures,
     releases,
+    servers,
     settings,
 )
 from hostile_cases.case import Case
@@ -39,7 +41,20 @@ from hostile_cases.wholes import make_wholes, put_whole
 
 from kinectbench.core.untrusted import printable
 
-GROUPS = (meshes, releases, bags, odd_files, outside, pairs, pictures, names, settings, methods)
+GROUPS = (
+    meshes,
+    releases,
+    bags,
+    odd_files,
+    outside,
+    pairs,
+    pictures,
+    names,
+    settings,
+    methods,
+    forged,
+    servers,
+)
 SAID = 110
 
 

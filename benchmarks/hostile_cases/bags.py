@@ -36,6 +36,11 @@ def cases() -> Iterator[Case]:
         for make, file in ((_ros1_definition, "a.bag"), (_mcap_definition, "a.mcap")):
             yield from _cases("H6", f"{file}: {name}", file, make(definition))
     yield from _cases("H1", "metadata.yaml that is a billion laughs", "bag", _metadata)
+    for name, blocks in (("blocks", _blocks), ("clusters", _clusters)):
+        yield from on(
+            "inspect r\ningest --jobs 1",
+            Case("M6", f"a .mkv of 2,000,000 {name}", "", _mkv(blocks), "azure_kinect", (0, 1, 3)),
+        )
     yield from _cases("H5", "metadata.yaml that names files elsewhere", "bag", _metadata_out)
 
 
@@ -320,3 +325,34 @@ def _metadata_out(folder: Path) -> None:
     _database((TOPICS, A_TOPIC, MESSAGES, ROW))(folder.with_name("secret.db3"))
     text = "rosbag2_bagfile_information:\n  relative_file_paths: [../secret.db3, /etc/passwd]\n"
     (folder / "metadata.yaml").write_text(text, encoding="utf-8")
+
+
+# Matroska (RFC 9559): a segment; a cluster with its time, and blocks of one byte of the first track.
+SEGMENT, UNKNOWN_SIZE = b"\x18\x53\x80\x67", b"\x01" + b"\xff" * 7
+CLUSTER, CLUSTER_TIME, BLOCK = b"\x1f\x43\xb6\x75", b"\xe7\x81\x00", b"\xa3\x85\x81\x00\x00\x80x"
+MANY_BLOCKS = 2_000_000
+
+
+def _cluster(blocks: bytes) -> bytes:
+    content = CLUSTER_TIME + blocks
+    return CLUSTER + (1 << 56 | len(content)).to_bytes(8, "big") + content
+
+
+def _blocks() -> bytes:
+    return _cluster(BLOCK * MANY_BLOCKS)
+
+
+def _clusters() -> bytes:
+    return _cluster(BLOCK) * MANY_BLOCKS
+
+
+def _mkv(more: Callable[[], bytes]) -> Callable[[Path], object]:
+    """A recording, and behind it clusters, as a segment of unknown size may have them."""
+
+    def make(folder: Path) -> None:
+        (path,) = folder.glob("*.mkv")
+        content = path.read_bytes()
+        size_at = content.index(SEGMENT) + len(SEGMENT)
+        path.write_bytes(content[:size_at] + UNKNOWN_SIZE + content[size_at + 8 :] + more())
+
+    return make

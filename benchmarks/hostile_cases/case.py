@@ -33,6 +33,7 @@ class Case:
         most_mb: the memory that it may take, MB.
         before: words in front of the command, such as other limits.
         variables: of the environment.
+        most_idle_s: by the clock, in which it may do nothing: commands wait for servers, if not for ever.
     """
 
     group: str
@@ -46,6 +47,7 @@ class Case:
     most_mb: float = MOST_MB
     before: str = ""
     variables: Mapping[str, str] = field(default_factory=dict)
+    most_idle_s: float = 10.0
 
 
 def on(commands: str, *cases: Case) -> list[Case]:

@@ -78,7 +78,7 @@ def run_case(case: Case, folder: Path) -> Ended:
             start_new_session=True,
             env={k: v for k, v in os.environ.items() if k != "KINECTBENCH_DEBUG"} | variables,
         )
-        status, cpu_s, peak_mb = _waited(process.pid)
+        status, cpu_s, peak_mb = _waited(process.pid, case.most_idle_s)
         process.returncode = status
         wall_s = time.monotonic() - started
     out_bytes, err_bytes = (told / "out").read_bytes(), (told / "err").read_bytes()
@@ -119,7 +119,7 @@ def _faults(case: Case, status: int, out: bytes, err: bytes) -> list[str]:
     return faults
 
 
-def _waited(pid: int) -> tuple[int, float, float]:
+def _waited(pid: int, most_idle_s: float) -> tuple[int, float, float]:
     """Status, seconds of processors and peak of memory of a process that is ended if it takes too much."""
     used_s, most_mb, busy_at = 0.0, 0.0, time.monotonic()
     while True:
@@ -132,7 +132,7 @@ def _waited(pid: int) -> tuple[int, float, float]:
         if now_s > used_s:
             used_s, busy_at = now_s, time.monotonic()
         idle_s = time.monotonic() - busy_at
-        if now_s > 2 * MOST_S or idle_s > MOST_S or now_mb > ENDED_AT_MB:
+        if now_s > 2 * MOST_S or idle_s > most_idle_s or now_mb > ENDED_AT_MB:
             os.killpg(pid, signal.SIGKILL)
             _, _, usage = os.wait4(pid, 0)
             return -9, max(now_s, idle_s), _peak_mb(usage, most_mb)

@@ -262,12 +262,12 @@ OBJECTS: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "garbage": (MESH, lambda p: p.write_bytes(b"ply or not"), "not a binary PLY file"),
     "a head that claims more": (
         MESH,
-        lambda p: p.write_bytes(p.read_bytes().replace(b"vertex 4", b"vertex 999999999")),
+        lambda p: p.write_bytes(p.read_bytes().replace(b"vertex ", b"vertex 99", 1)),
         "bytes where its head claims",
     ),
     "a face beside": (
         MESH,
-        lambda p: p.write_bytes(p.read_bytes()[:-4] + struct.pack("<i", 77)),
+        lambda p: p.write_bytes(p.read_bytes()[:-4] + struct.pack("<i", 1 << 20)),
         "a face has none",
     ),
     "no volume": (VOLUME, lambda p: p.write_bytes(b"volume"), "not a zip file"),

@@ -53,12 +53,12 @@ def journal(release: Release, predictions: Path, tmp_path: Path, monkeypatch: py
 def forge(journal: Path) -> None:
     """Every prediction hits all that is occupied, and nothing else."""
     lines = []
-    for line in journal.read_text().splitlines():
+    for line in journal.read_text(encoding="utf-8").splitlines():
         said = json.loads(line)
         tally = said["result"]["tally"]
         tally["above"] = [[n if code % 2 else 0 for code, n in enumerate(tally["voxels"])]] * 17
         lines.append(json.dumps(said, sort_keys=True, separators=(",", ":")))
-    journal.write_text("\n".join([*lines, ""]))
+    journal.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
 def test_a_sound_journal_is_used(

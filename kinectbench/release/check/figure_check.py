@@ -78,12 +78,15 @@ def _reviewed(review: Any, decision: str) -> bool:
 
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
-    """Limits that figures of its quality break without a line of `poor`, and lines that no figure bears out."""
+    """Limits that its quality breaks and `poor` does not name; those that it names and its quality keeps."""
     quality = info.quality
     values = (quality.estimated_iou, quality.estimated_iou_low)
     known = [value for value in values if value is not None]
     # Of a trajectory that is not good it is the lower end, so either may break the limit.
-    low_iou, any_low = (values[0] or 1) < limits.min_estimated_iou, min([*known, 1]) < limits.min_estimated_iou
+    low_iou, any_low = (
+        (values[0] or 1) < limits.min_estimated_iou,
+        min([*known, 1]) < limits.min_estimated_iou,
+    )
     unknown = (quality.unknown_share or 0) > limits.max_unknown_share
     doubts = len(quality.known_doubts) > limits.max_doubts
     for key, must, may in (

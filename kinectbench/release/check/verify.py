@@ -76,9 +76,11 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
             return lines + _identity(contents, text, damaged)[1]
         metadata, targets, found = _small_file_problems(contents, text, sums, damaged)
         lines += found
-        lines += _object_lines(contents, sums.keys() - damaged.keys(), metadata)
+        whole = sums.keys() - damaged.keys()
+        of_objects = _object_lines(contents, whole, metadata)
+        lines += [line for found in of_objects.values() for line in found]
         stated = _stated(contents, metadata, targets)
-        objects = _Objects(contents, sums.keys() - damaged.keys())
+        objects = _Objects(contents, whole - of_objects.keys())
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
@@ -148,14 +150,17 @@ def _extra(name: str) -> str:
     return f"{printable(name, 200)}: not part of the release"
 
 
-def _object_lines(contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None) -> list[str]:
-    """What is wrong with the meshes and volumes of objects, of which those held back must not be there."""
-    lines: list[str] = []
+def _object_lines(
+    contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None
+) -> dict[str, list[str]]:
+    """{mesh, volume or GLB that is wrong: what is}; of objects held back there must be none."""
+    lines: dict[str, list[str]] = {}
     for name in sorted(whole):
         parts = name.split("/")
         is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
         if is_object and metadata and not metadata.hides(recording_of(name)):
-            lines += object_problems(contents, name)
+            if found := list(object_problems(contents, name)):
+                lines[name] = found
     return lines
 
 
