@@ -1,4 +1,4 @@
-"""Results that somebody changed and sealed again: releases, tables, and what earlier runs left beside them."""
+"""Results that somebody changed and sealed again: releases, tables, and what earlier runs left there."""
 
 import json
 import os

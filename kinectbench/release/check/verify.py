@@ -158,9 +158,9 @@ def _object_lines(
     for name in sorted(whole):
         parts = name.split("/")
         is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
-        if is_object and metadata and not metadata.hides(recording_of(name)):
-            if found := list(object_problems(contents, name)):
-                lines[name] = found
+        is_open = is_object and metadata is not None and not metadata.hides(recording_of(name))
+        if is_open and (found := list(object_problems(contents, name))):
+            lines[name] = found
     return lines
 
 
