@@ -39,6 +39,10 @@ def publish(
     thresholds: Annotated[
         Path | None, typer.Option(help="a threshold file (of score --save-thresholds) to publish with it")
     ] = None,
+    isolate: Annotated[
+        bool,
+        typer.Option("--isolate", help="with --hold-back: of each object one view and nothing else"),
+    ] = False,
     allow_poor: Annotated[
         bool, typer.Option("--allow-poor", help="publish recordings that do not keep `publish.gate`, too")
     ] = False,
@@ -57,7 +61,7 @@ def publish(
     from kinectbench.release.put import put_release
 
     settings = common.settings
-    options = publish_options(settings, hold_back or (), thresholds, allow_poor)
+    options = publish_options(settings, hold_back or (), thresholds, allow_poor, isolate)
     packed = archives or archives_to is not None
     stored = url_of(common.place) is not None
     if stored and (packed or to is not None):
@@ -125,6 +129,7 @@ def publish_options(
     hold_back: Sequence[str],
     thresholds: Path | None,
     allow_poor: bool = False,
+    isolate: bool = False,
 ) -> "PublishOptions":
     """The options as a value.
 
@@ -133,20 +138,28 @@ def publish_options(
         hold_back: splits.
         thresholds: a threshold file, or None.
         allow_poor: whether recordings that do not keep the limits are published, too.
+        isolate: whether one view of each object is published whose truth is held back.
 
     Raises:
-        SettingsError: no such split, or an unusable threshold file.
+        SettingsError: no such split, an unusable threshold file, or nothing that can be isolated.
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
     from kinectbench.core.untrusted import read_plain_text
+    from kinectbench.release.publish.isolate import refuse_framing
     from kinectbench.scoring.thresholds import read_thresholds
 
     for split in hold_back:
         if split not in SPLITS:
             raise SettingsError(f"--hold-back {split}: choose among {', '.join(SPLITS)}")
     hidden = tuple(sorted(split for split in SPLITS if split in hold_back))
-    asked = PublishOptions(hold_back=hidden, thresholds=None, **({"allow_poor": True} if allow_poor else {}))
+    if isolate:
+        if not hidden:
+            raise SettingsError("--isolate is for what is held back: add `--hold-back test`")
+        refuse_framing(settings)
+    asked = PublishOptions(hold_back=hidden, thresholds=None)
+    more = {"allow_poor": allow_poor, "isolate": isolate}
+    asked = asked.model_copy(update={key: True for key, value in more.items() if value})
     if thresholds is None:
         return asked
     test = [recording for recording in settings.recordings if recording.split == "test"]

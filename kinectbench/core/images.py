@@ -65,6 +65,13 @@ def jpeg(picture: Rgb, quality: int = 82) -> bytes:
     return bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
+def png(image: NDArray[np.generic]) -> bytes:
+    """Encode depth or a mask (height, width), uint16 or uint8, as a PNG file."""
+    import cv2
+
+    return bytes(cv2.imencode(".png", image)[1].tobytes())
+
+
 def read_color(path: Path) -> Rgb:
     """Read a colour image: (height, width, 3) uint8 RGB.
 

@@ -77,6 +77,14 @@ class RecordingInfo(Part):
         (), description="limits of `publish.gate` that it does not keep; no figures where they are held back"
     )
     accepted: str | None = Field(None, description="why it is published all the same")
+    rebuilt_iou: float | None = Field(
+        None,
+        description="held back: IoU with the truth, where that is known, of a solid carved from all public "
+        "views of the recording at their true poses",
+    )
+    rebuilt_single_iou: float | None = Field(
+        None, description="the same of one view alone, mean over some of the views"
+    )
 
 
 class ReleaseInfo(ReleaseFile):
@@ -108,6 +116,9 @@ class ReleaseInfo(ReleaseFile):
     )
     version: str | None = Field(None, description="of the data")
     held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
+    isolated: tuple[str, ...] = Field(
+        (), description="recordings of which one view is here, and nothing else that tells of the object"
+    )
     private_benchmark_sha256: str | None = Field(
         None, pattern=SHA256, description="of the part that scores, in the part for everybody"
     )
@@ -130,6 +141,10 @@ class ReleaseInfo(ReleaseFile):
         info = self.recordings.get(recording)
         return info is not None and info.split in self.held_back
 
+    def isolates(self, recording: str) -> bool:
+        """Whether nothing but one view of a recording is here; False in the part that scores."""
+        return self.hides(recording) and recording in self.isolated
+
 
 class PublishOptions(Part):
     """What is asked of `publish` beyond the settings."""
@@ -138,6 +153,9 @@ class PublishOptions(Part):
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
     allow_poor: bool | None = Field(
         None, description="whether recordings that do not keep `publish.gate` are published, too"
+    )
+    isolate: bool | None = Field(
+        None, description="whether one view of each object is published whose truth is held back"
     )
 
 

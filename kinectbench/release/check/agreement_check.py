@@ -289,6 +289,8 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
         here = stated.views_of(name)
         if row.views is not None and {view.view for view in row.views} != here:
             yield f"other views of {printable(name)} than in {TARGETS_CSV}"
+        if stated.metadata.isolates(name) and (row.files or row.files_sha256 or row.stages or row.views):
+            yield f"says how {printable(name)} was made, of which one view alone is published"
     if stated.says_twice:
         yield from lineage_problems(lineage, stated.metadata)
 
@@ -304,7 +306,8 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
     """Whether previews/ has a row and a picture of each pair of a split, and no others."""
-    here = [target for target in stated.targets if target.split == split]
+    isolates = stated.metadata.isolates
+    here = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
     if text != rows_text(here):
         yield f"not the lines of {TARGETS_CSV} whose split is {split}"
     folder = f"{PREVIEWS}/{split}/"
@@ -330,9 +333,12 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
-    """Files of objects whose truth is held back."""
+    """Files that tell of objects whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")
         public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT
         if parts[0] == "objects" and not public and metadata.hides(recording_of(name)):
             yield f"{name}: truth of a split that is held back"
+        pictured = parts[2] if parts[0] == PREVIEWS and len(parts) > 2 else ""
+        if metadata.isolates(recording_of(name) if public and parts[0] == "objects" else pictured):
+            yield f"{name}: of a recording of which one view alone is published"

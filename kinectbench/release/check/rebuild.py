@@ -96,16 +96,23 @@ def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPl
     metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
     held_back = metadata.held_back
-    kept = tuple(target for target in targets if target.split not in held_back)
+    isolated = sorted({t.recording for t in targets} & set(metadata.isolated))
+    kept = tuple(t for t in targets if t.split not in held_back and t.recording not in isolated)
     wanted = {target.recording for target in kept}
     missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())
     if missing:
         raise SettingsError(f"no recording here for {', '.join(missing)}; give the folder that holds them")
     if not wanted:
-        raise ReleaseError("all truth is held back: only the private part can be made again")
+        raise ReleaseError(
+            "all views are isolated: `kinectbench publish` without --isolate makes a release to be made again"
+            if isolated
+            else "all truth is held back: only the private part can be made again"
+        )
     notes = [*version_notes(metadata), *stage_notes(contents, wanted)]
     if held_back:
         notes.append(f"the truth of {', '.join(held_back)} is held back: its pairs are not compared")
+    if isolated:
+        notes.append(f"of {', '.join(isolated)} one view is published, isolated: its pair is not compared")
     return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes))
 
 

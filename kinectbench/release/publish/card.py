@@ -17,6 +17,7 @@ from kinectbench.core.types import Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
+from kinectbench.release.publish.isolate import isolated_line
 
 # Key of quality.json -> what it is called, how it is written, factor.
 QUALITY = {
@@ -157,8 +158,10 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: 
         content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
         content |= {"license_link": LICENSE}
     categories = sorted({target.category for target in targets})
-    path = f"{PREVIEWS}/{{}}/**" if pictured else f"{SPLIT_TARGETS}/{{}}.csv"
-    present = [split for split in SPLITS if any(target.split == split for target in targets)]
+    # An isolated recording has no pictures; of a release that has none the tables of the splits are shown.
+    shown = [t for t in targets if not info.isolates(t.recording)] if pictured else []
+    path = f"{PREVIEWS}/{{}}/**" if shown else f"{SPLIT_TARGETS}/{{}}.csv"
+    present = [split for split in SPLITS if any(t.split == split for t in shown or targets)]
     content |= {
         "pretty_name": info.name,
         "task_categories": ["image-to-3d"],
@@ -185,6 +188,7 @@ def _notice(info: ReleaseInfo) -> str:
         lines += [
             f"**The truth of the split {', '.join(info.held_back)} is held back**: its pair files hold the "
             "input only. Send your predictions to whoever published the benchmark to have them scored.",
+            *([isolated_line(info.isolated)] if info.isolated else []),
             "",
         ]
     return "\n".join(lines) + "\n" if lines else ""

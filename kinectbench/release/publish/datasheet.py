@@ -17,6 +17,7 @@ from kinectbench.release.publish.attribution import (
     without_tags,
 )
 from kinectbench.release.publish.card import counts_table, underside_line
+from kinectbench.release.publish.isolate import isolated_line
 from kinectbench.settings.models import BenchmarkSettings
 
 TEMPLATE = Path(__file__).with_name("datasheet.md")
@@ -47,6 +48,7 @@ def datasheet(
     color: str,
     warnings: Sequence[str],
     held_back: Sequence[str] = (),
+    isolated: Sequence[str] = (),
 ) -> str:
     """The datasheet as Markdown.
 
@@ -57,6 +59,7 @@ def datasheet(
         color: "left out", "published" or "none".
         warnings: of the release.
         held_back: splits of which only the inputs are there.
+        isolated: recordings of which one view is published.
     """
     said = settings.publish.datasheet.model_dump()
     answers = {key: without_tags(value or NOT_STATED) for key, value in said.items()}
@@ -66,10 +69,13 @@ def datasheet(
         name=settings.name,
         package_version=__version__,
         counts=counts_table(targets),
-        held_back=(
-            f"The truth of the split {', '.join(held_back)} is held back."
-            if held_back
-            else "Nothing is held back."
+        held_back=" ".join(
+            [
+                f"The truth of the split {', '.join(held_back)} is held back."
+                if held_back
+                else "Nothing is held back.",
+                *([isolated_line(isolated)] if isolated and held_back else []),
+            ]
         ),
         sensors=_sources(infos),
         strategy=settings.views.strategy,

@@ -27,6 +27,7 @@ from kinectbench.release.contents import OBJECT_FILES, PREVIEW
 from kinectbench.release.publish.card import quality_words
 from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.words import listed
 
 VIEWS = 3
 # Of a build, the mesh of all that was recorded.
@@ -52,8 +53,9 @@ def write_preview(
     warnings: Sequence[str],
     held_back: Sequence[str],
     build: Path | None = None,
+    isolated: Sequence[str] = (),
 ) -> None:
-    """Write index.html of a release whose pairs and views are there already.
+    """Write index.html of a release whose pairs and views are there already; nothing of the isolated ones.
 
     Objects have the colours of the scene in `build`, if colour is published.
 
@@ -63,7 +65,8 @@ def write_preview(
     """
     of_recording = by_recording(targets)
     large = len(infos) > SHOWN
-    names, views = spread(list(infos), SHOWN), 1 if large else VIEWS
+    names = spread([name for name in infos if name not in isolated], SHOWN)
+    views = 1 if large else VIEWS
     scenes = build if settings.publish.color else None
     parts = [
         _part(folder, scenes, name, infos[name], of_recording[name], infos[name].split in held_back, views)
@@ -81,6 +84,7 @@ def write_preview(
         "warnings": told,
         "more_warnings": len(warnings) - len(told),
         "held_back": ", ".join(held_back),
+        "isolated": listed(isolated),
         "frames": FRAMES,
         "turns": any(part["turntable"] for part in parts),
         "package_version": __version__,

@@ -7,7 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, RecordingInfo
+from kinectbench.core.artefacts.benchmark import (
+    BENCHMARK_JSON,
+    PublishOptions,
+    RecordingInfo,
+    ReleaseInfo,
+)
 from kinectbench.core.artefacts.provenance import (
     THRESHOLDS_JSON,
     ColorPublished,
@@ -24,9 +29,11 @@ from kinectbench.release.publish.attribution import changelog_text, reasons_agai
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
+from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, drawn, refuse_framing
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
+from kinectbench.release.publish.rebuilt import rebuilt_line
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
 from kinectbench.release.publish.view_pictures import write_view_pictures
 from kinectbench.settings.models import BenchmarkSettings
@@ -100,8 +107,11 @@ def publish(
         ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, no
             recording passes the gate, there is no pair at all or none to be held back, a file is larger than
             `verify` accepts, or a folder holds something else.
+        SettingsError: views are to be isolated, and the framing is `object`.
         StorageError: the disk is full or read-only.
     """
+    if options.isolate:
+        refuse_framing(settings)
     private = out.with_name(out.name + PRIVATE)
     for folder in (out, private) if options.hold_back else (out,):
         _refuse_other(folder)
@@ -111,19 +121,24 @@ def publish(
         raise ReleaseError(f"{build}: no recording to publish; {passed.first_reasons()}")
     _refuse_empty_split(settings, passed.published, options.hold_back)
     _refuse_many_files(settings, build, passed.published)
+    hidden_ids = _hidden(settings, options)
+    isolated = drawn(settings, build, hidden_ids & set(passed.published)) if options.isolate else Isolated()
+    passed = replace(passed, published=tuple(n for n in passed.published if n not in isolated.left_out))
     complete = options.model_copy(update={"hold_back": ()})
     if not options.hold_back:
         with replaced_folder(out) as folder:
-            return replace(_write(settings, build, folder, passed, complete), folder=out)
+            return replace(_write(settings, build, folder, passed, complete, isolated), folder=out)
     with contextlib.ExitStack() as folders:
         hidden = folders.enter_context(replaced_folder(private))
         folder = folders.enter_context(replaced_folder(out))
-        whole = _write(settings, build, hidden, passed, complete)
-        public = _write(settings, build, folder, passed.for_everybody(_hidden(settings, options)), options)
+        whole = _write(settings, build, hidden, passed, complete, isolated)
+        public = _write(settings, build, folder, passed.for_everybody(hidden_ids), options, isolated)
         note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
+        info = ReleaseInfo.read(folder)
     # Whoever publishes is told the reasons, too.
-    warnings = tuple(dict.fromkeys((*whole.warnings, *_gives_away(settings, options.hold_back))))
+    told = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
+    warnings = tuple(dict.fromkeys((*told, *isolated.lines())))
     return replace(
         public, folder=out, warnings=warnings, private=private, private_sha256=whole.benchmark_sha256
     )
@@ -169,10 +184,11 @@ def _write(
     folder: Path,
     passed: Gate,
     options: PublishOptions,
+    isolated: Isolated,
 ) -> PublishSummary:
     """Fill one folder."""
     found = list[Removed]()
-    made, without_pair = _pairs(settings, build, folder, passed, options, found)
+    made, without_pair = _pairs(settings, build, folder, passed, options, isolated, found)
     if not made:
         why = first_lines([*without_pair, *passed.lines()])
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused; {why}")
@@ -180,7 +196,7 @@ def _write(
     # What would do harm first, then what is wrong with the truth, and last how it is used.
     warnings = [
         *reasons_against_distribution(infos),
-        *_gives_away(settings, options.hold_back),
+        *_gives_away(settings, options.hold_back, infos, isolated),
         *passed.lines(),
         *without_pair,
         *_doubted(infos),
@@ -188,8 +204,9 @@ def _write(
         *_without_thresholds(settings, infos),
     ]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
-    _write_texts(settings, folder, made, targets, warnings, options, found)
-    public = _public_settings(settings, options.hold_back, found)
+    alone = tuple(sorted(isolated.views))
+    _write_texts(settings, folder, made, targets, warnings, options, found, alone)
+    public = _public_settings(settings, options, found)
     privacy(_color(settings, made), found).write(folder)
     pairs = settings.pairs
     head = Head(
@@ -201,10 +218,12 @@ def _write(
         citation=settings.publish.citation,
         held_back=options.hold_back,
         left_out=passed.left_out,
+        isolated=alone,
     )
     refuse_large(folder)  # before other files are made of them
-    write_view_pictures(folder, targets)
-    write_preview(folder, settings, targets, infos, warnings, options.hold_back, build)
+    bare = alone if options.hold_back else ()
+    write_view_pictures(folder, [target for target in targets if target.recording not in bare])
+    write_preview(folder, settings, targets, infos, warnings, options.hold_back, build, bare)
     identity = write_small_files(head, folder, targets, infos, warnings)
     refuse_large(folder)
     return PublishSummary(
@@ -225,6 +244,7 @@ def _pairs(
     folder: Path,
     passed: Gate,
     options: PublishOptions,
+    isolated: Isolated,
     found: list[Removed],
 ) -> tuple[dict[str, Published], list[str]]:
     """Write the pairs of each recording; what was published by id, and a line for each without a pair."""
@@ -232,7 +252,8 @@ def _pairs(
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
-        built = Built(settings, by_id[name], build / name, name in hidden_ids, most_named)
+        hidden, only = name in hidden_ids, isolated.views.get(name)
+        built = Built(settings, by_id[name], build / name, hidden, most_named, only)
         published = publish_recording(built, folder, found)
         if published is None:
             without_pair.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
@@ -258,10 +279,12 @@ def _write_texts(
     warnings: Sequence[str],
     options: PublishOptions,
     found: list[Removed],
+    isolated: Sequence[str],
 ) -> None:
     """Write datasheet, changelog, lineage and thresholds."""
     infos = {name: published.info for name, published in made.items()}
-    sheet = datasheet(settings, targets, infos, _color(settings, made), warnings, options.hold_back)
+    color = _color(settings, made)
+    sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)
     (folder / DATASHEET).write_text(sheet, encoding="utf-8")
     (folder / CHANGELOG).write_text(
         changelog_text(settings.publish.changelog, settings.name), encoding="utf-8"
@@ -277,11 +300,18 @@ def _write_texts(
         scrubbed_file(given, THRESHOLDS_JSON, found).write(folder)
 
 
-def _gives_away(settings: BenchmarkSettings, hold_back: Sequence[str]) -> list[str]:
-    """What the release shows that may be meant to stay hidden: people, and the size of held-back shapes."""
+def _gives_away(
+    settings: BenchmarkSettings,
+    hold_back: Sequence[str],
+    infos: Mapping[str, RecordingInfo],
+    isolated: Isolated,
+) -> list[str]:
+    """What the release shows that may be meant to stay hidden: people, and of held-back shapes what."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
+    if hold_back and not isolated.views and (line := rebuilt_line(infos)):
+        warnings.append(line)
     if hold_back and settings.pairs.framing == "object":
         warnings.append(
             "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
@@ -328,7 +358,7 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 
 
 def _public_settings(
-    settings: BenchmarkSettings, hold_back: Sequence[str], found: list[Removed]
+    settings: BenchmarkSettings, options: PublishOptions, found: list[Removed]
 ) -> dict[str, Any]:
     """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
 
@@ -339,8 +369,9 @@ def _public_settings(
         recording.pop("path")
         recording.pop("masks")
         recording["underside"] = settings.underside_of(own)
-        if recording["split"] in hold_back:
-            for key in SAID_OF_TRUTH:
+        if recording["split"] in options.hold_back:
+            said = set(recording) - set(SETTINGS_KEYS) if options.isolate else SAID_OF_TRUTH
+            for key in said:
                 recording.pop(key)
     clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
     # What people say of themselves here is meant to be read.

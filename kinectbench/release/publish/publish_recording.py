@@ -23,6 +23,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError
+from kinectbench.core.geometry import Camera
 from kinectbench.core.storage import write_below
 from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.core.voxels.pair_file import (
@@ -35,7 +36,14 @@ from kinectbench.core.voxels.pair_file import (
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH, own_floor, own_views, without_truth
+from kinectbench.release.publish.isolate import (
+    isolated_input,
+    isolated_view,
+    only_view,
+    write_isolated_images,
+)
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
+from kinectbench.release.publish.rebuilt import PosedView, read_posed_view, rebuilt
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 
@@ -49,6 +57,7 @@ class Built:
         folder: `build/<recording>/`.
         hidden: whether its truth is held back.
         most_named: of its files that lineage.json names one by one; of more it has one hash over all.
+        only: with `--isolate` the one view that is published, as the build names it; None: all of them.
     """
 
     settings: BenchmarkSettings
@@ -56,16 +65,50 @@ class Built:
     folder: Path
     hidden: bool
     most_named: int
+    only: str | None = None
+
+    @property
+    def isolated(self) -> bool:
+        """Whether nothing but one view is published of it."""
+        return self.hidden and self.only is not None
+
+    def built_name(self, view: str) -> str:
+        """What the build calls a view that is published."""
+        return view if self.only is None else self.only
 
     @cached_property
     def pairs(self) -> PairsFile:
         """Its pairs, and the views of which none was made; read once, as the other two."""
-        return PairsFile.read(self.folder / "pairs")
+        pairs = PairsFile.read(self.folder / "pairs")
+        if self.only is None:
+            return pairs
+        return PairsFile(pairs=only_view(pairs.pairs, self.only), refused=())
 
     @cached_property
     def views(self) -> ViewsFile:
         """Its views."""
-        return ViewsFile.read(self.folder / "views")
+        views = ViewsFile.read(self.folder / "views")
+        if self.only is None:
+            return views
+        return views.model_copy(update={"views": only_view(views.views, self.only), "refused": ()})
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The depth camera of all its views."""
+        return CameraFile.read(self.folder / "sequence").camera
+
+    @cached_property
+    def posed_views(self) -> dict[str, PosedView]:
+        """Its views with a pair, by the names that they are published under; isolated: the object alone."""
+        published = {row.view for row in self.pairs.pairs}
+        return {row.view: self._posed(row) for row in self.views.views if row.view in published}
+
+    def _posed(self, row: ViewRow) -> PosedView:
+        if row.T_world_camera is None:
+            raise ReleaseError(f"view {row.view}: views.json does not say its pose; build it again")
+        name = self.built_name(row.view)
+        view = read_posed_view(self.folder / "views", name, self.camera, row.T_world_camera)
+        return isolated_view(view) if self.isolated else view
 
     @cached_property
     def quality(self) -> QualityFile:
@@ -108,33 +151,36 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
         return None
     pairs = {view: _publish_pair(built, view, folder) for view in names}
     targets = tuple(target for target, _ in pairs.values())
-    _publish_object(built, folder, found)
+    if not built.isolated:
+        _publish_object(built, folder, found)
     has_color = _publish_views(built, targets, folder, found)
     unknown = tuple(view for view, (_, nothing_known) in pairs.items() if nothing_known and not built.hidden)
     info = _info(built, len(names), found)
     return Published(targets, info, _lineage(built, names), has_color, unknown)
 
 
-def _read_pair(settings: BenchmarkSettings, content: bytes, path: Path) -> Pair:
-    """A built pair from its file's bytes; one benchmark has one framing and one partial rule."""
-    pair = checked_pair(Pair, pair_values(content, str(path)), str(path))
+def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
+    """A built pair and its file's bytes; one benchmark has one framing and one partial rule."""
+    path = built.folder / "pairs" / f"{built.built_name(view)}.npz"
+    try:
+        content = pair_content(path)
+        pair = checked_pair(Pair, pair_values(content, str(path)), str(path))
+    except PairError as error:
+        raise ReleaseError(str(error)) from error
     for key in ("framing", "partial_rule"):
-        found, wanted = getattr(pair, key), getattr(settings.pairs, key)
+        found, wanted = getattr(pair, key), getattr(built.settings.pairs, key)
         if found != wanted:
             raise ReleaseError(f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again")
-    return pair
+    return content, pair
 
 
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
     """Write a pair as it was built, or its input alone; with whether nothing of its true shape is known."""
     recording = built.recording
-    source = built.folder / "pairs" / f"{view}.npz"
-    try:
-        content = pair_content(source)
-        pair = _read_pair(built.settings, content, source)
-    except PairError as error:
-        raise ReleaseError(str(error)) from error
-    if built.hidden:
+    content, pair = _read_pair(built, view)
+    if built.isolated:
+        content = pair_bytes(isolated_input(pair, built.posed_views[view]))
+    elif built.hidden:
         floor = FloorFile.read(built.folder / "object")
         content = pair_bytes(without_truth(pair, floor.T_floor_world))
     file = f"pairs/{recording.id}/{view}.npz"
@@ -177,21 +223,27 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found:
     (folder / name).mkdir(parents=True)
     has_color = False
     for view in (target.view for target in targets):
+        here = built.built_name(view)
+        color = source / f"{here}.color.jpg"
+        has_color |= color.is_file()
+        shown = color if built.settings.publish.color and color.is_file() else None
+        if built.isolated:
+            registered = shown if built.views.color_registered else None
+            write_isolated_images(built.posed_views[view], registered, folder / name)
+            continue
         for suffix in VIEW_IMAGES:
-            _copy_built(source / f"{view}{suffix}", folder / name / f"{view}{suffix}")
-        image = f"{view}.color.jpg"
-        has_color |= (source / image).is_file()
-        if built.settings.publish.color and (source / image).is_file():
-            data = scrubbed_jpeg(read_plain(source / image, IMAGE_BYTES), f"{name}/{image}", found)
-            (folder / name / image).write_bytes(data)
-    views = _with_pairs(built.views, built.folder / "sequence", targets)
+            _copy_built(source / f"{here}{suffix}", folder / name / f"{view}{suffix}")
+        if shown is not None:
+            image = f"{name}/{view}.color.jpg"
+            data = scrubbed_jpeg(read_plain(shown, IMAGE_BYTES), image, found)
+            (folder / image).write_bytes(data)
+    views = _with_pairs(built.views, built.camera, targets)
     _write(own_views(views) if built.hidden else views, folder, name, found)
     return has_color
 
 
-def _with_pairs(views: ViewsFile, sequence: Path, targets: Sequence[Target]) -> ViewsFile:
+def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
     """views.json with the camera of each view, all of a recording's are from one, and its pair's unknown."""
-    camera = CameraFile.read(sequence).camera
     more: dict[str, Any] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []
@@ -208,7 +260,7 @@ def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
-    return RecordingInfo(
+    info = RecordingInfo(
         object=recording.object_name,
         category=recording.category,
         split=recording.split,
@@ -218,6 +270,10 @@ def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
         license=built.settings.license_of(recording),
         source=built.settings.source_of(recording),
     )
+    if not built.hidden:
+        return info
+    bound = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
+    return info.model_copy(update={"rebuilt_iou": bound.iou, "rebuilt_single_iou": bound.single_iou})
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
@@ -232,7 +288,17 @@ def _write(stored: Stored, folder: Path, name: str, found: list[Removed]) -> Non
 
 
 def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
-    """Where the pairs of a recording come from; of a held-back one without its views and a given box."""
+    """Where the pairs of a recording come from; of a held-back one without its views and a given box.
+
+    Of an isolated one only who made it, and its licence.
+    """
+    if built.isolated:
+        return LineageRecording(
+            source=built.settings.source_of(built.recording),
+            license=built.settings.license_of(built.recording),
+            files={},
+            stages={},
+        )
     # A recording that is one file has no name below itself.
     files = {
         name or Path(built.recording.path).name: digest

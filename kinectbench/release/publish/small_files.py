@@ -76,6 +76,7 @@ class Head:
         citation: how it is cited.
         held_back: splits of which only the inputs are there.
         left_out: recording that was built and is not published -> why.
+        isolated: recordings of which one view is published.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Head:
     citation: CitationSettings = field(default_factory=CitationSettings)
     held_back: tuple[Split, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+    isolated: tuple[str, ...] = ()
 
 
 def write_small_files(
@@ -176,6 +178,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         "version": head.citation.version,
         "held_back": head.held_back,
         "left_out": dict(head.left_out),
+        "isolated": head.isolated,
     }
     return info.model_copy(update={key: value for key, value in there.items() if value})
 

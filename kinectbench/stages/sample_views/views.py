@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import MasksFile, Refused, ViewRow, ViewsFile
@@ -20,6 +19,7 @@ from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import MOST_MM, depth_in_mm, too_far_for_mm
+from kinectbench.core.images import png
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -199,7 +199,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
     def images(view: View) -> dict[str, bytes]:
         mask = view.mask.astype(np.uint8) * 255
-        return {**pictures_of(sequence, view.frame), "mask.png": _encode(".png", mask)}
+        return {**pictures_of(sequence, view.frame), "mask.png": png(mask)}
 
     for view, files in zip(views.views, ahead(images, views.views), strict=True):
         for name, data in files.items():
@@ -216,7 +216,7 @@ def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
     """What a view shows of a frame, by the ends of its files: depth (uint16 mm), colour if there is one."""
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
-    return {"depth.png": _encode(".png", depth_in_mm(sequence.depth_m(frame))), **color}
+    return {"depth.png": png(depth_in_mm(sequence.depth_m(frame))), **color}
 
 
 def _row(view: View) -> ViewRow:
@@ -343,9 +343,3 @@ def _jpeg(suffix: str, data: bytes) -> bytes:
         raise StorageError("a stored colour image is damaged; `kinectbench build --force` makes it again")
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     return bytes(encoded.tobytes())
-
-
-def _encode(suffix: str, image: NDArray[Any]) -> bytes:
-    import cv2
-
-    return bytes(cv2.imencode(suffix, image)[1].tobytes())

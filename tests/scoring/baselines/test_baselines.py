@@ -15,13 +15,14 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, pack, read_pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.baselines.counted import score_baselines
-from kinectbench.scoring.baselines.hull import extruded, filled_hull, silhouette
+from kinectbench.scoring.baselines.hull import extruded, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
 from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kinectbench.core.artefacts.method import TrainingFile
+from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.lab.synthesize.mesh_check import load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
-from kinectbench.scoring.baselines.hull import filled_hull
 from kinectbench.scoring.methods.config_file import find_config
 from kinectbench.scoring.methods.trained import folder_of, open_trained, packaged_methods
 from kinectbench.scoring.methods.validate import completed

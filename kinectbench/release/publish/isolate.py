@@ -1,0 +1,150 @@
+"""`publish --isolate`: of each object whose truth is held back one view, and nothing else that tells of it.
+
+Views of one object can be registered with each other, and together they are its shape. What the other views
+have told of the object, or of where this one was taken, is not published with it either: the floor, the pose,
+the background, the outline where the view has no depth, frames, stamps, hashes and settings.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from kinectbench.core import images
+from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewRow
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import Grid, invert_rigid
+from kinectbench.core.storage import write_below
+from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
+from kinectbench.core.voxels.seen_cells import seen_cells
+from kinectbench.release.publish.held_back import DECIMALS
+from kinectbench.release.publish.rebuilt import MM_PER_M, PosedView
+from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.words import listed
+
+Row = TypeVar("Row", PairRow, ViewRow)
+# Every isolated view has this name: the one it had says which in the order of the sampling it was.
+VIEW = "000"
+# What is said of the recording of an isolated view.
+SETTINGS_KEYS = ("id", "object", "category", "split", "license", "source")
+# Of the colour image, which is encoded again (own choice).
+JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Isolated:
+    """What `--isolate` publishes of the recordings whose truth is held back.
+
+    Attributes:
+        views: recording -> its one view, as the build names it.
+        left_out: recordings of the same objects, and those without a pair.
+    """
+
+    views: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    def lines(self) -> Iterator[str]:
+        """What whoever publishes is told."""
+        if self.left_out:
+            yield (
+                f"--isolate: {listed(self.left_out)} left out: one view of an object is published, which is "
+                "of another recording, or there is no pair"
+            )
+
+
+def refuse_framing(settings: BenchmarkSettings) -> None:
+    """Refuse pairs whose cube tells of the hidden part.
+
+    Raises:
+        SettingsError: the framing is `object`.
+    """
+    if settings.pairs.framing != "view":
+        raise SettingsError(
+            "--isolate: with pairs.framing 'object' the cube of a pair tells how long the shape is and where "
+            "its middle lies; set `pairs: {framing: view}` in benchmark.yaml (or `--set pairs.framing=view`)"
+        )
+
+
+def drawn(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
+    """Draw one view of each object, of all of its recordings, each with the same chance.
+
+    The draw is SHA-256 of `views.seed` and the object's name, so that other objects do not change it.
+
+    Args:
+        settings: the benchmark's.
+        build: holds a folder per recording.
+        recordings: ids of those whose truth is held back.
+    """
+    by_id, candidates = settings.by_id(), dict[str, list[tuple[str, str]]]()
+    for name in sorted(recordings):
+        views = sorted(row.view for row in PairsFile.read(build / name / "pairs").pairs)
+        candidates.setdefault(by_id[name].object_name, []).extend((name, view) for view in views)
+    chosen = dict[str, str]()
+    for thing, found in candidates.items():
+        if found:
+            number = int.from_bytes(sha256(f"{settings.views.seed} {thing}".encode()).digest())
+            recording, view = found[number % len(found)]
+            chosen[recording] = view
+    return Isolated(chosen, tuple(name for name in sorted(recordings) if name not in chosen))
+
+
+def only_view(rows: Sequence[Row], view: str) -> tuple[Row, ...]:
+    """The row of the one view that is published, under its public name."""
+    return tuple(row.model_copy(update={"view": VIEW}) for row in rows if row.view == view)
+
+
+def isolated_view(view: PosedView) -> PosedView:
+    """The view of the object alone: no depth beside the mask, and no mask where there is no depth.
+
+    The mask of a view also has what has no depth of the object as it was rebuilt of all views.
+    """
+    mask = view.mask & (view.depth_m > 0)
+    return replace(view, depth_m=np.where(mask, view.depth_m, np.float32(0)), mask=mask)
+
+
+def isolated_input(pair: Pair, view: PosedView) -> PairInput:
+    """The input of a pair in the camera's frame; `seen` is what the isolated view has seen.
+
+    Args:
+        pair: complete, of framing `view`.
+        view: isolated.
+    """
+    values = {key: getattr(pair, key) for key in INPUT_KEYS}
+    T_camera_grid = np.round(invert_rigid(pair.T_world_camera) @ pair.T_world_grid, DECIMALS) + 0.0  # no -0
+    own = Grid(pair.grid.shape, pair.voxel_size_m, T_camera_grid)
+    values |= {"T_world_camera": np.eye(4), "T_world_grid": T_camera_grid}
+    values |= {"seen": seen_cells(view.depth_m, view.camera, np.eye(4), own)}
+    return PairInput(**values)
+
+
+def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> None:
+    """Write depth and mask of an isolated view, and colour on the object, encoded again.
+
+    Args:
+        view: isolated.
+        color: its colour image; None, or one of another size than the depth: no colour is written.
+        folder: of the recording's views in the release.
+
+    Raises:
+        StorageError: the colour image is damaged.
+    """
+    depth_mm = np.rint(view.depth_m * MM_PER_M).astype(np.uint16)
+    write_below(folder / f"{VIEW}.depth.png", images.png(depth_mm))
+    write_below(folder / f"{VIEW}.mask.png", images.png(view.mask.astype(np.uint8) * 255))
+    pixels = None if color is None else images.read_color(color)
+    if pixels is not None and pixels.shape[:2] == view.mask.shape:
+        alone = np.where(view.mask[..., None], pixels, np.uint8(0))
+        write_below(folder / f"{VIEW}.color.jpg", images.jpeg(alone, JPEG_QUALITY))
+
+
+def isolated_line(isolated: Sequence[str]) -> str:
+    """What card and datasheet say of the isolated recordings."""
+    return (
+        f"Of each object whose truth is held back one view is published, named {VIEW}. It is drawn by "
+        "`views.seed`, and shows the object without its background. Its cube is fitted to it alone. Nothing "
+        "else is published of these recordings: no pose, floor, stamp, hash, setting of a stage or picture. "
+        f"They are {listed(isolated)}."
+    )
