@@ -19,7 +19,7 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import object_cube, partial_grids
+from kinectbench.core.voxels.view_grids import object_cube, partial_grids, view_cube
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.release.publish.publish import PublishSummary, publish
 
@@ -77,11 +77,14 @@ def surface_distance_m(category: str, points_floor: Float64) -> Float64:
     return np.where(outside > 0, outside, np.maximum(inside, 0))
 
 
-def true_pair(category: str, index: int, view: int, mesh: TriangleMesh) -> Pair:
+def true_pair(category: str, index: int, view: int, mesh: TriangleMesh, framing: str = "object") -> Pair:
     """Depth of whole millimetres, as a view's file holds it."""
     depth_m = np.rint(true_depth_m(category, view) * 1000).astype(np.float32) / np.float32(1000)
     T_world_camera = T_world_floor(index) @ T_floor_camera(view)
-    grid = object_cube(mesh.vertices, T_world_camera)
+    if framing == "object":
+        grid = object_cube(mesh.vertices, T_world_camera)
+    else:
+        grid = view_cube(CAMERA.backproject(depth_m)[depth_m > 0], T_world_camera)
     full = voxelize_solid(mesh.vertices, mesh.faces, grid)
     partial_256, partial = partial_grids(depth_m, CAMERA, T_world_camera, grid)
     return Pair(
@@ -96,12 +99,12 @@ def true_pair(category: str, index: int, view: int, mesh: TriangleMesh) -> Pair:
         K=CAMERA.K,
         voxel_size_m=grid.voxel_size_m,
         surface_sigma_m=0.001,
-        framing="object",
+        framing=framing,
         partial_rule="any",
     )
 
 
-def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
+def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS, framing: str = "object") -> None:
     """What publish reads, true to each other."""
     write_build(build, wanted)
     for index, (name, category, _, _, count) in enumerate(wanted):
@@ -117,7 +120,7 @@ def write_analytic_build(build: Path, wanted: Recordings = RECORDINGS) -> None:
         rows = []
         for number in range(count):
             view = f"{number:03d}"
-            pair = true_pair(category, index, number, mesh)
+            pair = true_pair(category, index, number, mesh, framing)
             depth_mm = np.rint(true_depth_m(category, number) * 1000).astype(np.uint16)
             (folder / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
             for suffix, image in (("depth", depth_mm), ("mask", (depth_mm > 0).astype(np.uint8) * 255)):
