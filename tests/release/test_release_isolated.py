@@ -141,6 +141,10 @@ def test_the_background_is_masked(parts: PublishSummary) -> None:
         color = cv2.imread(str(views / "000.color.jpg"))
         far = cv2.dilate(mask.astype(np.uint8), np.ones((33, 33))) == 0  # JPEG blocks are 16 pixels
         assert color[far].max() <= 2 and color[mask].mean() > 150
+        # No chunk of the PNG files tells of anything but the pixels.
+        for path in views.glob("*.png"):
+            content = path.read_bytes()
+            assert not any(chunk in content for chunk in (b"tEXt", b"iTXt", b"zTXt", b"tIME", b"eXIf"))
         pair = read_input(parts.folder / "pairs" / name / "000.npz")
         np.testing.assert_array_equal(pair.T_world_camera, np.eye(4))
         seen = unpack(pair.seen)
