@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from analytic_release import write_analytic_build
+from held_back_attack import measured
 from small_benchmark import Run, hashes
 from synthetic_release import Recordings, synthetic_settings
 
@@ -205,6 +206,13 @@ def test_a_view_alone_rebuilds_no_more_than_a_view(parts: PublishSummary, root: 
     line = next(line for line in shown.warnings if line.startswith("the public views of a held-back object"))
     assert "--isolate" in line and line in (shown.folder / "README.md").read_text()
     assert not any("registered with each other" in line for line in parts.warnings)
+
+
+def test_the_attack_gains_nothing_on_isolated_views(parts: PublishSummary) -> None:
+    assert parts.private is not None
+    figures = list(measured(parts.folder, parts.private, 2))
+    bars = [figure for figure in figures if figure.bar is not None]
+    assert len(bars) == 2 and all(figure.met for figure in bars)
 
 
 def test_verify_names_what_is_too_much(parts: PublishSummary, tmp_path: Path) -> None:
