@@ -206,7 +206,7 @@ def _write(
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     alone = tuple(sorted(isolated.views))
     _write_texts(settings, folder, made, targets, warnings, options, found, alone)
-    public = _public_settings(settings, options, found)
+    public = _public_settings(settings, options.hold_back, found, bool(options.isolate))
     privacy(_color(settings, made), found).write(folder)
     pairs = settings.pairs
     head = Head(
@@ -358,7 +358,7 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 
 
 def _public_settings(
-    settings: BenchmarkSettings, options: PublishOptions, found: list[Removed]
+    settings: BenchmarkSettings, hold_back: Sequence[str], found: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
     """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
 
@@ -369,8 +369,8 @@ def _public_settings(
         recording.pop("path")
         recording.pop("masks")
         recording["underside"] = settings.underside_of(own)
-        if recording["split"] in options.hold_back:
-            said = set(recording) - set(SETTINGS_KEYS) if options.isolate else SAID_OF_TRUTH
+        if recording["split"] in hold_back:
+            said = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH
             for key in said:
                 recording.pop(key)
     clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
