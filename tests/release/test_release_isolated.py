@@ -14,6 +14,7 @@ from analytic_release import write_analytic_build
 from held_back_attack import measured
 from small_benchmark import Run, hashes
 from synthetic_release import Recordings, synthetic_settings
+from test_release_forged import sealed
 
 from kinectbench.cli.publish import publish_options
 from kinectbench.core.artefacts.benchmark import PublishOptions, ReleaseInfo
@@ -222,6 +223,22 @@ def test_verify_names_what_is_too_much(parts: PublishSummary, tmp_path: Path) ->
         (public / file).parent.mkdir(parents=True)
         (public / file).write_text("{}")
         assert f"{file}: of a recording of which one view alone is published" in verify(public)
+
+
+def test_verify_compares_what_the_card_says_of_held_back_truth(
+    parts: PublishSummary, root: Path, tmp_path: Path
+) -> None:
+    public = Path(shutil.copytree(parts.folder, tmp_path / "isolated"))
+    sealed(public, lambda stated: stated.update(isolated=stated["isolated"][:-1]))
+    assert any("`isolated` of benchmark.json" in line for line in verify(public))
+    options = publish_options(settings_of(), ["test"], None)
+    shown = publish(settings_of(), root / "build", tmp_path / "benchmark", NAMES, options).folder
+    assert verify(shown) == []
+    held = [name for name, info in ReleaseInfo.read(shown).recordings.items() if info.rebuilt_iou is not None]
+    for key in ("rebuilt_iou", "rebuilt_single_iou"):
+        forged = Path(shutil.copytree(shown, tmp_path / key))
+        sealed(forged, lambda stated, key=key: [stated["recordings"][n].update({key: 0.01}) for n in held])
+        assert any("`rebuilt_iou` of benchmark.json" in line for line in verify(forged))
 
 
 def test_what_cannot_be_isolated() -> None:

@@ -45,6 +45,8 @@ from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown
 from kinectbench.release.publish.gate import left_out_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
+from kinectbench.release.publish.isolate import isolated_line
+from kinectbench.release.publish.rebuilt import rebuilt_line
 from kinectbench.release.publish.schemas import schema_problems
 from kinectbench.release.publish.view_pictures import row_picture, rows_text
 from kinectbench.settings.yaml_nodes import compose, items
@@ -202,6 +204,20 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
         rows = f"{card.figures(metadata)}\n{card.origins_table(metadata.recordings)}"
         yield from _missing(text, rows, f"the row '{{}}' of {BENCHMARK_JSON}")
         yield from _gate_missing(text, metadata)
+        yield from _held_back_missing(text, metadata)
+
+
+def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
+    """What the card does not say of held-back truth, and benchmark.json does."""
+    if not metadata.held_back:
+        return
+    said = {
+        "isolated": isolated_line(metadata.isolated) if metadata.isolated else None,
+        "rebuilt_iou": None if metadata.isolated else rebuilt_line(metadata.recordings),
+    }
+    for key, line in said.items():
+        if line and line not in text:
+            yield f"says otherwise than `{key}` of {BENCHMARK_JSON}"
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
