@@ -40,7 +40,7 @@ VERSIONS: dict[str, int] = {
     "publish": 32,
     "synthesize": 2,
     "score": 6,
-    "baselines": 2,
+    "baselines": 3,
 }
 
 

@@ -111,7 +111,7 @@ def test_who_is_drawn() -> None:
 
 @pytest.mark.parametrize("what", ["iou", "base rate"])
 def test_forged_baselines_are_made_anew(release: Release, tmp_path: Path, what: str) -> None:
-    without = ("hull", "mirror", "silhouette", "mean-shape", "nearest", "base-rate")
+    without = ("hull", "carved-hull", "mirror", "silhouette", "mean-shape", "nearest", "base-rate")
     first = baselines_beside(release, tmp_path, protocols=("paper",), without=without)
     path = tmp_path / "baselines/partial/scores.json"
     honest = path.read_bytes()

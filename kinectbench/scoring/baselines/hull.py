@@ -1,10 +1,11 @@
-"""What the partial bounds: its convex hull, and its silhouette extruded away from the camera."""
+"""What the view bounds: its convex hull, carved or not, and its silhouette extruded away from the camera."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.convex_hull import filled_hull
+from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.scoring.baselines.inputs import Inputs
 
 PIXELS = 512
@@ -19,6 +20,15 @@ def hull(inputs: Inputs) -> Bools:
     Source: own rule.
     """
     return filled_hull(inputs.partial)
+
+
+def carved_hull(inputs: Inputs) -> Bools:
+    """The convex hull of `partial_256` without what the view saw to be empty: (256, 256, 256) bool.
+
+    What one view alone tells for certain: a visual hull (Laurentini, TPAMI 1994) of depth.
+    """
+    carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
+    return carved
 
 
 def silhouette(inputs: Inputs) -> Bools:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import unpack
-from kinectbench.scoring.baselines.hull import hull, silhouette
+from kinectbench.scoring.baselines.hull import carved_hull, hull, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs
 from kinectbench.scoring.baselines.mirror import mirror
 from kinectbench.scoring.truth import read_parts
@@ -65,6 +65,7 @@ BASELINES: Mapping[str, Baseline] = {
     BASE_RATE: constant,
     "partial": partial,
     "hull": hull,
+    "carved-hull": carved_hull,
     "mirror": mirror,
     "silhouette": silhouette,
     "mean-shape": mean_shape,

@@ -22,7 +22,7 @@ from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.baselines.counted import score_baselines
-from kinectbench.scoring.baselines.hull import extruded, silhouette
+from kinectbench.scoring.baselines.hull import carved_hull, extruded, hull, silhouette
 from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
 from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
@@ -155,11 +155,19 @@ def test_baselines_say_which_release_they_are_for(few: Release, written: Path, t
 
 def test_unknown_baseline(release: Release, tmp_path: Path) -> None:
     with pytest.raises(
-        SettingsError, match="no baseline 'hul': choose among empty, base-rate, partial, hull, mirror"
+        SettingsError,
+        match="no baseline 'hul': choose among empty, base-rate, partial, hull, carved-hull, mirror",
     ):
         write_baselines(release, tmp_path, ["hul"])
     with pytest.raises(SettingsError, match="nearest: needs training pairs"):
         write_baselines(release, tmp_path, ["nearest"])
+
+
+def test_the_carved_hull_has_nothing_that_was_seen_to_be_empty() -> None:
+    whole, carved = hull(inputs()), carved_hull(inputs())
+    surface, seen = unpack(PAIR.partial_256), unpack(PAIR.seen)
+    assert not (carved & seen & ~surface).any() and not (surface & ~carved).any()
+    assert not (carved & ~whole).any()
 
 
 def test_silhouette_of_a_plate_is_a_pyramid() -> None:
@@ -359,7 +367,7 @@ def test_baselines_beside_are_kept(few: Release, tmp_path: Path) -> None:
     def made(protocols: list[str]) -> int:
         """How many pairs are counted."""
         calls.clear()
-        dear = ["hull", "mirror", "silhouette"]
+        dear = ["hull", "carved-hull", "mirror", "silhouette"]
         told = {"progress": lambda done, _: calls.append(done)}
         baselines_beside(few, tmp_path, protocols=protocols, without=dear, **told)
         return len(calls)
