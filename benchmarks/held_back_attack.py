@@ -36,7 +36,7 @@ from kinectbench.scoring.baselines.inputs import Inputs, up_in_grid
 from kinectbench.scoring.baselines.registry import BASELINES
 
 # Those of one view alone, and neither constant nor learnt.
-SINGLE = ("partial", "hull", "mirror", "silhouette")
+SINGLE = ("partial", "hull", "carved-hull", "mirror", "silhouette")
 # A single view's best plus this is what an attack on an isolated object may reach.
 MARGIN = 0.02
 # Turns about the vertical that are tried, and the distances over which ICP joins points, coarse to fine: of
