@@ -117,11 +117,11 @@ def started(kind: str, port: int) -> Callable[[Path], None]:
     return make
 
 
-# `gc` lists up to 20 million objects, of a store that one writes to oneself: it is no case.
 LISTING = (
     "verify s3://b/benchmark",
     "verify --checksums s3://b/benchmark",
     "build --config s3://b/lab/benchmark.yaml --jobs 1",
+    "gc --config s3://b/lab/benchmark.yaml",
 )
 CREDENTIALS = {
     **{"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_REGION": "us-east-1"},

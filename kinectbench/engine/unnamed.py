@@ -13,8 +13,6 @@ from kinectbench.engine.stored_stage import ARCHIVE, files_folder
 
 # What is younger may be of a run that goes on, on a machine whose clock is wrong by hours (own choice).
 YOUNG_S = 86_400.0
-# A benchmark of ten thousand recordings has a fortieth of this (own choice).
-MOST_OBJECTS = 20_000_000
 
 _STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))
 _ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
@@ -34,7 +32,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
         StorageError: a manifest is damaged, or the store fails.
     """
     folders: dict[str, list[StoredObject]] = {}
-    for each in store.objects("build", MOST_OBJECTS):
+    for each in store.objects("build"):
         if match := _ARTEFACT.fullmatch(each.name):
             folders.setdefault(match[1], []).append(each)
     now = time.time()

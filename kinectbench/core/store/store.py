@@ -38,7 +38,7 @@ PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
 AT_ONCE = 8
 # Calls that wait for a thread (own choice): each is 1.7 kB in memory.
 WAITING = 256
-# Objects of one listing, a recording's four million frames and more (own choice); a kilobyte each in memory.
+# Objects of one listing: twice those of a benchmark of ten thousand recordings; 500 bytes each in memory.
 MOST_OBJECTS = 1_000_000
 # A file of a recording or of a stage (own choice: S3's bound of one object is 5 TB, no recording's is near).
 MOST_OBJECT_BYTES = 1 << 40
