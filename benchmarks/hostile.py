@@ -2,9 +2,9 @@
 
     python benchmarks/hostile.py [--only WORDS] [--keep FOLDER]
 
-A case is ok if the command ends with a status that README.md lists, says at most one line of errors (those
-that name everything, a few), writes nothing but its output, and takes no more than 10 s of a processor and
-500 MB. Linux only: memory is asked of the kernel.
+A case is ok if the command ends with a status that docs/commands.md lists, says at most one line of errors
+(those that name everything, a few), writes nothing but its output, and takes no more than 10 s of a processor
+and 500 MB. Linux only: memory is asked of the kernel.
 """
 
 import argparse

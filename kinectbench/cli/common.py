@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kinectbench.engine.shards import Shard
     from kinectbench.settings.models import BenchmarkSettings
 
-# Exit statuses, as README.md lists them.
+# Exit statuses, as docs/commands.md lists them.
 CANNOT_BE_USED = 1
 SOME_FAILED = 3
 # Parameters of commands, beside the shared ones, that may be URLs.

@@ -111,8 +111,8 @@ def test_help_groups_the_commands_in_the_order_of_use(tmp_path: Path) -> None:
     assert [head for head in heads if head in expected] == expected
 
 
-def test_the_readme_lists_the_same_groups() -> None:
-    lines = (Path(__file__).parents[2] / "README.md").read_text().splitlines()
+def test_the_page_lists_the_same_groups() -> None:
+    lines = (Path(__file__).parents[2] / "docs/commands.md").read_text().splitlines()
     for panel, commands in PANELS.items():
         start = lines.index(f"| {panel.lower()} | |")
         cells = [line.split("|")[1] for line in lines[start + 2 : lines.index("", start)]]
