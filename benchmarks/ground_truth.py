@@ -1,7 +1,7 @@
 """The ground truth against the truth: simulated furniture, tracked, fused, made solid, paired.
 
 Seeds 28 to 30 are held out: nothing was chosen with them in view. What the others decided stands in
-docs/ground-truth.md.
+docs/evidence/ground-truth.md.
 Builds that lie in --build are brought up to date and measured; recordings are simulated
 where they are missing. All of it takes hours; --objects and --only choose.
 """

@@ -1,7 +1,7 @@
 """What each rule of the solid earns: every one left out in turn, on the objects that `known.py` has built.
 
 A row for each rule: how the mean over the objects changes without it. Rules are chosen on the families that
-may be looked at; the table in docs/ground-truth.md is of those that are only reported.
+may be looked at; the table in docs/evidence/ground-truth.md is of those that are only reported.
 """
 
 import argparse
