@@ -13,12 +13,10 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
-    from kinectbench.core.artefacts.benchmark import ReleaseInfo
     from kinectbench.engine.executor import Executor
     from kinectbench.engine.pipeline import Outcome
     from kinectbench.engine.stages import Job
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
-    from kinectbench.release.publish.publish import PublishSummary
     from kinectbench.release.release import Release
 
 # Rows of the table of `build` and of `build --status`: more of them nobody reads (own choice).
@@ -312,49 +310,44 @@ def need_some(rows: "list[BuiltRecording]") -> list[str]:
 
 
 def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
-    """The release named, or the one of the benchmark here, built and published first if need be.
+    """The release named, or the one that lies here; where none does, it is built and published now.
+
+    A release that was there before is read as it is: only `publish` writes over it.
 
     Returns:
-        The release, and what `build_recordings` returned for it.
+        The release, and what `build_recordings` returned for it; nothing where the release was there.
     """
     from kinectbench.cli import console
-    from kinectbench.release.publish.current import publish_if_stale
+    from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
+    from kinectbench.release.publish.current import is_current, publish_if_stale, scoring_folder
     from kinectbench.release.release import open_release
 
     if common.benchmark is not None:
         return open_release(release_here(common.benchmark)), []
+    settings, folder = common.settings, common.root / "benchmark"
+    if (folder / BENCHMARK_JSON).is_file():
+        release = open_release(scoring_folder(common.root))
+        if not is_current(settings, common.root):
+            _tell_used(folder, release)
+        return release, []
     rows = build_recordings(common, None, "pairs", told=True)
-    waiting = partial(console.waiting, "publish")
     published = publish_if_stale(
-        common.settings, common.root, need_some(rows), waiting=waiting, again=_tell_again
+        settings, common.root, need_some(rows), waiting=partial(console.waiting, "publish")
     )
     return open_release(published.scoring), rows
 
 
-def _tell_again(before: "ReleaseInfo | None", now: "PublishSummary") -> None:
-    """One line: the release that lay here has another in its place, and what changed."""
+def _tell_used(folder: Path, release: "Release") -> None:
+    """One line: which release is used, though settings or what is built have changed since."""
     from kinectbench.cli import console
-    from kinectbench.settings.words import listed
 
-    line = f"{now.folder}: published again, as the settings or what was built changed: "
-    pairs = f"{now.pairs} pairs of {_counted(len(now.recordings))} now"
-    if before is None:
-        console.lines("note", [f"{line}what lay there cannot be read, {pairs}"], "cyan")
-        return
-    was = before.recordings
-    line += f"{sum(row.pairs for row in was.values())} pairs of {_counted(len(was))} before, {pairs}"
-    for word, names in (
-        ("new", [name for name in now.recordings if name not in was]),
-        ("gone", [name for name in was if name not in now.recordings]),
-    ):
-        line += f"; {word}: {listed(names)}" if names else ""
-    if before.benchmark_sha256 == now.benchmark_sha256:
-        line += "; benchmark_sha256 is the same"
+    recordings = len(release.metadata.recordings)
+    counted = f"{len(release.targets)} pairs of {recordings} recording{'s' * (recordings != 1)}"
+    line = (
+        f"{folder}: used as it was published, {counted}; settings or what is built have changed since: "
+        "`kinectbench publish` publishes it again"
+    )
     console.lines("note", [line], "cyan")
-
-
-def _counted(recordings: int) -> str:
-    return f"{recordings} recording{'s' * (recordings != 1)}"
 
 
 def release_here(benchmark: Path) -> Path:

@@ -35,6 +35,8 @@ def report(
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
 
+    if common.benchmark is not None and ids:
+        raise SettingsError(f"report {' '.join(ids)}: with --benchmark the page is of the whole release")
     if common.benchmark is None:  # before the benchmark is built
         for path in find_scores(scores or ()):
             read_table(path)

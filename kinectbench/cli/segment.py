@@ -24,7 +24,9 @@ def segment(
     pick: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="NUMBER", help="write this box of --suggest to benchmark.yaml; name one recording"
+            min=1,
+            metavar="NUMBER",
+            help="only write this box of --suggest to benchmark.yaml; name one recording",
         ),
     ] = None,
     carry_masks: Annotated[
@@ -42,8 +44,7 @@ def segment(
     if suggest:
         return _suggest(common, ids)
     if pick is not None:
-        _pick(common, ids, pick)
-        common = replace(common)  # the settings have changed
+        return _pick(common, ids, pick)
     return run_stage(common, "segment", ids)
 
 
@@ -115,8 +116,11 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
     console.say(f"`kinectbench segment {recording} --pick NUMBER` writes one to benchmark.yaml")
 
 
-def _pick(common: Common, ids: list[str] | None, number: int) -> None:
-    """Write the box of a candidate that was listed before to benchmark.yaml, or to where the recording is."""
+def _pick(common: Common, ids: list[str] | None, number: int) -> int:
+    """Write the box of a candidate that was listed before to benchmark.yaml, or to where the recording is.
+
+    Nothing is built: `build` does that, with the options that it offers.
+    """
     from kinectbench.core.storage import replaced_file
     from kinectbench.core.untrusted import read_plain_text
     from kinectbench.engine.pipeline import listed_box
@@ -130,3 +134,6 @@ def _pick(common: Common, ids: list[str] | None, number: int) -> None:
     text = with_box(read_plain_text(path), str(path), ids[0], box)
     with replaced_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+    said = f"wrote box {number} of {ids[0]} to {path}; `kinectbench build {ids[0]}` uses it"
+    common.tell({"recording": ids[0], "box": box.json_value(), "file": str(path)}, [said])
+    return 0

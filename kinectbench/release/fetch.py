@@ -108,7 +108,7 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     Raises:
         ReleaseError: there is no release, it is damaged, a file is not the published one, or the folder
             holds something else.
-        SettingsError: the part has no pair.
+        SettingsError: the part has no pair, or none of one of its categories.
         StorageError: the store fails.
     """
     store = release_store(url)
@@ -119,10 +119,13 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
         raise ReleaseError(_changed(store, BENCHMARK_JSON))
     _refuse_other(out, text)
     table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
-    targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), part or Part())
-    if not targets:
+    wanted = part or Part()
+    targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), wanted)
+    absent = sorted(set(wanted.categories) - {target.category for target in targets})
+    if absent or not targets:
+        named = f" ({printable(', '.join(absent))})" if absent else ""
         raise SettingsError(
-            f"{store.place()}: no pair of that split and category; its {TARGETS_CSV} lists all"
+            f"{store.place()}: no pair of that split and category{named}; its {TARGETS_CSV} lists all"
         )
     names = wanted_names(sums, targets, part)
     # Whoever finds all of it waits for nobody: many read one folder.

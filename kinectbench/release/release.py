@@ -1,7 +1,7 @@
 """Open a published benchmark: its targets and what `benchmark.json` says. See contents.py for the files."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +54,20 @@ class Release:
     def split(self, name: str) -> tuple[Target, ...]:
         """The targets of one split, in the order of targets.csv."""
         return tuple(target for target in self.targets if target.split == name)
+
+    def of_splits(self, names: Sequence[str]) -> tuple[Target, ...]:
+        """The targets of some splits, those of the first split first; at least one.
+
+        Raises:
+            SettingsError: no pair is of any of these splits.
+        """
+        found = tuple(target for name in names for target in self.split(name))
+        if not found:
+            there = " and ".join(sorted({target.split for target in self.targets})) or "no split"
+            raise SettingsError(
+                f"{shown(self.folder)}: no pair of the {' or '.join(names)} split; its pairs are of {there}"
+            )
+        return found
 
     def open_split(self, name: str) -> tuple[Target, ...]:
         """The targets of one split whose truth is here; none of a split that is held back."""

@@ -146,9 +146,12 @@ def _grid(file: IO[bytes], suffix: str) -> Prediction:
         entries = archive.infolist()
         if {entry.filename for entry in entries} == {CODES + NPY, LEVELS + NPY}:
             return _decoded(archive)
-        if len(entries) != 1:
+        names = [entry.filename.removesuffix(NPY) for entry in entries]
+        if len(names) != 1 or names[0] in (CODES, LEVELS):
+            held = printable(", ".join(names), 60) or "none"
             raise PredictionError(
-                f"{len(entries)} arrays in the npz: it must hold exactly one, or {CODES} and {LEVELS}"
+                f"holds {len(names)} array{'s' * (len(names) != 1)} ({held}): it must hold exactly one "
+                f"prediction, or {CODES} and {LEVELS}"
             )
         return _checked(_read(archive, entries[0].filename, _check_claims))
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -135,21 +136,26 @@ def test_score_publishes_first_and_writes_the_page(command: Command, scored: Pat
     assert (root / "benchmark" / "benchmark.json").stat().st_mtime_ns == stamp, "published again for nothing"
 
 
-def test_a_release_that_is_published_again_is_told(command: Command, scored: Path, tmp_path: Path) -> None:
-    """By every command that brings it up to date first, and only where it took another's place."""
+def test_a_release_that_is_there_is_used_as_it_is(command: Command, scored: Path, tmp_path: Path) -> None:
+    """Only `publish` writes over a release: the others say which one they use, if it is not today's."""
     root = copied(scored, tmp_path / "b", "benchmark.yaml", "recordings", "build", "predictions")
     assert command(root, "publish", "chair").status == 0
+    before = hashes(root / "benchmark")
     told = command(root, "export", "out", "--json")
     assert told.status == 0, told.err
     pairs = json.loads(told.out)["pairs"]
-    (line,) = [line for line in told.err.splitlines() if "published again" in line]
-    assert line.startswith("note: ") and "pairs of 1 recording before" in line
-    assert f"{pairs} pairs of 2 recordings now; new: table" in line and "gone" not in line
-    assert "published again" not in command(root, "check", "predictions/hull").err
-    again = command(root, "check", "predictions/hull", "--set", "license=CC0-1.0")
-    assert "published again" in again.err and "new" not in again.err.split("recordings now")[1]
+    said = f"note: benchmark: used as it was published, {pairs} pairs of 1 recording; settings or what is built"
+    assert told.err.startswith(said) and told.err.endswith("`kinectbench publish` publishes it again\n")
+    shutil.rmtree(root / "build/table")  # nor is anything built
+    for words in (("check", "predictions/hull"), ("score", "predictions/hull", "--jobs", "1", *PLAIN)):
+        assert "used as it was published" in command(root, *words, "--set", "fusion.voxel_size_m=0.02").err
+    assert command(root, "baseline", "empty").status == 0 and not (root / "build/table").exists()
+    assert hashes(root / "benchmark") == before
+    assert command(root, "publish").status == 0 and hashes(root / "benchmark") != before
+    assert command(root, "export", "out", "--json").err == ""
     (root / "benchmark/benchmark.json").write_text("{}")
-    assert "what lay there cannot be read" in command(root, "check", "predictions/hull").err
+    unread = command(root, "check", "predictions/hull")
+    assert (unread.status, unread.err.count("\n")) == (1, 1) and "benchmark/benchmark.json" in unread.err
 
 
 def test_scores_of_another_benchmark_are_left_out_of_the_page(
@@ -162,6 +168,7 @@ def test_scores_of_another_benchmark_are_left_out_of_the_page(
     (root / "scores" / "scores.json").rename(root / "scores" / "old" / "scores.json")
     with (root / "benchmark.yaml").open("a") as file:
         file.write("license: CC0-1.0\n")
+    assert command(root, "publish").status == 0
     result = command(root, "score", "predictions/empty", "--jobs", "1", *PLAIN)
     assert result.status == 0
     assert "scores/old/scores.json: scores of another benchmark, left out" in result.err

@@ -40,9 +40,12 @@ def test_suggest_and_pick(command: Command, one: Path) -> None:
     assert leftovers(one) == []
 
     picked = command(one, "segment", "chair", "--pick", "1")
-    assert picked.status == 0, picked.err
+    assert (picked.status, picked.progress) == (0, ()), picked
+    assert picked.out == "wrote box 1 of chair to benchmark.yaml; `kinectbench build chair` uses it\n"
+    assert hashes(one / "build/chair") == after, "--pick writes a box, and runs no stage"
     recordings = yaml.safe_load((one / "benchmark.yaml").read_text())["recordings"]
     assert recordings[0]["box"] == found[0]["box"] and "box" not in recordings[1]
+    assert command(one, "segment", "chair").status == 0
     quality = json.loads((one / "build/chair/object/quality.json").read_text())
     assert quality["selection"] == "box"
 

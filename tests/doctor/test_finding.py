@@ -1,11 +1,13 @@
 """The doctor's figures in words."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 from small_benchmark import Run
 
-from kinectbench.doctor.finding import figures
+from kinectbench.doctor.finding import Diagnosis, Finding, figures
+from kinectbench.doctor.page import write_page
 
 CHAIR = Path(__file__).parents[2] / "recordings" / "chair_01"
 
@@ -53,3 +55,16 @@ def test_terminal_and_page_say_the_same(command: Callable[..., Run], tmp_path: P
         assert line in said.out.splitlines() and f"<dt>{name}</dt><dd>{value}</dd>" in html
     for text in (said.out, html):
         assert "True" not in text and "False" not in text and "{&#39;" not in text and "{'" not in text
+
+
+def test_findings_of_the_page_are_one_column(tmp_path: Path) -> None:
+    """A table squeezed advice to a word a line at 400 px: each finding is a block, advice below what it is of."""
+    found = (
+        Finding("depth_scale", "stops", "the scale is 5000", "depth/0.png", "put 256"),
+        Finding("no_trajectory", "note", "no trajectory", "."),
+    )
+    write_page(Diagnosis({"path": "a"}, found), None, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text().split("<h2>Findings</h2>")[1].split("<h2>")[0]
+    assert "<table" not in text
+    said = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text)).strip()
+    assert said == "stops depth_scale the scale is 5000 What to do: put 256 note no_trajectory no trajectory"

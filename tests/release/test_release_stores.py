@@ -328,6 +328,9 @@ def test_fetch_and_score_by_url(
     assert cached_release(web) == tmp_path / "cache" / "releases" / release.benchmark_sha256
     bad = command(tmp_path, "fetch", web, "--split", "all")
     assert bad.status == 2 and "--split all: choose among" in bad.err
-    none = command(tmp_path, "fetch", web, "--category", "unicorn", "--out", "none")
-    assert none.status == 2 and "no pair of that split and category" in none.err
+    # Also beside a category that is there.
+    for words in (("unicorn",), ("chair", "--category", "unicorn")):
+        none = command(tmp_path, "fetch", web, "--category", *words, "--out", "none")
+        assert none.status == 2 and "no pair of that split and category (unicorn);" in none.err
+        assert not (tmp_path / "none").exists()
     assert command(tmp_path, "fetch", f"{web}/none").status == 1

@@ -109,5 +109,18 @@ def test_packed_files_of_others(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found, levels[codes])
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("more.npy", b"")
-    with pytest.raises(PredictionError, match=r"3 arrays in the npz: .* exactly one, or codes and levels"):
+    with pytest.raises(PredictionError, match=r"holds 3 arrays \(codes, levels, more\): .* codes and levels"):
         load_prediction(path)
+
+
+def test_one_array_of_a_packed_prediction_is_none(tmp_path: Path) -> None:
+    """Codes without levels, and levels without codes: the line names both keys."""
+    path = tmp_path / "000.npz"
+    for arrays in ({CODES: GOOD_CODES}, {LEVELS: GOOD_LEVELS}):
+        path.write_bytes(npz_bytes(arrays))
+        with pytest.raises(PredictionError) as caught:
+            load_prediction(path, "chair_01/000")
+        assert str(caught.value) == (
+            f"chair_01/000: holds 1 array ({next(iter(arrays))}): it must hold exactly one prediction, or codes "
+            "and levels"
+        )

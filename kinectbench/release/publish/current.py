@@ -24,7 +24,6 @@ def publish_if_stale(
     *,
     wait: bool = True,
     waiting: Callable[[str], None] | None = None,
-    again: Callable[[ReleaseInfo | None, PublishSummary], None] | None = None,
 ) -> PublishSummary:
     """Publish `build/` as `benchmark/`, unless that is what lies there already.
 
@@ -36,8 +35,6 @@ def publish_if_stale(
         options: what is asked for beyond the settings; None: what was asked for last time.
         wait: whether to wait for another run in this benchmark.
         waiting: called with who holds it, before waiting.
-        again: called where a release took the place of another, with what that was (None: it cannot be
-            read) and what is published now.
 
     Raises:
         ReleaseError: nothing was built, or `benchmark/` holds something else.
@@ -57,15 +54,12 @@ def publish_if_stale(
         wanted = _fingerprint(settings, build, recordings, asked)
         summary = None if force else _published(stamp, out, wanted)
         if summary is None:
-            there, before = (out / ReleaseInfo.FILE).is_file(), _release_there(out)
             summary = publish(settings, build, out, recordings, asked)
             with replaced_file(build / PublishStamp.FILE) as temporary:
                 facts = {key: fact for key, fact in vars(summary).items() if key not in ("folder", "private")}
                 temporary.write_text(
                     PublishStamp(fingerprint=wanted, options=asked, **facts).text(), encoding="utf-8"
                 )
-            if there and again is not None:
-                again(before, summary)
     return summary
 
 
@@ -79,6 +73,13 @@ def already_published(
     return _published(stamp, out, _fingerprint(settings, build, recordings, asked))
 
 
+def is_current(settings: BenchmarkSettings, root: Path) -> bool:
+    """Whether `benchmark/` is what `publish_if_stale` would write of all that is built; nothing is built."""
+    pairs = [root / "build" / recording.id / "pairs" for recording in settings.recordings]
+    names = [folder.parent.name for folder in pairs if (folder / Manifest.FILE).is_file()]
+    return already_published(settings, root, names, None) is not None
+
+
 def scoring_folder(root: Path) -> Path:
     """The release below `root` that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
     out = root / "benchmark"
@@ -90,13 +91,6 @@ def scoring_folder(root: Path) -> Path:
     except ReleaseError:  # whoever opens it will say so
         pass
     return out
-
-
-def _release_there(out: Path) -> ReleaseInfo | None:
-    """What benchmark.json of a release says; None: it is not there, or cannot be read."""
-    with contextlib.suppress(ReleaseError):
-        return ReleaseInfo.read(out)
-    return None
 
 
 def _fingerprint(

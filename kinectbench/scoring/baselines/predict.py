@@ -112,11 +112,12 @@ def write_baselines(
         The names written.
 
     Raises:
-        SettingsError: no such baseline, or one that learns without training pairs.
+        SettingsError: no such baseline, one that learns without training pairs, or no pair to predict.
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
     check_names(names or ())
+    release.of_splits(SPLITS)  # there is something to predict
     possible = possible_baselines(release)
     chosen = tuple(names or possible)
     blind = [name for name in chosen if name not in possible]

@@ -1,8 +1,8 @@
 """3D-EPN: from a partial view to occupancy at 32^3.
 
 Source: Dai et al., Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis, CVPR 2017, without
-its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua`, described and written
-anew. The paper that is compared with here used occupancy in the place of distances: one channel in, one out,
+its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`, described
+and written anew. The paper that is compared with here used occupancy in the place of distances: one channel in, one out,
 by cross-entropy.
 """
 
@@ -10,13 +10,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinectbench.scoring.methods.layers import KERNEL, narrowed, xavier
+from kinectbench.scoring.methods.layers import KERNEL, narrowed
 from kinectbench.scoring.methods.network import Network
 
 # As in epn-unet.lua: side of input and output, channels of the first layer (`nf`), slope of the leaky ReLU.
 CELLS = 32
 CHANNELS = 80
 SLOPE = 0.2
+# Of batch normalisation, as in nnutil.lua (`batchNormEps`): PyTorch's own would be 1e-5.
+EPSILON = 1e-3
 
 
 class EPN(Network):
@@ -46,9 +48,22 @@ class EPN(Network):
                 nn.ConvTranspose3d(2 * n, 1, KERNEL, stride=2, padding=1),
             ]
         )
-        self.norms_down = nn.ModuleList(nn.BatchNorm3d(k * n) for k in (2, 4, 8))
-        self.norms_up = nn.ModuleList(nn.BatchNorm3d(k * n) for k in (4, 2, 1))
-        xavier(self)
+        self.norms_down = nn.ModuleList(nn.BatchNorm3d(k * n, eps=EPSILON) for k in (2, 4, 8))
+        self.norms_up = nn.ModuleList(nn.BatchNorm3d(k * n, eps=EPSILON) for k in (4, 2, 1))
+        self._initialise()
+
+    def _initialise(self) -> None:
+        """Weights and biases uniform within 1 / sqrt(inputs of a value), scales of normalisation within [0, 1].
+
+        Source: the modules of Torch7 that the source uses, whose `reset` it does not change.
+        """
+        for layer in self.modules():
+            if isinstance(layer, nn.BatchNorm3d):
+                nn.init.uniform_(layer.weight)
+            elif isinstance(layer, nn.Linear):
+                _uniform(layer, layer.in_features)
+            elif isinstance(layer, nn.Conv3d | nn.ConvTranspose3d):
+                _uniform(layer, layer.in_channels * KERNEL**3)
 
     def forward(self, partial: Tensor) -> Tensor:
         """Logits of occupancy, (b, 1, 32, 32, 32), of partial views of the same shape."""
@@ -75,6 +90,12 @@ class EPN(Network):
         return self.parameter_count - sum(
             values.numel() for norm in (*self.norms_down, *self.norms_up) for values in norm.parameters()
         )
+
+
+def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> None:
+    bound = inputs**-0.5
+    for values in layer.parameters():
+        nn.init.uniform_(values, -bound, bound)
 
 
 def _normalised(norm: nn.Module, x: Tensor) -> Tensor:

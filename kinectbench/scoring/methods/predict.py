@@ -69,13 +69,14 @@ def predict(
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
-        SettingsError: the folder holds predictions for another release, or none that `predict` wrote.
+        SettingsError: no pair is of these splits, or the folder holds predictions for another release, or none
+            that `predict` wrote.
         StorageError: the disk is full or read-only.
     """
+    wanted = release.of_splits([split for split in SPLITS if split in splits])
     folder = out / trained.config.name
     make_folder(folder)
     run = run_of(trained, release, threshold, precision, device)
-    wanted = [target for split in SPLITS if split in splits for target in release.split(split)]
     every = [target for split in SPLITS for target in release.split(split)]
 
     def waiting(holder: str) -> None:

@@ -9,6 +9,7 @@ import pytest
 from slow import slow
 from small_benchmark import Run
 from small_method import TINY
+from synthetic_release import publish_synthetic
 
 from kinectbench.release.release import Release
 from kinectbench.scoring.methods.config_file import read_config
@@ -120,3 +121,16 @@ def test_wrong_words_are_told(command: Command, tmp_path: Path, name: str) -> No
     result = command(tmp_path, "predict", "nowhere", ".", *options)
     assert (result.status, result.err.count("\n")) == (2, 1) and words in result.err, result
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_split_without_pairs_is_told_and_nothing_is_written(
+    command: Command, fine: Path, tmp_path: Path
+) -> None:
+    """Else `predict` writes a method.json without a prediction, and ends with status 0."""
+    folder = publish_synthetic(tmp_path / "b", (("chair_01", "chair", "other", "test", 1),)).folder
+    (tmp_path / "here").mkdir()
+    words = ("predict", str(fine), str(folder), "--device", "cpu", "--split", "validation")
+    result = command(tmp_path / "here", *words)
+    assert (result.status, result.err.count("\n")) == (2, 1), result
+    assert "no pair of the validation split; its pairs are of test" in result.err
+    assert list((tmp_path / "here").iterdir()) == []
