@@ -319,7 +319,8 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-    from kinectbench.release.publish.current import is_current, publish_if_stale, scoring_folder
+    from kinectbench.engine.status import statuses
+    from kinectbench.release.publish.current import already_published, publish_if_stale, scoring_folder
     from kinectbench.release.release import open_release
 
     if common.benchmark is not None:
@@ -327,7 +328,8 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     settings, folder = common.settings, common.root / "benchmark"
     if (folder / BENCHMARK_JSON).is_file():
         release = open_release(scoring_folder(common.root))
-        if not is_current(settings, common.root):
+        done = [row.recording for row in statuses(chosen_jobs(common, None)) if row.state == "done"]
+        if already_published(settings, common.root, done, None) is None:
             _tell_used(folder, release)
         return release, []
     rows = build_recordings(common, None, "pairs", told=True)
@@ -341,8 +343,8 @@ def _tell_used(folder: Path, release: "Release") -> None:
     """One line: which release is used, though settings or what is built have changed since."""
     from kinectbench.cli import console
 
-    recordings = len(release.metadata.recordings)
-    counted = f"{len(release.targets)} pairs of {recordings} recording{'s' * (recordings != 1)}"
+    numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
+    counted = " of ".join(f"{number} {word}{'s' * (number != 1)}" for word, number in numbers.items())
     line = (
         f"{folder}: used as it was published, {counted}; settings or what is built have changed since: "
         "`kinectbench publish` publishes it again"

@@ -33,7 +33,7 @@ def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None)
         scene_floor: whose vertices have colours, which the mesh then has; None: it is of clay.
     """
     mesh = decimated(mesh_floor, MOST_TRIANGLES)
-    colors = _colors(mesh.vertices, scene_floor)
+    colors = surface_colors(mesh.vertices, scene_floor)
     vertices = mesh.vertices.round(MICROMETRES)
     vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     around = np.sqrt(vertices[:, 0] ** 2 + vertices[:, 1] ** 2)
@@ -49,8 +49,13 @@ def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None)
     )
 
 
-def _colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
-    """RGB (n, 3) of vertices: that of the nearest vertex of the scene, or clay if none is near."""
+def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
+    """RGB (n, 3), 0 to 255, of vertices: that of the nearest vertex of the scene, or clay if none is near.
+
+    Args:
+        vertices: (n, 3), metres, in the frame of the scene.
+        scene: whose vertices have colours; of one without, and of None, all are clay.
+    """
     colors = np.tile(np.array(CLAY, np.float64), (len(vertices), 1))
     if scene is None or scene.colors is None:
         return colors

@@ -144,7 +144,9 @@ def test_a_release_that_is_there_is_used_as_it_is(command: Command, scored: Path
     told = command(root, "export", "out", "--json")
     assert told.status == 0, told.err
     pairs = json.loads(told.out)["pairs"]
-    said = f"note: benchmark: used as it was published, {pairs} pairs of 1 recording; settings or what is built"
+    said = (
+        f"note: benchmark: used as it was published, {pairs} pairs of 1 recording; settings or what is built"
+    )
     assert told.err.startswith(said) and told.err.endswith("`kinectbench publish` publishes it again\n")
     shutil.rmtree(root / "build/table")  # nor is anything built
     for words in (("check", "predictions/hull"), ("score", "predictions/hull", "--jobs", "1", *PLAIN)):

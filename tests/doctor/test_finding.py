@@ -58,7 +58,7 @@ def test_terminal_and_page_say_the_same(command: Callable[..., Run], tmp_path: P
 
 
 def test_findings_of_the_page_are_one_column(tmp_path: Path) -> None:
-    """A table squeezed advice to a word a line at 400 px: each finding is a block, advice below what it is of."""
+    """A table squeezed advice to a word a line at 400 px: each finding is a block, with its advice below."""
     found = (
         Finding("depth_scale", "stops", "the scale is 5000", "depth/0.png", "put 256"),
         Finding("no_trajectory", "note", "no trajectory", "."),

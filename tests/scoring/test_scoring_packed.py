@@ -120,7 +120,5 @@ def test_one_array_of_a_packed_prediction_is_none(tmp_path: Path) -> None:
         path.write_bytes(npz_bytes(arrays))
         with pytest.raises(PredictionError) as caught:
             load_prediction(path, "chair_01/000")
-        assert str(caught.value) == (
-            f"chair_01/000: holds 1 array ({next(iter(arrays))}): it must hold exactly one prediction, or codes "
-            "and levels"
-        )
+        said = f"chair_01/000: holds 1 array ({next(iter(arrays))}): it must hold exactly one prediction, or "
+        assert str(caught.value) == f"{said}codes and levels"

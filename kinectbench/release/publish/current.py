@@ -73,13 +73,6 @@ def already_published(
     return _published(stamp, out, _fingerprint(settings, build, recordings, asked))
 
 
-def is_current(settings: BenchmarkSettings, root: Path) -> bool:
-    """Whether `benchmark/` is what `publish_if_stale` would write of all that is built; nothing is built."""
-    pairs = [root / "build" / recording.id / "pairs" for recording in settings.recordings]
-    names = [folder.parent.name for folder in pairs if (folder / Manifest.FILE).is_file()]
-    return already_published(settings, root, names, None) is not None
-
-
 def scoring_folder(root: Path) -> Path:
     """The release below `root` that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
     out = root / "benchmark"

@@ -13,9 +13,12 @@ import numpy as np
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.geometry.decimate import decimated, surface_distances_m
 from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
-from kinectbench.core.types import Float64
+from kinectbench.core.turntable import surface_colors
+from kinectbench.core.types import Float64, Rgb
 from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
 
+# Of a build, the mesh of all that was recorded.
+SCENE = "reconstruction/mesh.ply"
 # 24 bytes a triangle of a closed mesh: 1.44 MB (own choice); and those of the smallest closed mesh.
 MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
 # x stays, z becomes y.
@@ -27,8 +30,13 @@ MEASURED = 5000
 MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
-def write_glbs(folder: Path, recordings: Iterable[str]) -> None:
+def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
     """Write the GLB of each recording whose mesh lies in a release's folder: of what is held back none does.
+
+    Args:
+        folder: of the release.
+        recordings: ids.
+        scenes: `build/`, whose scenes colour the objects; None where no colour is published.
 
     Raises:
         StorageError: a mesh or a floor is damaged.
@@ -39,12 +47,20 @@ def write_glbs(folder: Path, recordings: Iterable[str]) -> None:
             continue
         mesh = read_own_ply(objects / name / OBJECT_FILES[0])
         floor = FloorFile.read_if_there(objects / name)
-        content = glb_bytes(mesh, np.eye(4) if floor is None else floor.T_floor_world)
+        T_floor_world = np.eye(4) if floor is None else floor.T_floor_world
+        content = glb_bytes(mesh, T_floor_world, colored_scene(scenes and scenes / name))
         if content is not None:
             (objects / f"{name}{GLB}").write_bytes(content)
 
 
-def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64) -> bytes | None:
+def colored_scene(built: Path | None) -> TriangleMesh | None:
+    """All that was recorded, in the world, with colours; None without a build folder, mesh or colour."""
+    path = built and built / SCENE
+    scene = read_own_ply(path, colors=True) if path and path.is_file() else None
+    return scene if scene and scene.colors is not None else None
+
+
+def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64, scene: TriangleMesh | None = None) -> bytes | None:
     """The content of a GLB of at most 2 MB; the same bytes for the same mesh.
 
     None where there is nothing to show: no triangle, or so many that share no corner that none of them can
@@ -53,18 +69,20 @@ def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64) -> bytes | None:
     Args:
         mesh: in the world, metres.
         T_floor_world: (4, 4), z up, floor at z = 0.
+        scene: in the world, with colours, which the vertices then have; None: they have none.
     """
     T_gltf_world = T_GLTF_FLOOR @ T_floor_world
     most = MOST_TRIANGLES
     while most >= LEAST_TRIANGLES and len((shown := decimated(mesh, most)).faces):
-        content = _glb(mesh, shown, T_gltf_world)
+        colors = None if scene is None else surface_colors(shown.vertices, scene).astype(np.uint8)
+        content = _glb(mesh, shown, T_gltf_world, colors)
         if len(content) <= MOST_GLB_BYTES:
             return content
         most //= 2  # an open mesh has more vertices
     return None
 
 
-def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64) -> bytes:
+def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors: Rgb | None) -> bytes:
     import trimesh
 
     extras = {
@@ -79,6 +97,7 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64) -> byt
         placed.vertices,
         placed.faces,
         vertex_normals=placed.vertex_normals,
+        vertex_colors=colors,
         process=False,
         metadata=extras,
     )

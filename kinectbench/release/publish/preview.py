@@ -25,13 +25,12 @@ from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
 from kinectbench.release.contents import OBJECT_FILES, PREVIEW
 from kinectbench.release.publish.card import quality_words
+from kinectbench.release.publish.object_glb import colored_scene
 from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
 VIEWS = 3
-# Of a build, the mesh of all that was recorded.
-SCENE = "reconstruction/mesh.ply"
 # Lines of warnings at the page's head; a large release has one for each recording.
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "passed over")
@@ -139,10 +138,8 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
     mesh = read_own_ply(objects / OBJECT_FILES[0])
     if not len(mesh.faces):
         return None
-    T_floor_world, scene = FloorFile.read(objects).T_floor_world, built and built / SCENE
-    colored = (
-        read_own_ply(scene, colors=True).transformed(T_floor_world) if scene and scene.is_file() else None
-    )
+    T_floor_world, scene = FloorFile.read(objects).T_floor_world, colored_scene(built)
+    colored = scene and scene.transformed(T_floor_world)
     return data_uri(turntable(mesh.transformed(T_floor_world), colored), QUALITY)
 
 

@@ -224,7 +224,8 @@ def _write(
     bare = alone if options.hold_back else ()
     write_view_pictures(folder, [target for target in targets if target.recording not in bare])
     write_preview(folder, settings, targets, infos, warnings, options.hold_back, build, bare)
-    identity = write_small_files(head, folder, targets, infos, warnings)
+    scenes = build if settings.publish.color else None
+    identity = write_small_files(head, folder, targets, infos, warnings, scenes)
     refuse_large(folder)
     return PublishSummary(
         folder,

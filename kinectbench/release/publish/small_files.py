@@ -97,6 +97,7 @@ def write_small_files(
     targets: tuple[Target, ...],
     infos: Mapping[str, RecordingInfo],
     warnings: Sequence[str],
+    scenes: Path | None = None,
 ) -> str:
     """Complete a folder that holds everything else of a release; returns the release's identity.
 
@@ -106,6 +107,7 @@ def write_small_files(
         targets: every pair, sorted.
         infos: recording -> what benchmark.json says of it.
         warnings: one line each, for the card.
+        scenes: as of `write_glbs`.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
     info = _info(head, infos)
@@ -115,7 +117,7 @@ def write_small_files(
     (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
     write_schemas(folder)
-    write_glbs(folder, infos)
+    write_glbs(folder, infos, scenes)
     about = _about(head, license, folder, warnings)
     (folder / DATACITE).write_text(pretty_json(datacite(about)), encoding="utf-8")
     (folder / CROISSANT).write_text(pretty_json(croissant(about, folder)), encoding="utf-8")

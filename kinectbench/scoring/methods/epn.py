@@ -1,9 +1,9 @@
 """3D-EPN: from a partial view to occupancy at 32^3.
 
 Source: Dai et al., Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis, CVPR 2017, without
-its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`, described
-and written anew. The paper that is compared with here used occupancy in the place of distances: one channel in, one out,
-by cross-entropy.
+its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`,
+described and written anew. The paper that is compared with here used occupancy in the place of distances: one
+channel in, one out, by cross-entropy.
 """
 
 import torch
@@ -53,7 +53,7 @@ class EPN(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Weights and biases uniform within 1 / sqrt(inputs of a value), scales of normalisation within [0, 1].
+        """Weights and biases uniform within 1 / sqrt(inputs of a value), scales of normalisation in [0, 1].
 
         Source: the modules of Torch7 that the source uses, whose `reset` it does not change.
         """

@@ -69,8 +69,8 @@ def predict(
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
-        SettingsError: no pair is of these splits, or the folder holds predictions for another release, or none
-            that `predict` wrote.
+        SettingsError: no pair is of these splits, or the folder holds predictions for another release, or
+            none that `predict` wrote.
         StorageError: the disk is full or read-only.
     """
     wanted = release.of_splits([split for split in SPLITS if split in splits])

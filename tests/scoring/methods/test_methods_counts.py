@@ -55,7 +55,9 @@ def test_epn_normalises_and_begins_as_its_source() -> None:
     network = make_network(NetworkSettings(kind="3d-epn", channel_divisor=8))
     norms = [layer for layer in network.modules() if isinstance(layer, nn.BatchNorm3d)]
     assert {norm.eps for norm in norms} == {1e-3} and len(norms) == 6
-    assert all(norm.weight.min() >= 0 and norm.weight.max() <= 1 and norm.weight.std() > 0.1 for norm in norms)
+    assert all(
+        norm.weight.min() >= 0 and norm.weight.max() <= 1 and norm.weight.std() > 0.1 for norm in norms
+    )
     last = network.up[-1]  # type: ignore[index]
     bound = (last.in_channels * 4**3) ** -0.5
     assert 0.9 * bound < last.weight.abs().max() <= bound and 0 < last.bias.abs().max() <= bound
