@@ -50,7 +50,7 @@ docs: setup ## the documentation as a site, in site/; a broken link or anchor is
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --clean
 	@echo "docs: site/index.html"
 
-docs-pictures: setup ## make the tutorial's pictures again (simulated; some minutes)
+docs-pictures: setup ## make the tutorial's pictures and outputs again, of one run (simulated; some minutes; needs chromium)
 	@$(BIN)/python scripts/docs_pictures.py
 
 docs-format: setup ## write the schemas, and the tables of keys in docs/format.md, from the models again

@@ -1,10 +1,12 @@
-"""Make the pictures of the tutorial, docs/pictures/: a simulated recording, run through every command.
+"""Make the tutorial's text and pictures of one run of its own commands on simulated recordings.
 
     .venv/bin/python scripts/docs_pictures.py [WORK]
 
-Pages are photographed with chromium, where it is installed. What was made in WORK before is used again.
+WORK, a new folder, keeps what was made. Pages are photographed with chromium, which must be installed.
+docs_tutorial.py runs the commands and puts what they print into the text.
 """
 
+import base64
 import json
 import shutil
 import subprocess
@@ -15,6 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from docs_tutorial import BIN, NAME, PICTURES, keep, run_all
 from numpy.typing import NDArray
 
 from kinectbench.core import images, pictures
@@ -23,18 +26,6 @@ from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Rgb
 from kinectbench.core.voxels.pair_file import read_pair
 
-OUT = Path(__file__).parents[1] / "docs" / "pictures"
-NAME = "my_chair"
-RECORDED = ["--object", "chair:seed=3", "--frames", "120", "--set", "given.trajectory=none"]
-RECORDED += ["--set", "path.rate_hz=8", "--set", "sensor.width=320", "--set", "sensor.height=240"]
-YAML = f"""\
-name: my_chairs
-license: CC-BY-4.0
-source: recorded by us at home
-recordings:
-  - {{id: {NAME}, path: recordings/{NAME}, category: chair, underside: closed, split: test}}
-"""
-METHODS = ("partial", "hull", "mirror")
 QUALITY = 80
 TILE_PX = 240
 GAP_PX = 6
@@ -43,54 +34,37 @@ INK, SOFT, GOOD, BAD = "#1f2328", "#8a8f98", "#0072b2", "#d55e00"
 
 
 def main() -> None:
-    OUT.mkdir(exist_ok=True)
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        sys.exit("docs_pictures.py: no chromium: install it, so that pages are of the same run as all else")
     with tempfile.TemporaryDirectory() as temporary:
-        root = Path(sys.argv[1] if len(sys.argv) > 1 else temporary).resolve()
-        make(root)
+        work = Path(sys.argv[1] if len(sys.argv) > 1 else temporary).resolve()
+        if work.is_dir() and any(work.iterdir()):
+            sys.exit(f"{work}: not empty; name a new folder, so that all is of one run")
+        outputs = run_all(work)
+        root = work / NAME
         build = root / "build" / NAME
-        draw_walk(OUT / "walk.svg")
+        draw_walk(PICTURES / "walk.svg")
         save("frames", recorded(build / "sequence"))
         save("mesh", scene(build))
         save("object", solid(build))
+        save("unseen", unseen(work / BIN / "build" / BIN / "object"))
         save("views", views(build / "views"))
         save("pairs", pairs(build))
-        shutil.copyfile(build / "trajectory" / "trajectory.png", OUT / "trajectory.png")
-        shutil.copyfile(build / "candidates" / "plan.png", OUT / "candidates.png")
-        photograph(root / "inspect.html", 900, {"inspect": (0, 940)})
-        # By eye: the head with the tables, and two rows of the gallery.
-        photograph(root / "scores" / "index.html", 1100, {"page": (0, 560), "gallery": (2355, 3145)})
-    total = sum(path.stat().st_size for path in OUT.iterdir())
-    sys.stdout.write(f"{OUT}: {total / 1e6:.2f} MB\n")
-
-
-def make(root: Path) -> None:
-    """Every command of the tutorial; what they print is kept beside what they make, in WORK/*.txt."""
-    root.mkdir(parents=True, exist_ok=True)
-    recording = f"recordings/{NAME}"
-    if not (root / recording).exists():
-        kinectbench(root, "simulate", recording, *RECORDED)
-    (root / "benchmark.yaml").write_text(YAML)
-    if (root / "scores" / "index.html").exists():
-        return
-    kinectbench(root, "inspect", recording, "--page", "inspect.html")
-    kinectbench(root, "build")
-    kinectbench(root, "segment", NAME, "--suggest")
-    kinectbench(root, "publish")
-    kinectbench(root, "verify")
-    kinectbench(root, "baseline", *METHODS)
-    kinectbench(root, "score", "predictions/", "--no-surface")
-
-
-def kinectbench(root: Path, *arguments: str) -> None:
-    words = [sys.executable, "-m", "kinectbench", *arguments]
-    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
-    (root / f"{arguments[0]}.txt").write_text(done.stdout + done.stderr)
-    if done.returncode:
-        sys.exit(f"kinectbench {' '.join(arguments)}: {done.stderr}")
+        shutil.copyfile(build / "trajectory" / "trajectory.png", PICTURES / "trajectory.png")
+        shutil.copyfile(build / "candidates" / "plan.png", PICTURES / "candidates.png")
+        photograph(browser, root / "inspect.html", 900, {"inspect": (0, 980)})
+        # By eye: the head with the first table, and the first card of the gallery.
+        photograph(
+            browser, root / "scores" / "index.html", 1100, {"page": (0, 1090), "gallery": (3310, 4362)}
+        )
+        keep(outputs, work)
+    total = sum(path.stat().st_size for path in PICTURES.iterdir())
+    sys.stdout.write(f"{PICTURES}: {total / 1e6:.2f} MB\n")
 
 
 def save(name: str, picture: Rgb) -> None:
-    path = OUT / f"{name}.jpg"
+    path = PICTURES / f"{name}.jpg"
     cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
 
 
@@ -133,6 +107,20 @@ def solid(build: Path) -> Rgb:
     T = np.array(json.loads((build / "object" / "floor.json").read_text())["T_floor_world"])
     thing = floor_mesh(build / "object" / "mesh.ply", T)
     return around(thing, thing.vertices, (-50.0, 70.0, 190.0), 24.0)
+
+
+def unseen(folder: Path) -> Rgb:
+    """An object from three sides and from where one would look into it, as `report` draws it."""
+    from kinectbench.core.artefacts.object import QualityFile
+    from kinectbench.core.artefacts.object_grids import ObjectVolume
+    from kinectbench.report.unseen import object_pictures, unseen_faces
+
+    T = np.array(json.loads((folder / "floor.json").read_text())["T_floor_world"])
+    mesh = read_own_ply(folder / "mesh.ply")
+    faces = unseen_faces(mesh, ObjectVolume.read(folder))
+    drawn = object_pictures(mesh.transformed(T), faces, QualityFile.read(folder).frontiers)
+    content = [np.frombuffer(base64.b64decode(each.picture.partition(",")[2]), np.uint8) for each in drawn]
+    return sheet([cv2.imdecode(each, cv2.IMREAD_COLOR)[..., ::-1] for each in content], len(content))
 
 
 def floor_mesh(path: Path, T_floor_world: NDArray[np.float64]) -> TriangleMesh:
@@ -178,12 +166,8 @@ def pairs(build: Path) -> Rgb:
     return sheet(tiles, 3)
 
 
-def photograph(page: Path, width: int, cuts: Mapping[str, tuple[int, int]]) -> None:
+def photograph(browser: str, page: Path, width: int, cuts: Mapping[str, tuple[int, int]]) -> None:
     """A page as chromium shows it: each name is a picture from one row of pixels to another."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if browser is None:
-        sys.stdout.write(f"{', '.join(cuts)}: left as they are, there is no chromium\n")
-        return
     height = max(bottom for _, bottom in cuts.values())
     with tempfile.TemporaryDirectory() as folder:
         shot = Path(folder) / "shot.png"
