@@ -330,7 +330,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
         release = open_release(scoring_folder(common.root))
         done = [row.recording for row in statuses(chosen_jobs(common, None)) if row.state == "done"]
         if already_published(settings, common.root, done, None) is None:
-            _tell_used(folder, release)
+            _tell_used(release)
         return release, []
     rows = build_recordings(common, None, "pairs", told=True)
     published = publish_if_stale(
@@ -339,14 +339,14 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     return open_release(published.scoring), rows
 
 
-def _tell_used(folder: Path, release: "Release") -> None:
+def _tell_used(release: "Release") -> None:
     """One line: which release is used, though settings or what is built have changed since."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
     counted = " of ".join(f"{number} {word}{'s' * (number != 1)}" for word, number in numbers.items())
     line = (
-        f"{folder}: used as it was published, {counted}; settings or what is built have changed since: "
+        f"{release.folder}: used as it was published, {counted}; settings or what is built have changed since: "
         "`kinectbench publish` publishes it again"
     )
     console.lines("note", [line], "cyan")

@@ -46,7 +46,7 @@ class Common:
     """
 
     benchmark: Annotated[
-        Path | None, typer.Option("--benchmark", help="a release; default: benchmark/, made first if it is not there")
+        Path | None, typer.Option("--benchmark", help="a release; default: benchmark/, made if absent")
     ] = None
     config: Annotated[Path, typer.Option("--config", "-c", help="the benchmark's settings")] = DEFAULT_CONFIG
     overrides: Annotated[
