@@ -340,13 +340,13 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """One line: which release is used, though settings or what is built have changed since."""
+    """One line: which release is used, though settings or what is built differ from it."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
     counted = " of ".join(f"{number} {word}{'s' * (number != 1)}" for word, number in numbers.items())
     line = (
-        f"{release.folder}: used as it was published, {counted}; settings or what is built have changed since: "
+        f"{release.folder}: used as it was published, {counted}; settings or what is built differ from it: "
         "`kinectbench publish` publishes it again"
     )
     console.lines("note", [line], "cyan")
