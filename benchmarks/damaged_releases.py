@@ -180,7 +180,7 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
     yield Damage(
         "a camera that shears",
         lambda f: shear(f / pair),
-        (f"{pair}: T_world_camera is not a rotation", f"{pair}: the grid's axes"),
+        (f"{pair}: T_world_camera is not", f"{pair}: the grid's axes"),
         True,
     )
     yield Damage("bits in the other order", lambda f: turn_bits(f / pair), (f"{pair}: ",), True)
@@ -317,7 +317,7 @@ def _of_public_parts(recording: str, pair: str) -> Iterator[Damage]:
     yield Damage(
         "poses that are held back",
         lambda f: add_poses(f / views),
-        (f"{views}: holds T_world_camera, which is held back",),
+        (f"{views}: holds T_world_camera, which is held back", "T_world_camera is not that of views.json"),
         True,
     )
 

@@ -49,7 +49,10 @@ def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
     file = write(tmp_path / "t.txt", "# c", "2 1 0 0 0 0 0 1", "", "1.5 0 0 0 0 0 0.6 0.8", "2 1 0 0 0 0 0 1")
     trajectory, warnings = read_trajectory(file)
     assert trajectory.stamps_ns.tolist() == [1_500_000_000, 2_000_000_000]
-    assert warnings == [f"{file}: 1 poses repeat the stamp of an earlier row and were left out"]
+    assert warnings == [
+        f"{file}: 1 poses repeat the stamp of an earlier row and were left out",
+        f"{file}: its rows are in no order of time: each pose is taken by its stamp",
+    ]
     np.testing.assert_allclose(
         trajectory.T_world_camera[0, :2, :2], [[0.28, -0.96], [0.96, 0.28]], atol=1e-15
     )

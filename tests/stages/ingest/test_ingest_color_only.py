@@ -28,7 +28,7 @@ def refusal(path: Path) -> str:
 def test_folders_of_colour(tmp_path: Path, inside: str, suffix: str) -> None:
     images(tmp_path / "r" / inside, 6, suffix)
     said = refusal(tmp_path / "r")
-    assert "no depth that is read (16-bit PNG, .npy, TIFF): record with a camera that" in said
+    assert "no depth that is read (16-bit PNG, .npy, .npz, TIFF): record with a camera that" in said
     assert "holds 6 colour images" in said
 
 
