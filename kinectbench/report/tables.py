@@ -11,6 +11,7 @@ from kinectbench.core.artefacts.score_figures import (
     VoxelMetrics,
     fields_of,
 )
+from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import (
     OVERALL,
     CategoryAverages,
@@ -84,6 +85,7 @@ class Table:
         left_out: how many pairs are left out as all unknown, in a sentence; "" if none.
         grouped: whether rows have groups.
         shared: the marks that every row has; they stand above the table, and not in the rows.
+        of_baselines: the further marks that every baseline has; likewise.
     """
 
     title: str
@@ -96,6 +98,7 @@ class Table:
     unknown: tuple[str, ...] = ()
     left_out: str = ""
     shared: tuple[str, ...] = ()
+    of_baselines: tuple[str, ...] = ()
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
@@ -131,11 +134,16 @@ def score_table(
     of = {table.method: table for table in ordered}
     marks = {method: [mark.words for mark in marks_of(table)] for method, table in of.items()}
     shared = _shared([*marks.values()])
+    baselines = [words for words in marks.values() if BASELINE in words]
+    of_baselines = tuple(words for words in _shared(baselines) if words not in (*shared, BASELINE))
+    above = {
+        method: (*shared, *(of_baselines if BASELINE in words else ())) for method, words in marks.items()
+    }
     rows = tuple(
         replace(
             row,
             group=(groups or {}).get(row.method, ""),
-            marks=tuple(words for words in marks[row.method] if words not in shared),
+            marks=tuple(words for words in marks[row.method] if words not in above[row.method]),
             standing=of[row.method].standing,
         )
         for row in table.rows
@@ -152,6 +160,7 @@ def score_table(
         unknown=tuple(map(per_cent, shares)) if any(share is not None for share in shares) else (),
         left_out=next(filter(None, (one.left_out_line(protocol) for one in ordered)), ""),
         shared=shared,
+        of_baselines=of_baselines,
     )
 
 
