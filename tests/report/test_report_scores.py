@@ -54,6 +54,19 @@ def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
     assert table.base_rate == ("0.260", "0.260") and not table.grouped
 
 
+def test_what_every_baseline_is_marked_with_stands_above_the_table() -> None:
+    fixed = {"thresholds": {"chair": 0.5}, "threshold_source_by_category": {"chair": "fixed"}}
+    names = ("net", "hull", "partial")
+    parsed = parsed_tables([made(name, 0.4, 1.0) | (fixed if name != "net" else {}) for name in names])
+    table = tables.score_table(parsed, "known")
+    assert len(table.shared) == 1 and len(table.of_baselines) == 1 and "fixed" in table.of_baselines[0]
+    assert {row.method: row.marks for row in table.rows} == {
+        "net": (),
+        "hull": ("baseline",),
+        "partial": ("baseline",),
+    }
+
+
 def test_a_first_click_sorts_the_best_first() -> None:
     """Of IoU and other shares the highest; of cross-entropy and lengths the lowest."""
     assert {"IoU", "precision", "surface Dice"} <= tables.MORE_IS_BETTER <= {*tables.DETAILS}
