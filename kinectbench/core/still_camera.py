@@ -98,18 +98,18 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
         return None
     depth_m = np.stack(depths_m)
     seen = depth_m > 0
-    told = seen.mean(axis=0) >= SEEN_SHARE
-    values = np.where(seen & told, depth_m, np.nan)
-    values[:, ~told] = 0.0
+    measured = seen.mean(axis=0) >= SEEN_SHARE
+    values = np.where(seen & measured, depth_m, np.nan)
+    values[:, ~measured] = 0.0
     low_m, middle_m, high_m = _nanquantiles(values, (0.1, 0.5, 0.9))
     spread_m, sigma_m = high_m - low_m, depth_sigma_m(middle_m)
-    moved = told & (spread_m > np.maximum(MOVED_SIGMAS * sigma_m, MOVED_M))
+    moved = measured & (spread_m > np.maximum(MOVED_SIGMAS * sigma_m, MOVED_M))
     moving = _opened(moved | _comes_and_goes(seen))
-    still = told & (spread_m <= np.maximum(STILL_SIGMAS * sigma_m, MOVED_M))
-    away = told & ~_near(moving)
+    still = measured & (spread_m <= np.maximum(STILL_SIGMAS * sigma_m, MOVED_M))
+    away = measured & ~_near(moving)
     return Watched(
         still_m=np.where(still, middle_m, np.float32(0)),
-        behind_m=np.where(told, high_m, np.float32(np.inf)),
+        behind_m=np.where(measured, high_m, np.float32(np.inf)),
         moving=moving,
         moving_share=float((_opened(_differs(values, seen, sigma_m)) & moving).mean()),
         still_share=float(still[away].mean()) if away.any() else 0.0,

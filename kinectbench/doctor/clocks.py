@@ -11,10 +11,10 @@ from kinectbench.core.trajectory.stamps import (
     StampFaults,
     find_doubled,
     find_stamp_faults,
-    usual_period_ns,
+    typical_period_ns,
 )
 from kinectbench.doctor.finding import Finding, Severity, camera_line
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 
 # Steps this far from whole periods are uneven, not frames that are missing in between.
 OFF_PERIOD = 0.2
@@ -28,33 +28,33 @@ MOSTLY_PAIRED_SHARE = 0.5
 REGROUP = "record again at a rate that the computer keeps up with; gaps make tracking harder"
 
 
-def check_clock(look: Look) -> Iterator[Finding]:
+def check_clock(probe: Probe) -> Iterator[Finding]:
     """Judge the stamps of depth and of colour, in the order in which they were recorded."""
-    recording = look.recording
+    recording = probe.recording
     if len(recording) < MIN_FRAMES:
         yield Finding(
             "too_few_frames",
             "stops",
             f"{len(recording)} frames; at least {MIN_FRAMES} are needed",
-            look.where,
+            probe.where,
         )
         return
     streams = zip(("depth", "colour"), recording.recorded_stamps_ns, strict=True)
     for stream, stamps_ns in streams:
         if len(stamps_ns) > 2:
-            yield from _stream(look, stream, stamps_ns)
-    yield from _doubled(look)
-    yield from check_partners(look)
+            yield from _stream(probe, stream, stamps_ns)
+    yield from _doubled(probe)
+    yield from check_partners(probe)
 
 
-def _stream(look: Look, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
+def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
     faults = find_stamp_faults(stamps_ns)
-    where = f"{look.where}: {stream}"
+    where = f"{probe.where}: {stream}"
     yield from _order(faults, stream, where)
     if faults.resets:
         return
     ordered_ns = np.unique(stamps_ns)
-    period_ns = usual_period_ns(ordered_ns)
+    period_ns = typical_period_ns(ordered_ns)
     steps = np.diff(ordered_ns)
     forward = steps[(steps > 0) & (steps < max(10 * period_ns, NS_PER_S))]
     if not period_ns or not len(forward):
@@ -103,8 +103,8 @@ def _order(faults: StampFaults, stream: str, where: str) -> Iterator[Finding]:
         yield Finding("time_jump", "warning", what, where, "if it is two recordings in one, cut it there")
 
 
-def _doubled(look: Look) -> Iterator[Finding]:
-    frames = look.frames
+def _doubled(probe: Probe) -> Iterator[Finding]:
+    frames = probe.frames
     doubled = [
         frames[i]
         for i in find_doubled([frame.digest for frame in frames])
@@ -118,30 +118,30 @@ def _doubled(look: Look) -> Iterator[Finding]:
         )
         advice = "the driver delivered them twice: record at the camera's own rate, or remove them"
         severity: Severity = "warning" if share > DOUBLED_SHARE else "note"
-        yield Finding("doubled_frames", severity, what, look.where, advice)
+        yield Finding("doubled_frames", severity, what, probe.where, advice)
 
 
-def check_partners(look: Look) -> Iterator[Finding]:
+def check_partners(probe: Probe) -> Iterator[Finding]:
     """Whether depth frames have colour, where there is colour at all."""
-    depth_ns, color_ns = look.recording.recorded_stamps_ns
-    without = [frame.index for frame in look.frames if frame.gray is None]
-    share = 1 - len(without) / max(len(look.frames), 1)
+    depth_ns, color_ns = probe.recording.recorded_stamps_ns
+    without = [frame.index for frame in probe.frames if frame.gray is None]
+    share = 1 - len(without) / max(len(probe.frames), 1)
     if not len(color_ns):
-        if share == 0 and look.frames:
-            yield Finding("no_color", "note", "there is no colour", look.where)
+        if share == 0 and probe.frames:
+            yield Finding("no_color", "note", "there is no colour", probe.where)
         return
     if share >= PAIRED_SHARE:
         return
-    apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9 - look.recording.color_delay_s
+    apart_s = (int(np.median(color_ns)) - int(np.median(depth_ns))) / 1e9 - probe.recording.color_delay_s
     within_ms = pairing_tolerance_ns(depth_ns, color_ns) / 1e6
     what = (
-        f"{len(without)} of the {len(look.frames)} frames looked at have no colour within {within_ms:.0f} ms"
+        f"{len(without)} of the {len(probe.frames)} frames looked at have no colour within {within_ms:.0f} ms"
     )
-    delay_ns = round(look.recording.color_delay_s * NS_PER_S)
+    delay_ns = round(probe.recording.color_delay_s * NS_PER_S)
     if depth_ns.min() > color_ns.max() - delay_ns or color_ns.min() - delay_ns > depth_ns.max():
         what += f"; the clocks of colour and depth are {apart_s:.3f} s apart"
-    line = camera_line("color_delay_s", look.recording.color_delay_s + apart_s)
+    line = camera_line("color_delay_s", probe.recording.color_delay_s + apart_s)
     advice = f"if both show the same time, {line}; what is then left is found by motion"
     if share >= MOSTLY_PAIRED_SHARE:
         advice = "images were lost, or one stream ended before the other: those frames have no colour"
-    yield Finding("color_unpaired", "warning", what, look.where, advice)
+    yield Finding("color_unpaired", "warning", what, probe.where, advice)

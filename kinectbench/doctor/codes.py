@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float32
 from kinectbench.doctor.depth import is_likely
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 from kinectbench.doctor.trajectory import PoseFit, fit_trajectory
 from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES
@@ -45,25 +45,25 @@ class Code:
     metres: Callable[[UInt16, Camera], NDArray[np.floating]]
 
 
-def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
+def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     """Name the scale or the code by which the given poses fit, where they do not fit as it is.
 
     Nothing is tried where there are no poses, or where depth has been read by a code already. Of depth that
     is float only the ray is: its values are no longer those of the files.
 
     Args:
-        look: at the recording.
+        probe: at the recording.
         poses: how the given poses fit depth as it is; None: there are none, or they fit in no way.
     """
-    recording = look.recording
+    recording = probe.recording
     if recording.given_trajectory is None:
         return
     if isinstance(recording, FileRecording) and recording.depth_code != "plain":
         return
     # Poses that fit as they are settle the scale, but along the ray depth differs by little.
     as_given = poses is not None and poses.fits and poses.reading.changes == 0
-    codes = _along_the_ray(look) if as_given or not _is_stored(look) else _codes(look)
-    found = [(code, fit) for code in codes if (fit := _fit(look, code)) is not None]
+    codes = _along_the_ray(probe) if as_given or not _is_stored(probe) else _codes(probe)
+    found = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
         found = [each for each in found if each[1].residual_m < BETTER * poses.residual_m]
     if not found:
@@ -72,17 +72,17 @@ def check_codes(look: Look, poses: PoseFit | None) -> Iterator[Finding]:
     what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm"
     if as_given and poses is not None:  # by another scale the figures could not be compared
         what += f", and {1000 * poses.residual_m:.1f} mm as it is read"
-    yield Finding(code.name, "stops", what, look.where, code.advice)
+    yield Finding(code.name, "stops", what, probe.where, code.advice)
 
 
-def _is_stored(look: Look) -> bool:
+def _is_stored(probe: Probe) -> bool:
     """Whether depth has the values that it is stored with."""
-    recording = look.recording
+    recording = probe.recording
     return not isinstance(recording, FileRecording) or recording.float_scale is None
 
 
-def _codes(look: Look) -> Iterator[Code]:
-    recording = look.recording
+def _codes(probe: Probe) -> Iterator[Code]:
+    recording = probe.recording
     for scale in COMMON_SCALES:
         if scale != recording.depth_scale:
             yield Code(
@@ -104,7 +104,7 @@ def _codes(look: Look) -> Iterator[Code]:
     yield Code(
         "depth_code", "the bits of a float16", "`camera: {depth_code: float16}`", lambda d, _: float16_m(d)
     )
-    yield from _along_the_ray(look)
+    yield from _along_the_ray(probe)
     for near_m, far_m in NEAR_FAR_M:
         yield Code(
             "depth_code",
@@ -115,10 +115,10 @@ def _codes(look: Look) -> Iterator[Code]:
         )
 
 
-def _along_the_ray(look: Look) -> Iterator[Code]:
-    if not isinstance(look.recording, FileRecording):
+def _along_the_ray(probe: Probe) -> Iterator[Code]:
+    if not isinstance(probe.recording, FileRecording):
         return
-    along = _scaled(look.recording.depth_scale)
+    along = _scaled(probe.recording.depth_scale)
     yield Code(
         "depth_code",
         "the distance along the ray, not along the axis",
@@ -140,12 +140,12 @@ def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray
     )
 
 
-def _fit(look: Look, code: Code) -> PoseFit | None:
+def _fit(probe: Probe, code: Code) -> PoseFit | None:
     """How the given poses fit depth that is read so, if they prove it and it is that of a room."""
-    scale, camera = look.recording.depth_scale, look.small_camera
+    scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)
     frames = []
-    for frame in look.frames:
+    for frame in probe.frames:
         if frame.depth_m.shape != shape:
             return None
         native = np.rint(frame.depth_m * np.float32(scale)).astype(np.uint16)
@@ -153,5 +153,5 @@ def _fit(look: Look, code: Code) -> PoseFit | None:
     measured = np.concatenate([frame.depth_m[frame.depth_m > 0] for frame in frames])
     if not len(measured) or not is_likely(*np.quantile(measured, [0.5, 0.95]).tolist()):
         return None
-    fit = fit_trajectory(replace(look, frames=tuple(frames)))
+    fit = fit_trajectory(replace(probe, frames=tuple(frames)))
     return fit if fit is not None and fit.proven else None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.images import image_sharpness, relative_blur
 from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.look import Look, SmallFrame
+from kinectbench.doctor.probe import Probe, SmallFrame
 
 COLUMNS = 320
 JUMP_SHARE = 0.06
@@ -56,7 +56,7 @@ class EdgeFit:
         return self.best > CLEAR
 
 
-def fit_edges(look: Look) -> EdgeFit | None:
+def fit_edges(probe: Probe) -> EdgeFit | None:
     """Correlate edges of depth with those of colour, over all frames that were read whole (own rule).
 
     None if colour is missing or of another shape than depth.
@@ -65,7 +65,7 @@ def fit_edges(look: Look) -> EdgeFit | None:
 
     sums: list[NDArray[np.float64]] = []
     factor = 1.0
-    for frame in look.whole:
+    for frame in probe.whole:
         height, width = frame.depth.shape
         if frame.bgr is None or abs(frame.bgr.shape[1] / frame.bgr.shape[0] - width / height) > 0.02:
             continue
@@ -83,32 +83,32 @@ def fit_edges(look: Look) -> EdgeFit | None:
     return EdgeFit(float(near[REACH_PX, REACH_PX]), float(near.max()), float(_around(mirrored).max()), shift)
 
 
-def check_edges(look: Look, fit: EdgeFit | None) -> Iterator[Finding]:
+def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
     """Judge what the edges say against what the recording says of its colour."""
     if fit is None:
-        if look.recording.color_registered and any(f.bgr is not None for f in look.whole):
+        if probe.recording.color_registered and any(f.bgr is not None for f in probe.whole):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
             advice = "`color_registered: false` in camera.json"
-            yield Finding("color_not_registered", "warning", what, look.where, advice)
+            yield Finding("color_not_registered", "warning", what, probe.where, advice)
         return
     if fit.mirrored > CLEAR and fit.mirrored > MIRROR_BETTER * fit.best:
         what = "colour is mirrored left to right against depth"
-        yield Finding("color_mirrored", "warning", what, look.where, "mirror one of the two, and look which")
+        yield Finding("color_mirrored", "warning", what, probe.where, "mirror one of the two, and look which")
         return
     off_px = float(np.linalg.norm(fit.shift_px))
-    off = off_px > OFF_PX * look.recording.camera.width / COLUMNS
-    if look.recording.color_registered and fit.clear and off and fit.best > MUCH_BETTER * fit.here:
+    off = off_px > OFF_PX * probe.recording.camera.width / COLUMNS
+    if probe.recording.color_registered and fit.clear and off and fit.best > MUCH_BETTER * fit.here:
         right, down = fit.shift_px
         what = (
             f"colour is said to lie on depth, but its edges are {abs(right):.0f} px to the "
             f"{'right' if right > 0 else 'left'} and {abs(down):.0f} px {'down' if down > 0 else 'up'}"
         )
         advice = "register it, give its calibration, or say `color_registered: false` in camera.json"
-        yield Finding("color_not_registered", "warning", what, look.where, advice)
-    elif not look.recording.color_registered and look.recording.color_calibration is None:
+        yield Finding("color_not_registered", "warning", what, probe.where, advice)
+    elif not probe.recording.color_registered and probe.recording.color_calibration is None:
         lies = " although its edges are near those of depth" if fit.clear and not off else ""
         what = f"colour does not lie on depth, or it is not known that it does{lies}: it is for display only"
-        yield Finding("color_display_only", "note", what, look.where)
+        yield Finding("color_display_only", "note", what, probe.where)
 
 
 def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
@@ -155,15 +155,15 @@ def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((window(REACH_PX) - np.median(wide)) / (wide.std() + 1e-9))
 
 
-def check_light(look: Look) -> Iterator[Finding]:
+def check_light(probe: Probe) -> Iterator[Finding]:
     """Judge the colour images, and whether each frame looks like those beside it."""
-    yield from _exposure(look)
-    yield from _blur(look)
-    yield from _odd_frames(look)
+    yield from _exposure(probe)
+    yield from _blur(probe)
+    yield from _odd_frames(probe)
 
 
-def _exposure(look: Look) -> Iterator[Finding]:
-    grays = [frame.gray for frame in look.frames if frame.gray is not None]
+def _exposure(probe: Probe) -> Iterator[Finding]:
+    grays = [frame.gray for frame in probe.frames if frame.gray is not None]
     if not grays:
         return
     for name, share, how in (
@@ -172,15 +172,15 @@ def _exposure(look: Look) -> Iterator[Finding]:
     ):
         if share > MANY_SATURATED:
             what = f"{share:.0%} of the colour pixels are {how}"
-            yield Finding(name, "note", what, look.where, "fix the exposure: colour helps to close loops")
+            yield Finding(name, "note", what, probe.where, "fix the exposure: colour helps to close loops")
     jumps = [
         second.index
-        for first, second in look.neighbours()
+        for first, second in probe.neighbours()
         if _brightness_ratio(first, second) > JUMP_RATIO and _alike(_thumb(first), _thumb(second)) > 0.8
     ]
     if len(jumps) > FEW * len(grays):
         what = f"the brightness jumps before {len(jumps)} frames, such as {jumps[0]}"
-        yield Finding("exposure_jumps", "note", what, look.where, "fix the exposure and white balance")
+        yield Finding("exposure_jumps", "note", what, probe.where, "fix the exposure and white balance")
 
 
 def _brightness_ratio(first: SmallFrame, second: SmallFrame) -> float:
@@ -190,25 +190,25 @@ def _brightness_ratio(first: SmallFrame, second: SmallFrame) -> float:
     return max(a / b, b / a)
 
 
-def _blur(look: Look) -> Iterator[Finding]:
+def _blur(probe: Probe) -> Iterator[Finding]:
     blurs = relative_blur(
-        np.array([np.nan if f.gray is None else image_sharpness(f.gray) for f in look.frames])
+        np.array([np.nan if f.gray is None else image_sharpness(f.gray) for f in probe.frames])
     )
     blurred = np.flatnonzero(blurs > BLURRED)
     if len(blurred) > MANY_BLURRED * max(int(np.isfinite(blurs).sum()), 1):
         what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the usual detail: blur"
-        yield Finding("blur", "note", what, look.where, "move more slowly, or give it more light")
+        yield Finding("blur", "note", what, probe.where, "move more slowly, or give it more light")
 
 
-def _odd_frames(look: Look) -> Iterator[Finding]:
-    thumbs = {frame.index: _thumb(frame) for frame in look.frames}
-    given = look.recording.given_trajectory
+def _odd_frames(probe: Probe) -> Iterator[Finding]:
+    thumbs = {frame.index: _thumb(frame) for frame in probe.frames}
+    given = probe.recording.given_trajectory
     if given is not None and not in_order_of_time(given.T_world_camera):
         return  # views in no order of time are not like those beside them
-    if given is None and _shuffled(look):
+    if given is None and _shuffled(probe):
         what = "frames that follow each other are no more alike than any two: they are in no order of time"
         advice = "number them in the order in which they were recorded, or give their poses"
-        yield Finding("frame_order", "warning", what, look.where, advice)
+        yield Finding("frame_order", "warning", what, probe.where, advice)
         return
     odd = []
     for index, here in thumbs.items():
@@ -223,12 +223,12 @@ def _odd_frames(look: Look) -> Iterator[Finding]:
             f"{len(odd)} of {len(thumbs)} frames look nothing like those beside them, such as frame "
             f"{odd[0]}: another scene?"
         )
-        yield Finding("odd_frames", "warning", what, f"{look.where}: frame {odd[0]}", "remove them")
+        yield Finding("odd_frames", "warning", what, f"{probe.where}: frame {odd[0]}", "remove them")
 
 
-def _shuffled(look: Look) -> bool:
+def _shuffled(probe: Probe) -> bool:
     """Whether frames that follow each other are no more alike than those half a run apart (own rule)."""
-    thumbs = [_thumb(frame) for frame in look.longest_run()]
+    thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
     beside, apart = (

@@ -12,7 +12,7 @@ from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.doctor.color import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.look import END_RUN, Look, SmallFrame
+from kinectbench.doctor.probe import END_RUN, Probe, SmallFrame
 
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
@@ -103,35 +103,35 @@ EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
 PAIRED_SHARE = 0.8
 
 
-def check_color_delay(look: Look) -> Iterator[Finding]:
+def check_color_delay(probe: Probe) -> Iterator[Finding]:
     """Whether colour shows another time than the depth that it is paired with."""
-    run = tuple(frame for frame in look.longest_run() if frame.gray is not None)
+    run = tuple(frame for frame in probe.longest_run() if frame.gray is not None)
     if len(run) < 3:
         return
-    stamps_ns = clock_ns(look, run)
+    stamps_ns = clock_ns(probe, run)
     period_ns = float(np.median(np.diff(stamps_ns)))
-    delay_ns = _color_delay_ns(look, run, stamps_ns)
+    delay_ns = _color_delay_ns(probe, run, stamps_ns)
     if delay_ns is None or abs(delay_ns) < max(LEAST_NS, LEAST_PERIODS * period_ns):
         return
-    delay_ns = _with_partners_ns(look, delay_ns)
+    delay_ns = _with_partners_ns(probe, delay_ns)
     late, frames = delay_ns / 1e9, delay_ns / period_ns
-    own_clock = len(look.recording.recorded_stamps_ns[1]) > 0 and not look.counts_frames
-    line = camera_line("color_delay_s", look.recording.color_delay_s + late)
+    own_clock = len(probe.recording.recorded_stamps_ns[1]) > 0 and not probe.counts_frames
+    line = camera_line("color_delay_s", probe.recording.color_delay_s + late)
     what = (
         f"colour is {offset_in_words(late)} against depth (about {abs(frames):.1f} frames), by what both show"
     )
     advice = line if own_clock else "pair the images anew: they have no stamps of their own"
-    yield Finding("color_delay", "warning", what, look.where, advice)
+    yield Finding("color_delay", "warning", what, probe.where, advice)
 
 
-def check_color_drift(look: Look) -> Iterator[Finding]:
+def check_color_drift(probe: Probe) -> Iterator[Finding]:
     """Whether the delay of colour grows over the recording: its clock runs at another speed than depth's.
 
     By the motion in runs of frames at the beginning, in the middle and at the end, or in the thirds of one
     long run; that in the middle must lie between the two others, so that none of the three is chance (own
     rule).
     """
-    runs = [run for run in look.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
+    runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
         longest = max(runs, key=len, default=())
         third = len(longest) // 3
@@ -140,7 +140,7 @@ def check_color_drift(look: Look) -> Iterator[Finding]:
         runs = [longest[:third], longest[third : 2 * third], longest[2 * third :]]
     told: list[tuple[float, int]] = []
     for run in (runs[0], max(runs[1:-1], key=len), runs[-1]):
-        stamps_ns = clock_ns(look, run)
+        stamps_ns = clock_ns(probe, run)
         depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
         color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
         delay_ns = estimate_delay_ns(depth, color)
@@ -160,22 +160,22 @@ def check_color_drift(look: Look) -> Iterator[Finding]:
     )
     advice = (
         "record both with one clock, or correct colour's stamps by the delay, which grows as said"
-        if len(look.recording.recorded_stamps_ns[1]) and not look.counts_frames
+        if len(probe.recording.recorded_stamps_ns[1]) and not probe.counts_frames
         else "each stream counts its own frames: name the images by their time stamps, which then pair them"
     )
-    yield Finding("color_drift", "warning", what, look.where, advice)
+    yield Finding("color_drift", "warning", what, probe.where, advice)
 
 
-def clock_ns(look: Look, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
+def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
     """(n,) stamps of frames; at 30 a second where the recording only counts them."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
-    return stamps_ns // ASSUMED_HZ if look.counts_frames else stamps_ns
+    return stamps_ns // ASSUMED_HZ if probe.counts_frames else stamps_ns
 
 
-def _color_delay_ns(look: Look, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
+def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """By motion, or where depth shows too little of it, by edges that coincide."""
     delay_ns = _motion_delay_ns(run, stamps_ns)
-    if delay_ns is None and look.recording.color_registered:
+    if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)
     return delay_ns
 
@@ -195,12 +195,12 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
     return found[0] if max(abs(half_ns - found[0]) for half_ns in found[1:]) <= apart_ns else None
 
 
-def _with_partners_ns(look: Look, delay_ns: int) -> int:
+def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
     """The delay, moved to where images have partners again, if it is not told well enough for that."""
-    depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in look.recording.recorded_stamps_ns)
+    depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
         return delay_ns
-    color_ns = color_ns - round(look.recording.color_delay_s * NS_PER_S) - delay_ns
+    color_ns = color_ns - round(probe.recording.color_delay_s * NS_PER_S) - delay_ns
     after = np.clip(np.searchsorted(depth_ns, color_ns), 1, len(depth_ns) - 1)
     apart_ns = np.stack([color_ns - depth_ns[after - 1], color_ns - depth_ns[after]])
     nearest_ns = np.where(np.abs(apart_ns[0]) < np.abs(apart_ns[1]), *apart_ns)

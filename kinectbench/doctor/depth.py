@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.reconstruction import DepthRangePart
 from kinectbench.doctor.finding import Finding, Severity
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
 from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, scale_problem, suggested_scale
@@ -18,7 +18,7 @@ NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
 # A principal point farther from the middle, as a share of width or height, is not that of a whole image.
 OFF_CENTRE = 0.15
 SAME_RATIO = 0.08
-USUAL_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
+COMMON_SIZE_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
 NEARLY = 0.04
 MAX_ASPECT = 1.1
 # In between lies the depth of most rooms and of most cameras that record them, metres.
@@ -38,67 +38,67 @@ SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view",
 VALID_SHARE = 0.35
 
 
-def check_intrinsics(look: Look) -> Iterator[Finding]:
+def check_intrinsics(probe: Probe) -> Iterator[Finding]:
     """Judge focal lengths and principal point."""
-    camera = look.recording.camera
+    camera = probe.recording.camera
     across, down = camera.width / (2 * camera.cx + 1), camera.height / (2 * camera.cy + 1)
     shown = f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
     size = f"{camera.width}x{camera.height}"
     advice = "give those of the depth images under `camera:`"
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
     if off > OFF_CENTRE and abs(across / down - 1) < SAME_RATIO:
-        ratio = min(USUAL_RATIOS, key=lambda usual: abs(usual / across - 1))
+        ratio = min(COMMON_SIZE_RATIOS, key=lambda usual: abs(usual / across - 1))
         ratio = ratio if abs(ratio / across - 1) < NEARLY else across
         what = (
             f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
             f"images, but depth is {size}"
         )
-        yield Finding("intrinsics_resolution", "stops", what, look.where, f"multiply them by {ratio:.3g}")
+        yield Finding("intrinsics_resolution", "stops", what, probe.where, f"multiply them by {ratio:.3g}")
         return
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
-        yield Finding("principal_point", "warning", what, look.where, advice)
+        yield Finding("principal_point", "warning", what, probe.where, advice)
     view_deg = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
     if not NARROWEST_DEG <= view_deg <= WIDEST_DEG:
         what = f"the field of view is {view_deg:.0f} degrees ({shown}, {size})"
-        yield Finding("field_of_view", "warning", what, look.where, advice)
+        yield Finding("field_of_view", "warning", what, probe.where, advice)
     if not 1 / MAX_ASPECT < camera.fx / camera.fy < MAX_ASPECT:
         what = f"fx and fy differ by more than 10 % ({shown}): pixels are not square"
-        yield Finding("aspect", "warning", what, look.where, advice)
+        yield Finding("aspect", "warning", what, probe.where, advice)
 
 
-def check_depth(look: Look) -> Iterator[Finding]:
+def check_depth(probe: Probe) -> Iterator[Finding]:
     """Judge the values of depth images."""
-    yield from _readable(look)
-    if not look.whole:
+    yield from _readable(probe)
+    if not probe.whole:
         return
-    measured = _measured(look)
+    measured = _measured(probe)
     if not len(measured):
         yield Finding(
-            "no_depth", "stops", "no pixel of the frames looked at has a depth", look.where,
+            "no_depth", "stops", "no pixel of the frames looked at has a depth", probe.where,
             "check which stream or folder holds depth",
         )  # fmt: skip
         return
-    swapped = _byte_order(look)
+    swapped = _byte_order(probe)
     yield from swapped
-    yield from _levels(look, measured)
-    yield from _codes(look, measured)
+    yield from _levels(probe, measured)
+    yield from _codes(probe, measured)
     if not swapped:
-        yield from _unit(look, measured)
-    yield from _valid(look)
+        yield from _unit(probe, measured)
+    yield from _valid(probe)
 
 
-def depth_quantiles_m(look: Look) -> NDArray[np.float64]:
+def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
     """(3,) metres: 5 %, 50 % and 95 % of what is measured; NaN where nothing is."""
-    measured = _measured(look)
+    measured = _measured(probe)
     if not len(measured):
         return np.full(3, np.nan)
-    return np.asarray(np.quantile(measured, [0.05, 0.5, 0.95]) / look.recording.depth_scale)
+    return np.asarray(np.quantile(measured, [0.05, 0.5, 0.95]) / probe.recording.depth_scale)
 
 
-def _measured(look: Look) -> NDArray[np.uint16]:
+def _measured(probe: Probe) -> NDArray[np.uint16]:
     """Native values of some of the measured pixels of the whole frames."""
-    samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in look.whole]
+    samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in probe.whole]
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
@@ -107,36 +107,36 @@ def is_likely(median_m: float, far_m: float) -> bool:
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
 
 
-def _readable(look: Look) -> Iterator[Finding]:
-    count = len(look.frames) + len(look.damaged) + len(look.refused)
+def _readable(probe: Probe) -> Iterator[Finding]:
+    count = len(probe.frames) + len(probe.damaged) + len(probe.refused)
     # Of fewer a build leaves out what is damaged and what is of another kind, together.
-    few = len(look.refused) + len(look.damaged) < MAX_DAMAGED * count
+    few = len(probe.refused) + len(probe.damaged) < MAX_DAMAGED * count
     severity: Severity = "warning" if few else "stops"
-    if look.refused:
-        what = f"{len(look.refused)} of {count} frames looked at are of another kind: {look.refused[0]}"
-        yield Finding("depth_format", severity, what, look.where, "export the depth again, raw, in one kind")
-    if look.damaged:
-        what = f"{len(look.damaged)} of {count} frames looked at are damaged; the first: {look.damaged[0]}"
-        yield Finding("damaged_frames", severity, what, look.where, "copy or export them again")
-    step = look.depth_step_px
-    small = {(frame.depth_m.shape[0] * step, frame.depth_m.shape[1] * step) for frame in look.frames}
-    sizes = {frame.depth.shape for frame in look.whole}
+    if probe.refused:
+        what = f"{len(probe.refused)} of {count} frames looked at are of another kind: {probe.refused[0]}"
+        yield Finding("depth_format", severity, what, probe.where, "export the depth again, raw, in one kind")
+    if probe.damaged:
+        what = f"{len(probe.damaged)} of {count} frames looked at are damaged; the first: {probe.damaged[0]}"
+        yield Finding("damaged_frames", severity, what, probe.where, "copy or export them again")
+    step = probe.depth_step_px
+    small = {(frame.depth_m.shape[0] * step, frame.depth_m.shape[1] * step) for frame in probe.frames}
+    sizes = {frame.depth.shape for frame in probe.whole}
     if len(sizes) > 1 or len(small) > 1:
         known = sizes if len(sizes) > 1 else small
         shown = " and ".join(f"{width}x{height}" for height, width in sorted(known))
         what = f"depth images are {shown}: a recording must keep one size"
-        yield Finding("depth_sizes", "stops", what, look.where, "separate the two cameras or settings")
+        yield Finding("depth_sizes", "stops", what, probe.where, "separate the two cameras or settings")
 
 
-def _byte_order(look: Look) -> list[Finding]:
+def _byte_order(probe: Probe) -> list[Finding]:
     """Surfaces are smooth: with its two bytes exchanged, a right image is rougher."""
-    as_is = np.mean([_roughness(frame.depth[::4]) for frame in look.whole])
-    exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in look.whole])
+    as_is = np.mean([_roughness(frame.depth[::4]) for frame in probe.whole])
+    exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in probe.whole])
     if not as_is > SMOOTHER * exchanged:
         return []
     what = "the two bytes of every depth value are exchanged (little-endian data in a big-endian PNG)"
     advice = "write the depth again as 16-bit PNG by a library, or exchange the bytes"
-    return [Finding("byte_order", "stops", what, look.where, advice)]
+    return [Finding("byte_order", "stops", what, probe.where, advice)]
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
@@ -149,7 +149,7 @@ def _roughness(depth: NDArray[np.uint16]) -> float:
     return float((np.abs(left - right)[both].mean() + 1e-3) / np.median(left[both]))
 
 
-def _levels(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     levels = np.unique(measured)
     spacing = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
     # A flat scene has few levels too, one unit apart.
@@ -157,10 +157,10 @@ def _levels(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     even = coarse and (float(levels[-1]) - float(levels[0])) / spacing <= EVEN_LEVELS
     if even and len(levels) <= FEW_LEVELS and len(measured) > 100 * len(levels):
         what = f"depth has only {len(levels)} different values: it went through 8 bits, as a picture of depth"
-        yield Finding("depth_8_bit", "stops", what, look.where, "export the raw 16-bit depth")
+        yield Finding("depth_8_bit", "stops", what, probe.where, "export the raw 16-bit depth")
 
 
-def _codes(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     """A value that stands for no measurement: the highest one, frequent, and far beyond all others."""
     highest = int(measured.max())
     rest = measured[measured < highest]
@@ -168,11 +168,11 @@ def _codes(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     if share > CODE_SHARE and len(rest) and highest > CODE_BEYOND * float(np.quantile(rest, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
         severity: Severity = "stops" if share > 0.02 else "warning"
-        yield Finding("invalid_code", severity, what, look.where, "write 0 there")
+        yield Finding("invalid_code", severity, what, probe.where, "write 0 there")
 
 
-def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    scale = look.recording.depth_scale
+def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
+    scale = probe.recording.depth_scale
     median, far = (float(each) for each in np.quantile(measured, [0.5, 0.95]))
     if is_likely(median / scale, far / scale):
         return
@@ -185,40 +185,40 @@ def _unit(look: Look, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     # Things on a table are recorded from as near as this by cameras that can.
-    stored = getattr(look.recording, "float_scale", None) is None
+    stored = getattr(probe.recording, "float_scale", None) is None
     if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
-    yield Finding("depth_scale", severity, what, look.where, advice)
+    yield Finding("depth_scale", severity, what, probe.where, advice)
 
 
-def _valid(look: Look) -> Iterator[Finding]:
-    shares = np.array([(frame.depth_m > 0).mean() for frame in look.frames])
+def _valid(probe: Probe) -> Iterator[Finding]:
+    shares = np.array([(frame.depth_m > 0).mean() for frame in probe.frames])
     empty = int((shares == 0).sum())
     if empty:
-        yield Finding("empty_depth", "warning", f"{empty} depth images are empty", look.where)
+        yield Finding("empty_depth", "warning", f"{empty} depth images are empty", probe.where)
     if np.median(shares) < VALID_SHARE:
         what = f"only {np.median(shares):.0%} of the pixels have a depth"
         advice = "sun, black or shining surfaces, or a camera too near: record again where it sees more"
-        yield Finding("little_depth", "warning", what, look.where, advice)
+        yield Finding("little_depth", "warning", what, probe.where, advice)
 
 
 def range_by_look(
-    look: Look, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
+    probe: Probe, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
 ) -> DepthRangePart:
     """How far depth would make surface, and what would lie beyond, as `build` chooses it.
 
     Args:
-        look: at the recording.
+        probe: at the recording.
         T_world_camera: (n, 4, 4) of frames that have a pose; None: depth alone tells.
         fusion: what a person says of it.
     """
     poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera
-    sampled = sample_depth(frame.depth_m[::2, ::2] for frame in look.frames)
-    return depth_range(look.recording.camera, poses, sampled, fusion or FusionSettings())
+    sampled = sample_depth(frame.depth_m[::2, ::2] for frame in probe.frames)
+    return depth_range(probe.recording.camera, poses, sampled, fusion or FusionSettings())
 
 
-def check_range(look: Look, chosen: DepthRangePart) -> Iterator[Finding]:
+def check_range(probe: Probe, chosen: DepthRangePart) -> Iterator[Finding]:
     """Judge whether depth that may be of the object is too far to make surface."""
     for line in range_warnings(chosen):
         what, _, advice = line.rpartition("; ")
-        yield Finding("far_depth", "warning", what, look.where, advice)
+        yield Finding("far_depth", "warning", what, probe.where, advice)

@@ -10,8 +10,8 @@ from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import check_depth, check_intrinsics
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.lengths import LENGTHS, check_lengths
-from kinectbench.doctor.look import Gathering, frames_to_read, take_look
 from kinectbench.doctor.pose_delay import check_trajectory_delay
+from kinectbench.doctor.probe import ProbeBuilder, frames_to_read, probe_recording
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
@@ -28,8 +28,8 @@ def refuse_hopeless(recording: Recording) -> None:
     Raises:
         RecordingError: exchanged bytes, a code read as depth, intrinsics of another size.
     """
-    look = take_look(recording, few=True)
-    for found in (*check_depth(look), *check_intrinsics(look)):
+    probe = probe_recording(recording, few=True)
+    for found in (*check_depth(probe), *check_intrinsics(probe)):
         if found.severity == "stops" and found.name in CHECKED:
             raise RecordingError(
                 f"{found.where}: {found.what}; {found.advice} (`kinectbench inspect` says more)"
@@ -42,14 +42,14 @@ def likely_cause(recording: Recording) -> str:
     Depth of a small thing is as near as depth with a wrong scale: this is no reason to refuse a recording,
     but the likely one if nothing can be made of it.
     """
-    look = take_look(recording)
-    by_depth = [found for found in check_depth(look) if found.name == "depth_scale"]
+    probe = probe_recording(recording)
+    by_depth = [found for found in check_depth(probe) if found.name == "depth_scale"]
     # Poses tell the scale, the depth alone only that it is unlikely.
-    fit = fit_trajectory(look)
-    for found in check_codes(look, fit):
+    fit = fit_trajectory(probe)
+    for found in check_codes(probe, fit):
         doubt = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
         return f"{found.where}: {doubt}: {found.what}; {found.advice}{IN_CAMERA}"
-    of_poses = list(check_trajectory(look, fit))
+    of_poses = list(check_trajectory(probe, fit))
     for found in of_poses:
         if found.name in POSES:
             return f"{found.where}: {found.what}; {found.advice}"
@@ -65,9 +65,9 @@ class OffsetWatch:
     """Looks on while frames are written, so that none is read twice for it."""
 
     def __init__(self, recording: Recording) -> None:
-        """Look at the frames that `inspect` would read."""
+        """Probe at the frames that `inspect` would read."""
         self._recording = recording
-        self._gathering = Gathering(recording, frames_to_read(len(recording)), whole=0)
+        self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def see(self, index: int, frame: RawFrame) -> None:
         """Take a frame as it was recorded."""
@@ -91,15 +91,15 @@ class OffsetWatch:
         return tuple(self._examined())
 
     def _examined(self) -> Iterator[Finding]:
-        look = self._gathering.look()
+        probe = self._gathering.probe()
         given = self._recording.given_trajectory
-        yield from check_partners(look)
-        yield from list(check_color_drift(look)) or check_color_delay(look)
-        fit = fit_trajectory(look)
+        yield from check_partners(probe)
+        yield from list(check_color_drift(probe)) or check_color_delay(probe)
+        fit = fit_trajectory(probe)
         # Poses that are meant otherwise fit at no time; `track` says so, on all frames.
         if fit is not None and given is not None and not fit.reading.changes:
-            late = list(check_trajectory_delay(look, given, fit.reading, fit.pairs))
-            yield from late or check_lengths(look, fit.lengths)
+            late = list(check_trajectory_delay(probe, given, fit.reading, fit.pairs))
+            yield from late or check_lengths(probe, fit.lengths)
 
 
 def _line(found: Finding) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.stamps import usual_period_ns
+from kinectbench.core.trajectory.stamps import typical_period_ns
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.codes import EXPLAINED, check_codes
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
@@ -25,7 +25,7 @@ from kinectbench.doctor.depth import (
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.grade import check_grade
-from kinectbench.doctor.look import Look, take_look
+from kinectbench.doctor.probe import Probe, probe_recording
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
 from kinectbench.settings.models import (
@@ -39,7 +39,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
 # Focal length of a Kinect, as a share of the width.
-USUAL_FOCAL = 525 / 640
+KINECT_FOCAL_RATIO = 525 / 640
 UNKNOWN = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
 SAME_UNIT = (
     "the given poses fit by this unit, so that it is theirs, too: give `depth_scale` (units a metre), and "
@@ -65,7 +65,7 @@ def open_anyhow(
         size = open_recording(path, _with(settings, UNKNOWN), follow_links=follow_links).camera
     except RecordingError:
         return None, [Finding("unreadable", "stops", complaint, str(path))]
-    focal = USUAL_FOCAL * size.width
+    focal = KINECT_FOCAL_RATIO * size.width
     usual = {"fx": focal, "fy": focal, "cx": (size.width - 1) / 2, "cy": (size.height - 1) / 2}
     found = Finding(
         "intrinsics", "stops", complaint, str(path), "all else is judged with intrinsics like a Kinect's"
@@ -91,8 +91,8 @@ def inspect(
     plane_world: Vector4 | None = None,
     boxed: bool = False,
     tracking: TrackingSettings | None = None,
-) -> tuple[Diagnosis, Look | None]:
-    """Look a recording over.
+) -> tuple[Diagnosis, Probe | None]:
+    """Probe a recording over.
 
     Args:
         path: folder or file.
@@ -114,46 +114,46 @@ def inspect(
     ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
     if mode == "ignore":
         recording = replace(recording, given_trajectory=None, trajectory_error="")
-    look = take_look(recording)
+    probe = probe_recording(recording)
     found += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
-    early = [*check_clock(look), *check_depth(look)]
+    early = [*check_clock(probe), *check_depth(probe)]
     if not any(finding.name == "intrinsics" for finding in found):
-        early += check_intrinsics(look)
+        early += check_intrinsics(probe)
     found += early
-    facts = _facts(look)
-    if look.frames and not HOPELESS & {finding.name for finding in early}:
-        more, found = _examined(look, ground, found, fusion, own_pixels=own_pixels)
+    facts = _facts(probe)
+    if probe.frames and not HOPELESS & {finding.name for finding in early}:
+        more, found = _examined(probe, ground, found, fusion, own_pixels=own_pixels)
         facts |= more
         # Of poses that cannot be used, or that do not move what moves, no more is to be said.
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in found)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
-            found += [_by_own_pixels(look)] if own_pixels else check_grade(look, tracking, mode)
-    return Diagnosis(facts, gravest_first(found)), look
+            found += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
+    return Diagnosis(facts, gravest_first(found)), probe
 
 
-def _by_own_pixels(look: Look) -> Finding:
+def _by_own_pixels(probe: Probe) -> Finding:
     what = "how good the given poses are is not said here: a build grades them by the object's own pixels"
-    return Finding("trajectory_ungraded", "note", what, look.where)
+    return Finding("trajectory_ungraded", "note", what, probe.where)
 
 
 def _examined(
-    look: Look, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
+    probe: Probe, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
     """What depth that is depth tells: further facts, and all findings, less those that poses settle."""
     # Poses of a camera that stands still fit alike however they are read: they tell nothing.
-    still = [*check_still(look)]
+    still = [*check_still(probe)]
     stands = any(finding.name in NO_MOTION for finding in still)
-    edges, poses = fit_edges(look), None if stands else fit_trajectory(look)
-    code = [] if stands else list(check_codes(look, poses))
+    edges, poses = fit_edges(probe), None if stands else fit_trajectory(probe)
+    code = [] if stands else list(check_codes(probe, poses))
     if code:
         # All else would be judged by depth that is wrong.
         kept = [finding for finding in found if finding.name not in EXPLAINED]
         return {}, [*kept, *code]
-    depth_range = range_by_look(look, None if poses is None else poses.T_world_camera, fusion)
-    floor = seen_floor(look, ground, poses, depth_range.max_depth_m)
-    late = [*_late(look, edges, poses), *check_range(look, depth_range)]
+    depth_range = range_by_look(probe, None if poses is None else poses.T_world_camera, fusion)
+    floor = seen_floor(probe, ground, poses, depth_range.max_depth_m)
+    late = [*_late(probe, edges, poses), *check_range(probe, depth_range)]
     if not own_pixels:
-        late += [*check_floor(look, floor, ground), *still]
+        late += [*check_floor(probe, floor, ground), *still]
     if poses is not None and poses.proven:
         # A build refuses depth that no room has, also where poses are in the same unit.
         found, late = (
@@ -177,33 +177,33 @@ def _examined(
     return facts, found
 
 
-def _late(look: Look, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
+def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
     """What only depth that is depth can tell."""
-    of_color = list(check_edges(look, edges))
+    of_color = list(check_edges(probe, edges))
     yield from of_color
     # Edges that lie elsewhere say nothing of when they were seen.
     if not any(finding.severity == "warning" for finding in of_color):
-        drift = list(check_color_drift(look))
-        yield from drift or check_color_delay(look)
-    yield from check_trajectory(look, poses)
-    yield from check_light(look)
+        drift = list(check_color_drift(probe))
+        yield from drift or check_color_delay(probe)
+    yield from check_trajectory(probe, poses)
+    yield from check_light(probe)
 
 
-def _facts(look: Look) -> dict[str, object]:
-    recording = look.recording
+def _facts(probe: Probe) -> dict[str, object]:
+    recording = probe.recording
     depth_ns, color_ns = recording.recorded_stamps_ns
-    period_ns = 0 if look.counts_frames else usual_period_ns(depth_ns)
+    period_ns = 0 if probe.counts_frames else typical_period_ns(depth_ns)
     stamps_ns = recording.stamps_ns
     duration_s = float(stamps_ns[-1] - stamps_ns[0]) / 1e9 if period_ns else None
-    near_m, median_m, far_m = depth_quantiles_m(look).tolist()
-    shares = [float((frame.depth_m > 0).mean()) for frame in look.frames]
-    colors = [frame.bgr.shape for frame in look.whole if frame.bgr is not None]
+    near_m, median_m, far_m = depth_quantiles_m(probe).tolist()
+    shares = [float((frame.depth_m > 0).mean()) for frame in probe.frames]
+    colors = [frame.bgr.shape for frame in probe.whole if frame.bgr is not None]
     given = recording.given_trajectory
     return {
         "path": str(recording.path),
         "format": recording.format,
         "frames": len(recording),
-        "frames_looked_at": len(look.frames),
+        "frames_looked_at": len(probe.frames),
         "color_images": len(color_ns) or None,
         "rate_hz": _rounded(1e9 / period_ns, 2) if period_ns else None,
         "duration_s": None if duration_s is None else _rounded(duration_s, 3),

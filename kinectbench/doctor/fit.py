@@ -17,7 +17,7 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.core.types import Float64
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 
 # What the axes of a camera are called, and R_camera_optical for each.
 AXES: dict[str, Float64] = {
@@ -136,13 +136,13 @@ class Pair:
     camera: Camera
 
 
-def choose_pairs(look: Look, poses: Float64) -> tuple[Pair, ...]:
+def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
     """Pairs of frames that have poses, evenly over the recording, near and farther apart.
 
     In time; or by the angle between the views where the poses (n, 4, 4) have no order in time: it is the same
     whichever way the poses are meant.
     """
-    camera, count = look.small_camera, len(look.frames)
+    camera, count = probe.small_camera, len(probe.frames)
     has_pose = np.isfinite(poses[:, 0, 0])
     ordered = in_order_of_time(poses)
     rays = camera.rays()[::POINT_STEP, ::POINT_STEP]
@@ -153,12 +153,12 @@ def choose_pairs(look: Look, poses: Float64) -> tuple[Pair, ...]:
         for second in _later(first, count) if ordered else _beside(first, poses):
             if second < 0 or not has_pose[second]:
                 continue
-            if any(look.frames[i].depth_m.shape != (camera.height, camera.width) for i in (first, second)):
+            if any(probe.frames[i].depth_m.shape != (camera.height, camera.width) for i in (first, second)):
                 continue
-            z = look.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
+            z = probe.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
             points = (rays * z[..., None])[z > 0]
             if len(points):
-                pairs.append(Pair(first, second, points, look.frames[second].depth_m, camera))
+                pairs.append(Pair(first, second, points, probe.frames[second].depth_m, camera))
     return tuple(pairs)
 
 

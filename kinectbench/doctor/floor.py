@@ -15,8 +15,8 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import middle_depth_m
 from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.look import Look, SmallFrame
 from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
+from kinectbench.doctor.probe import Probe, SmallFrame
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
 
@@ -37,12 +37,12 @@ SEEN_SHARE = 0.3
 MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 
 # Frames put together by their poses scatter about a floor by so many times what one Kinect's depth does at
-# that distance, or their poses, intrinsics or the plane are doubted. Measured: .4 to 2.4 times for right ones
-# (50 recordings of the simulator, 5 real ones), 5.3 to 6.6 for wrong ones (3).
+# that distance, or their poses, the intrinsics or the plane are reported as doubtful. Measured: .4 to 2.4
+# times for right ones (50 recordings of the simulator, 5 real ones), 5.3 to 6.6 for wrong ones (3).
 SCATTER_TIMES = 4.0
 SCATTERS = (
     "the frames scatter by {seen_mm:.0f} mm about the floor, a Kinect's depth at {far_m:.1f} m by "
-    "{usual_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try `trajectory: refine` "
+    "{expected_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try `trajectory: refine` "
     "or `track`, record with more of the floor in view, or give a box"
 )
 BY_FRAMES = "{why}; that is what {count} frames show by themselves: a build fuses all, and may still find it"
@@ -81,28 +81,28 @@ class SeenFloor:
 
 
 def seen_floor(
-    look: Look, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
+    probe: Probe, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
 ) -> SeenFloor:
-    """Look for the floor in some frames.
+    """Probe for the floor in some frames.
 
     With given poses that fit, the floor is looked for once, in all the frames together and with all that the
     build knows; else in each frame alone, as if it were a recording. A person's plane is in the world of the
     given poses, and means nothing without them.
 
     Args:
-        look: at the recording.
+        probe: at the recording.
         ground: what is known of it.
         poses: how the given poses fit; None: there are none.
         max_depth_m: depth beyond makes no surface.
     """
-    posed = None if poses is None or poses.best > FITTING else _posed(look, poses)
+    posed = None if poses is None or poses.best > FITTING else _posed(probe, poses)
     if poses is not None and posed is not None and len(posed[0]) > 1:
         # Gravity in the frame of poses that are meant otherwise is meant otherwise, too.
         recording = ground.recording if poses.given == poses.best else _without_poses(ground.recording)
-        return _heights_together(look, *posed, max_depth_m, replace(ground, recording=recording))
-    count = len(look.frames)
+        return _heights_together(probe, *posed, max_depth_m, replace(ground, recording=recording))
+    count = len(probe.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
-    alone = [_floor_alone(look.frames[i], look.small_camera, ground.recording) for i in indices]
+    alone = [_floor_alone(probe.frames[i], probe.small_camera, ground.recording) for i in indices]
     heights_m = [np.nan if each is None else each.plane_world[3] for each in alone]
     # What speaks against the floor of most frames does against that of the recording.
     told = Counter(line for each in alone if each is not None for line in each.against)
@@ -114,7 +114,7 @@ def _without_poses(recording: Recording) -> Recording:
     return replace(recording, given_trajectory=None)
 
 
-def check_floor(look: Look, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
+def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
     """Judge whether there is a floor, and whether it is where floors are."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
@@ -128,37 +128,37 @@ def check_floor(look: Look, floor: SeenFloor, ground: Ground) -> Iterator[Findin
         )
         if floor.why is not None:
             what, advice = BY_FRAMES.format(why=floor.why, count=len(seen)).split("; ", 1)
-        yield Finding("no_floor", "warning" if not seen.any() else "note", what, look.where, advice)
+        yield Finding("no_floor", "warning" if not seen.any() else "note", what, probe.where, advice)
         return
     for doubt in floor.doubts:
         what, advice = doubt.split("; ", 1)
-        yield Finding("floor_doubtful", "warning", what, look.where, advice)
+        yield Finding("floor_doubtful", "warning", what, probe.where, advice)
     height_m = float(np.nanmedian(heights_m))
     if height_m <= 0:
         what = "most cameras are below the plane that benchmark.yaml gives as `floor`"
         advice = "its normal must point up, in the frame of the trajectory"
-        yield Finding("floor_above", "stops", what, look.where, advice)
+        yield Finding("floor_above", "stops", what, probe.where, advice)
     elif not LOWEST_M <= height_m <= HIGHEST_M:
         what = f"the camera is {height_m:.2f} m above the floor, if depth has the right unit"
-        yield Finding("camera_height", "warning", what, look.where, "check `depth_scale`")
+        yield Finding("camera_height", "warning", what, probe.where, "check `depth_scale`")
 
 
-def _posed(look: Look, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
+def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
     """Some of the frames that have a pose, and their poses (n, 4, 4) by the reading that fits."""
-    given = look.recording.given_trajectory
+    given = probe.recording.given_trajectory
     if given is None:
         return None
-    moved = on_clock(look, given)
-    T_world_camera = poses.reading.apply(poses_at(moved, clock_ns(look, look.frames), longest_gap_s(moved)))
+    moved = on_clock(probe, given)
+    T_world_camera = poses.reading.apply(poses_at(moved, clock_ns(probe, probe.frames), longest_gap_s(moved)))
     known = np.flatnonzero(np.isfinite(T_world_camera[:, 0, 0]))
-    shape = look.small_camera.height, look.small_camera.width
-    known = np.array([i for i in known if look.frames[i].depth_m.shape == shape], np.int64)
+    shape = probe.small_camera.height, probe.small_camera.width
+    known = np.array([i for i in known if probe.frames[i].depth_m.shape == shape], np.int64)
     chosen = np.unique(known[np.linspace(0, len(known) - 1, min(POSED_FRAMES, len(known))).astype(int)])
-    return [look.frames[i] for i in chosen], T_world_camera[chosen]
+    return [probe.frames[i] for i in chosen], T_world_camera[chosen]
 
 
 def _heights_together(
-    look: Look, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
+    probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
     """Heights (n,) of some of the frames above the one floor of all; of all above a person's plane."""
     from kinectbench.stages.segment.seen_floor import floor_of_frames
@@ -174,7 +174,7 @@ def _heights_together(
     if hint.plane_world is not None:
         heights_m = T_world_camera[:, :3, 3] @ hint.plane_world[:3] + hint.plane_world[3]
     try:
-        floor, clouds = floor_of_frames(near_m, look.small_camera, T_world_camera, hint)
+        floor, clouds = floor_of_frames(near_m, probe.small_camera, T_world_camera, hint)
     except SegmentationError as error:
         return SeenFloor(heights_m, why=str(error))
     if floor.given:
@@ -194,9 +194,9 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
     if not len(depths_m):
         return
     far_m = float(np.median(depths_m))
-    usual_m = depth_sigma_m(far_m)
-    if noise_m > SCATTER_TIMES * usual_m:
-        yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, usual_mm=1000 * usual_m)
+    expected_m = depth_sigma_m(far_m)
+    if noise_m > SCATTER_TIMES * expected_m:
+        yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, expected_mm=1000 * expected_m)
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":

@@ -8,7 +8,7 @@ from kinectbench.core.errors import RecordingError, TrackingError
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.doctor.finding import Finding, Severity
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.ingest.in_memory import as_sequence
 from kinectbench.stages.track import track
@@ -19,37 +19,37 @@ MOST_FRAMES = 150
 
 
 def check_grade(
-    look: Look, tracking: TrackingSettings, mode: TrajectoryMode | None = None
+    probe: Probe, tracking: TrackingSettings, mode: TrajectoryMode | None = None
 ) -> Iterator[Finding]:
     """Grade a given trajectory as the stage `track` does; of up to 150 frames the result is the same.
 
     Args:
-        look: at a recording whose given trajectory can be read.
+        probe: at a recording whose given trajectory can be read.
         tracking: what counts as disagreement.
         mode: what a build does with the trajectory; it grades what becomes of poses that it refines.
     """
-    count = len(look.recording)
+    count = len(probe.recording)
     every = count <= MOST_FRAMES
     # Of a longer recording not all frames were read; damaged ones of a short one were left out.
-    indices = [frame.index for frame in look.frames]
+    indices = [frame.index for frame in probe.frames]
     if not every:
         indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
     which = "" if every else f", by {MOST_FRAMES} of {count} frames"
-    refined, given = mode == "refine", look.recording.given_trajectory
+    refined, given = mode == "refine", probe.recording.given_trajectory
     assert given is not None
-    posed = has_pose(poses_at(given, look.recording.stamps_ns, tracking.max_stamp_gap_s))
+    posed = has_pose(poses_at(given, probe.recording.stamps_ns, tracking.max_stamp_gap_s))
     # Of a longer recording the frames that are compared lie farther apart; that most have no pose is certain.
     certain = every or posed.sum() < MIN_GOOD_FRAMES
     try:
-        sequence = as_sequence(look.recording, indices)
+        sequence = as_sequence(probe.recording, indices)
         health = track(sequence, "trust" if refined else mode, tracking).health
     except TrackingError as error:
         severity: Severity = "stops" if certain and not refined else "warning"
-        yield Finding("trajectory_wrong", severity, f"{error}{which}", look.where)
+        yield Finding("trajectory_wrong", severity, f"{error}{which}", probe.where)
         return
     except RecordingError as error:
         what = f"the given trajectory could not be graded here, only a build will: {error}"
-        yield Finding("trajectory_ungraded", "note", what, look.where)
+        yield Finding("trajectory_ungraded", "note", what, probe.where)
         return
     assert health is not None
     if health.grade == "good" and health.recommended == "trust":
@@ -60,7 +60,7 @@ def check_grade(
         what += "; a build refines it, and grades the result"
     elif health.recommended != "trust":
         advice = f"recommended is `trajectory: {health.recommended}`"
-    yield Finding("trajectory_grade", "warning" if bad and not refined else "note", what, look.where, advice)
+    yield Finding("trajectory_grade", "warning" if bad and not refined else "note", what, probe.where, advice)
     # Numbers of frames are those of the build only if all of them are there.
     for line in health.warnings if every else ():
-        yield Finding("trajectory_check", "note", line, look.where)
+        yield Finding("trajectory_check", "note", line, probe.where)

@@ -9,14 +9,14 @@ import numpy as np
 from kinectbench.core.types import Float64
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import Pair, disagreements
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 
 # Depth and focal lengths are tried so much longer and shorter, again and again from where it is better.
 STEP, MOST_STEPS = 1.05, 4
 # They are doubted if with others less than this is left of the disagreement of poses and depth. Of 22 real
 # and simulated recordings with the right ones at least .985 was left; of eleven with the scale or the focal
 # lengths a tenth off (both ways, 44 trials) less than .97 but for one, a twentieth off in 32.
-DOUBTED: Final = 0.97
+MIN_RATIO_LEFT: Final = 0.97
 # Name of the finding.
 LENGTHS: Final = "lengths_doubtful"
 
@@ -36,9 +36,9 @@ class Lengths:
     left: float
 
     @property
-    def doubted(self) -> bool:
+    def implausible(self) -> bool:
         """Whether so much speaks for others that people are to know."""
-        return self.left < DOUBTED
+        return self.left < MIN_RATIO_LEFT
 
 
 def fit_lengths(pairs: Sequence[Pair], T_world_camera: Float64) -> Lengths:
@@ -74,11 +74,11 @@ def _with(pair: Pair, depth: float, focal: float) -> Pair:
     return replace(pair, points=points, depth_m=pair.depth_m * np.float32(depth), camera=camera)
 
 
-def check_lengths(look: Look, lengths: Lengths) -> Iterator[Finding]:
+def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
     """Name lengths by which the given poses fit better."""
-    if not lengths.doubted:
+    if not lengths.implausible:
         return
-    recording = look.recording
+    recording = probe.recording
     parts, values = [], dict[str, float]()
     if lengths.depth != 1:
         parts.append(f"depth {lengths.depth:.2f} times as far")
@@ -92,7 +92,7 @@ def check_lengths(look: Look, lengths: Lengths) -> Iterator[Finding]:
         "warning",
         f"the given poses fit the depth better with {' and '.join(parts)} "
         f"({1 - lengths.left:.0%} less disagreement): the object's size or shape may be wrong",
-        look.where,
+        probe.where,
         f"look at depth_scale, at the intrinsics and at the poses' unit; of what was tried "
         f"`camera: {{{written}}}` fits best",
     )

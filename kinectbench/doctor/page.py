@@ -12,7 +12,7 @@ from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
 from kinectbench.doctor.color import depth_jumps
 from kinectbench.doctor.finding import Diagnosis, figures
-from kinectbench.doctor.look import Look, WholeFrame
+from kinectbench.doctor.probe import Probe, WholeFrame
 
 FRAMES, WIDTH_PX = 8, 320
 EDGE_RGB = (255, 120, 20)
@@ -28,7 +28,7 @@ class Picture:
     uri: str
 
 
-def write_page(diagnosis: Diagnosis, look: Look | None, out: Path) -> None:
+def write_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
     """Write the page.
 
     Raises:
@@ -41,16 +41,16 @@ def write_page(diagnosis: Diagnosis, look: Look | None, out: Path) -> None:
         "figures": figures(diagnosis.facts),
         "tones": TONES,
         "tone": "bad" if "stops" in grave else "warn" if "warning" in grave else "good",
-        "pictures": [] if look is None else list(_pictures(look)),
+        "pictures": [] if probe is None else list(_pictures(probe)),
     }
     with replaced_file(out) as temporary:
         temporary.write_text(render_page("doctor/page.html", shown), encoding="utf-8")
 
 
-def _pictures(look: Look) -> Iterator[Picture]:
-    count = len(look.whole)
+def _pictures(probe: Probe) -> Iterator[Picture]:
+    count = len(probe.whole)
     for index in np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)) if count else ():
-        frame = look.whole[index]
+        frame = probe.whole[index]
         if frame.bgr is not None:
             yield Picture(frame.index, "colour", data_uri(shrunk(frame.bgr[..., ::-1], WIDTH_PX)))
         yield Picture(frame.index, "depth", data_uri(shrunk(depth_picture(frame.depth), WIDTH_PX)))

@@ -11,7 +11,7 @@ from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import Pair, Reading, disagreements, frames_of
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 
 # Half a second either way: clocks that were set to each other by the network (own choice).
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
@@ -32,31 +32,31 @@ MAX_GAP_S = 0.2
 
 
 def check_trajectory_delay(
-    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
 ) -> Iterator[Finding]:
     """Whether given poses fit the depth better at other times."""
-    delay_ns = trajectory_delay_ns(look, given, reading, pairs)
+    delay_ns = trajectory_delay_ns(probe, given, reading, pairs)
     # Of poses without stamps less than a frame is no offset of clocks.
-    if delay_ns is None or abs(delay_ns) < (LEAST_NS if look.counts_frames else LEAST_FINE_NS):
+    if delay_ns is None or abs(delay_ns) < (LEAST_NS if probe.counts_frames else LEAST_FINE_NS):
         return
     when = offset_in_words(delay_ns / 1e9)
     what = f"the stamps of the given poses are {when}: so moved, they fit the depth best"
-    advice = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + delay_ns / 1e9)
-    if look.counts_frames:
+    advice = camera_line("trajectory_delay_s", probe.recording.trajectory_delay_s + delay_ns / 1e9)
+    if probe.counts_frames:
         which = "late" if delay_ns > 0 else "early"
         what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
         advice = "number them again"
-    yield Finding("trajectory_delay", "warning", what, look.where, advice)
+    yield Finding("trajectory_delay", "warning", what, probe.where, advice)
 
 
-def on_clock(look: Look, given: GivenTrajectory) -> GivenTrajectory:
+def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
     """The given trajectory on the clock of `clock_ns`."""
-    divisor = ASSUMED_HZ if look.counts_frames else 1
+    divisor = ASSUMED_HZ if probe.counts_frames else 1
     return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
 
 
 def trajectory_delay_ns(
-    look: Look, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
 ) -> int | None:
     """The delay of the poses' stamps at which they fit the depth best (own rule); None: not clear.
 
@@ -66,7 +66,7 @@ def trajectory_delay_ns(
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """(lags, pairs)."""
-        poses = np.stack([_poses(look, given, pairs, int(lag)) for lag in lags_ns])
+        poses = np.stack([_poses(probe, given, pairs, int(lag)) for lag in lags_ns])
         posed = np.all(np.isfinite(poses[:, :, 0, 0]), axis=0)
         usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
         return disagreements(usable, np.stack([reading.apply(each) for each in poses]))
@@ -114,16 +114,16 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
     return int(lags_ns[best]) - round(float(slope / (2 * bend)) * FINE_STEP_NS)
 
 
-def _poses(look: Look, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
+def _poses(probe: Probe, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
     """Poses of the frames in pairs at stamps that are later by a lag: (n, 4, 4), NaN for all other frames."""
     needed = frames_of(pairs)
-    poses = np.full((len(look.frames), 4, 4), np.nan)
-    moved = on_clock(look, given)
-    poses[needed] = poses_at(moved, clock_ns(look, look.frames)[needed] + lag_ns, longest_gap_s(moved))
+    poses = np.full((len(probe.frames), 4, 4), np.nan)
+    moved = on_clock(probe, given)
+    poses[needed] = poses_at(moved, clock_ns(probe, probe.frames)[needed] + lag_ns, longest_gap_s(moved))
     return poses
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
     """How far apart two poses may be for one in between: coarse, as this is but a look (own rule)."""
-    usual_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
-    return max(MAX_GAP_S, 2.5 * usual_s)
+    median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
+    return max(MAX_GAP_S, 2.5 * median_s)

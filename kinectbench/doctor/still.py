@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, some_of, watch, watch_some
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.look import Look
+from kinectbench.doctor.probe import Probe
 
 TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if an object turns on the spot"
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
@@ -16,23 +16,23 @@ NO_MOTION = frozenset({"one_view", "turntable"})
 PLAIN = "nothing but the object gives depth, so that it does not matter whether it turned or the camera moved"
 
 
-def check_still(look: Look) -> Iterator[Finding]:
+def check_still(probe: Probe) -> Iterator[Finding]:
     """Recognise a turntable, and a still camera before which nothing moves."""
-    frames = [look.frames[index] for index in some_of(len(look.frames))]
-    shape = (look.small_camera.height, look.small_camera.width)
+    frames = [probe.frames[index] for index in some_of(len(probe.frames))]
+    shape = (probe.small_camera.height, probe.small_camera.width)
     frames = [frame for frame in frames if frame.depth_m.shape == shape]
     watched = watch([frame.depth_m for frame in frames], [frame.gray for frame in frames])
     if watched is None:
         return
     if watched.plain:
         advice = f"{TURNTABLE}: all of it is then the object, and no floor is needed"
-        yield Finding("plain_background", "note", PLAIN, look.where, advice)
+        yield Finding("plain_background", "note", PLAIN, probe.where, advice)
     elif watched.camera_still and not watched.something_moves:
         what = "the camera stands still, and nothing moves before it: all frames show one view"
-        yield Finding("one_view", "warning", what, look.where, WALK)
+        yield Finding("one_view", "warning", what, probe.where, WALK)
     elif watched.camera_still:
-        has_masks = look.recording.frame(look.frames[0].index).mask is not None
-        yield Finding("turntable", "warning", _what(watched), look.where, _advice(has_masks))
+        has_masks = probe.recording.frame(probe.frames[0].index).mask is not None
+        yield Finding("turntable", "warning", _what(watched), probe.where, _advice(has_masks))
 
 
 def turntable_warning(sequence: Sequence) -> str:

@@ -26,8 +26,8 @@ from kinectbench.doctor.fit import (
     residual_m,
 )
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
-from kinectbench.doctor.look import Look
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
+from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 from kinectbench.stages.ingest.recording import FileRecording, Recording
 
@@ -81,15 +81,15 @@ class PoseFit:
     lengths: Lengths
 
 
-def fit_trajectory(look: Look) -> PoseFit | None:
+def fit_trajectory(probe: Probe) -> PoseFit | None:
     """Try the readings of the given trajectory; None if there is nothing to judge by."""
-    given = look.recording.given_trajectory
-    if given is None or not look.frames:
+    given = probe.recording.given_trajectory
+    if given is None or not probe.frames:
         return None
-    moved = on_clock(look, given)
-    poses = poses_at(moved, clock_ns(look, look.frames), longest_gap_s(moved))
+    moved = on_clock(probe, given)
+    poses = poses_at(moved, clock_ns(probe, probe.frames), longest_gap_s(moved))
     known = np.isfinite(poses[:, 0, 0])
-    pairs = choose_pairs(look, poses)
+    pairs = choose_pairs(probe, poses)
     if len(pairs) < LEAST_PAIRS:
         return None
     standing = np.tile(np.eye(4), (len(poses), 1, 1))
@@ -121,10 +121,10 @@ def fit_trajectory(look: Look) -> PoseFit | None:
         still=still,
         residual_m=left_m,
         fits=fit,
-        proven=fit and chosen == 0 and bool(better) and not lengths.doubted,
+        proven=fit and chosen == 0 and bool(better) and not lengths.implausible,
         pairs=usable,
         T_world_camera=read[known],
-        arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in look.frames)),
+        arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in probe.frames)),
         lengths=lengths,
     )
 
@@ -138,41 +138,41 @@ def _disagreements(
     return disagreements(pairs, np.stack([reading.apply(paired) for reading in readings]))
 
 
-def check_trajectory(look: Look, fit: PoseFit | None) -> Iterator[Finding]:
+def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
     """Judge the trajectory that came with a recording."""
-    given = look.recording.given_trajectory
-    if look.recording.trajectory_error:
+    given = probe.recording.given_trajectory
+    if probe.recording.trajectory_error:
         advice = "correct it, or `trajectory: ignore`"
-        yield Finding("trajectory_unreadable", "stops", look.recording.trajectory_error, look.where, advice)
+        yield Finding("trajectory_unreadable", "stops", probe.recording.trajectory_error, probe.where, advice)
         return
     if given is None:
-        beside = named_like_poses(look.recording.path)
-        if beside and any(beside in line for line in look.recording.warnings):
+        beside = named_like_poses(probe.recording.path)
+        if beside and any(beside in line for line in probe.recording.warnings):
             beside = ""  # said already
         what = f"no trajectory: the camera will be tracked{beside}"
         advice = f"write `trajectory.txt` {TUM_ROWS}"
-        yield Finding("no_trajectory", "note", what, look.where, advice if beside else "")
+        yield Finding("no_trajectory", "note", what, probe.where, advice if beside else "")
         return
-    stamps_ns = look.recording.stamps_ns
+    stamps_ns = probe.recording.stamps_ns
     unit = _time_unit(given.stamps_ns, stamps_ns)
     if unit is not None or given.stamps_ns[0] > stamps_ns[-1] or given.stamps_ns[-1] < stamps_ns[0]:
-        yield _other_time(look, given, unit)
+        yield _other_time(probe, given, unit)
         return
     inside = (stamps_ns >= given.stamps_ns[0]) & (stamps_ns <= given.stamps_ns[-1])
     if inside.mean() < POSED_SHARE:
         what = f"the given trajectory covers the time of {inside.mean():.0%} of the frames only"
-        yield Finding("trajectory_short", "warning", what, look.where, "the others get no pose")
+        yield Finding("trajectory_short", "warning", what, probe.where, "the others get no pose")
     if fit is None:
         what = "too few frames with poses see the same surface: the given trajectory could not be checked"
-        yield Finding("trajectory_unchecked", "note", what, look.where)
+        yield Finding("trajectory_unchecked", "note", what, probe.where)
         return
-    yield from _reading(look, fit)
+    yield from _reading(probe, fit)
     late = []
     if not fit.reading.changes or fit.fits:
-        late = list(check_trajectory_delay(look, given, fit.reading, fit.pairs))
+        late = list(check_trajectory_delay(probe, given, fit.reading, fit.pairs))
     # Poses of another time fit better with other lengths, too.
-    yield from late or check_lengths(look, fit.lengths)
-    yield from _arc(look, fit)
+    yield from late or check_lengths(probe, fit.lengths)
+    yield from _arc(probe, fit)
 
 
 def _simplest(readings: list[Reading], costs: NDArray[np.float64]) -> int:
@@ -200,8 +200,8 @@ def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> flo
     return None
 
 
-def _other_time(look: Look, given: GivenTrajectory, unit: float | None) -> Finding:
-    stamps_ns = look.recording.stamps_ns
+def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Finding:
+    stamps_ns = probe.recording.stamps_ns
     first_s, last_s = (float(given.stamps_ns[i]) / 1e9 for i in (0, -1))
     start_s, end_s = (float(stamps_ns[i]) / 1e9 for i in (0, -1))
     much = "no" if first_s > end_s or last_s < start_s else "hardly any"
@@ -211,10 +211,10 @@ def _other_time(look: Look, given: GivenTrajectory, unit: float | None) -> Findi
     )
     if unit is not None:
         what = f"{what}: their stamps are {FACTORS[unit]}"
-        return Finding("trajectory_time_unit", "stops", what, look.where, f"multiply them by {unit:g}")
-    line = camera_line("trajectory_delay_s", look.recording.trajectory_delay_s + first_s - start_s)
+        return Finding("trajectory_time_unit", "stops", what, probe.where, f"multiply them by {unit:g}")
+    line = camera_line("trajectory_delay_s", probe.recording.trajectory_delay_s + first_s - start_s)
     advice = f"if both begin together, {line}; or `trajectory: ignore`"
-    return Finding("trajectory_time", "stops", what, look.where, advice)
+    return Finding("trajectory_time", "stops", what, probe.where, advice)
 
 
 def _stated_scale(recording: Recording) -> float:
@@ -223,7 +223,7 @@ def _stated_scale(recording: Recording) -> float:
     return recording.depth_scale if float_scale is None else float_scale
 
 
-def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
+def _reading(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
     if fit.reading.changes and not fit.fits:
         left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
         if not math.isfinite(fit.residual_m):
@@ -238,7 +238,7 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
                 "if they are meant so, write them anew; else look at the depth's scale and the intrinsics"
             )
         advice += "; or `trajectory: ignore`"
-        yield Finding("trajectory_wrong", "stops", what, look.where, advice)
+        yield Finding("trajectory_wrong", "stops", what, probe.where, advice)
     elif fit.reading.changes:
         what = (
             f"the given poses do not fit the depth as they are, but do if read as: {fit.reading.text()} "
@@ -246,8 +246,8 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
         )
         name, advice = "trajectory_reading", "write them anew so, or `trajectory: ignore`"
         if fit.reading.changes == 1 and fit.reading.unit_m != 1:
-            _, median_m, far_m = depth_quantiles_m(look).tolist()
-            scale = _stated_scale(look.recording) * fit.reading.unit_m
+            _, median_m, far_m = depth_quantiles_m(probe).tolist()
+            scale = _stated_scale(probe.recording) * fit.reading.unit_m
             at_scale_m = median_m / fit.reading.unit_m
             name = "depth_scale"
             advice = (
@@ -257,21 +257,21 @@ def _reading(look: Look, fit: PoseFit) -> Iterator[Finding]:
                 name, advice = "trajectory_scale", "write the poses in metres"
         if fit.reading.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
-        yield Finding(name, "stops", what, look.where, advice)
+        yield Finding(name, "stops", what, probe.where, advice)
     elif fit.still > MOVED and fit.best > NO_BETTER * fit.still:
         what = (
             "the given poses fit the depth no better than if the camera had stood still, by any reading that "
             "was tried"
         )
         advice = "they are of another recording, camera or clock: `trajectory: ignore`"
-        yield Finding("trajectory_wrong", "stops", what, look.where, advice)
+        yield Finding("trajectory_wrong", "stops", what, probe.where, advice)
 
 
-def _arc(look: Look, fit: PoseFit) -> Iterator[Finding]:
+def _arc(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
     arc_rad = fit.arc_rad
     if arc_rad is None:
         what = "the cameras do not look at one thing: there is no arc around an object"
-        yield Finding("arc", "note", what, look.where, "go round one object for a full shape")
+        yield Finding("arc", "note", what, probe.where, "go round one object for a full shape")
     elif math.degrees(arc_rad) < SMALL_ARC_DEG:
         what = f"the cameras see what they look at from an arc of {math.degrees(arc_rad):.0f} degrees"
-        yield Finding("arc", "note", what, look.where, "go round: sides never seen stay unknown")
+        yield Finding("arc", "note", what, probe.where, "go round: sides never seen stay unknown")

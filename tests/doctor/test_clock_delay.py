@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinectbench.core.trajectory.stamps import StampFaults, find_doubled, find_stamp_faults, usual_period_ns
+from kinectbench.core.trajectory.stamps import StampFaults, find_doubled, find_stamp_faults, typical_period_ns
 from kinectbench.doctor.delays import Motion, check_color_drift, estimate_delay_ns, image_motion
-from kinectbench.doctor.look import Look, SmallFrame, frames_to_read
+from kinectbench.doctor.probe import Probe, SmallFrame, frames_to_read
 
 STEP_NS = 33_333_333
 START_NS = 1_400_000_000_000_000_000
@@ -26,8 +26,8 @@ def test_a_good_clock() -> None:
     nothing = StampFaults(repeated=0, backwards=0, jumps=(), resets=())
     assert find_stamp_faults(stamps()) == nothing
     assert find_stamp_faults([]) == nothing
-    assert abs(usual_period_ns(stamps()) - STEP_NS) < 1_000_000
-    assert usual_period_ns(np.array([5])) == 0
+    assert abs(typical_period_ns(stamps()) - STEP_NS) < 1_000_000
+    assert typical_period_ns(np.array([5])) == 0
 
 
 @pytest.mark.parametrize("every", [2, 3])
@@ -35,7 +35,7 @@ def test_many_dropped_frames_do_not_make_the_step_longer(every: int) -> None:
     """Of three frames one is gone, or of four two: most steps are then not those of the clock."""
     index = np.arange(120)
     kept = index % 3 != 1 if every == 3 else (index % 4) // 2 == 0
-    assert abs(usual_period_ns(stamps(120)[kept]) - STEP_NS) < 3_000_000
+    assert abs(typical_period_ns(stamps(120)[kept]) - STEP_NS) < 3_000_000
 
 
 def test_repeats_steps_back_jumps_and_resets() -> None:
@@ -127,7 +127,7 @@ def test_clocks_that_drift_apart(first_ms: int, last_ms: int, count: int) -> Non
         SmallFrame(int(i), int(stamps_ns[i]), d, (g / 4).astype(np.uint8), b"")
         for i, d, g in zip(indices, depth, gray, strict=True)
     )
-    look = Look(Recorded(stamps_ns), frames, (), (), (), 1)  # type: ignore[arg-type]
+    look = Probe(Recorded(stamps_ns), frames, (), (), (), 1)  # type: ignore[arg-type]
     found = list(check_color_drift(look))
     assert bool(found) == (first_ms != last_ms)
     if found:

@@ -18,7 +18,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Finding, inspect
 from kinectbench.doctor.during_build import likely_cause, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
-from kinectbench.doctor.look import frames_to_read
+from kinectbench.doctor.probe import frames_to_read
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings, FusionSettings
 from kinectbench.stages.ingest.readers import open_recording

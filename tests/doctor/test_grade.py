@@ -11,7 +11,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.doctor import grade
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.grade import check_grade
-from kinectbench.doctor.look import Look, take_look
+from kinectbench.doctor.probe import Probe, probe_recording
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
@@ -40,16 +40,16 @@ def chair() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def jumping(chair: Recording) -> Look:
-    return take_look(shifted(chair, FRAMES // 2, 0.06))
+def jumping(chair: Recording) -> Probe:
+    return probe_recording(shifted(chair, FRAMES // 2, 0.06))
 
 
 @pytest.fixture(scope="module")
-def findings(jumping: Look) -> dict[str, Finding]:
+def findings(jumping: Probe) -> dict[str, Finding]:
     return {found.name: found for found in check_grade(jumping, TRACKING)}
 
 
-def test_the_grade_is_that_of_the_build(jumping: Look, findings: dict[str, Finding], tmp_path: Path) -> None:
+def test_the_grade_is_that_of_the_build(jumping: Probe, findings: dict[str, Finding], tmp_path: Path) -> None:
     write_sequence(jumping.recording, tmp_path)
     health = track(read_sequence(tmp_path), None, TRACKING).health
     assert health is not None and health.grade == "not good"
@@ -59,7 +59,9 @@ def test_the_grade_is_that_of_the_build(jumping: Look, findings: dict[str, Findi
     assert findings["trajectory_check"].what == health.warnings[-1]
 
 
-def test_of_a_long_recording_some_frames_are_compared(jumping: Look, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_long_recording_some_frames_are_compared(
+    jumping: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(grade, "MOST_FRAMES", 10)
     (found,) = check_grade(jumping, TRACKING, mode="refine")
     assert found.what.startswith("the given trajectory, by 10 of 20 frames: ") and found.severity == "note"
@@ -72,7 +74,7 @@ def test_poses_that_fit_nowhere_stop_as_in_a_build(chair: Recording) -> None:
     T = given.T_world_camera.copy()
     T[:, :3, 3] += np.random.default_rng(0).uniform(-0.3, 0.3, (len(T), 3))
     wrong = replace(chair, given_trajectory=GivenTrajectory(given.stamps_ns, T))
-    (found,) = check_grade(take_look(wrong), TRACKING)
+    (found,) = check_grade(probe_recording(wrong), TRACKING)
     assert found.name == "trajectory_wrong" and found.severity == "stops"
     assert "frames disagree" in found.what or "frames can be used" in found.what
 

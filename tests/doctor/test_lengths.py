@@ -11,7 +11,7 @@ from kinectbench.doctor import inspect
 from kinectbench.doctor.during_build import OffsetWatch
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.lengths import LENGTHS
-from kinectbench.doctor.look import take_look
+from kinectbench.doctor.probe import probe_recording
 from kinectbench.doctor.trajectory import fit_trajectory
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -35,8 +35,8 @@ def doubted(settings: CameraSettings) -> list[Finding]:
 
 @pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
 def test_right_lengths_are_proven(name: str) -> None:
-    fit = fit_trajectory(take_look(open_recording(SAMPLES / name)))
-    assert fit is not None and fit.proven and not fit.lengths.doubted
+    fit = fit_trajectory(probe_recording(open_recording(SAMPLES / name)))
+    assert fit is not None and fit.proven and not fit.lengths.implausible
     assert (fit.lengths.depth, fit.lengths.focal) == pytest.approx((1, 1), abs=0.06)
 
 
@@ -53,7 +53,7 @@ def test_a_wrong_scale_is_told_with_one_that_fits(depth: float) -> None:
 def test_wrong_focal_lengths_are_told(focal: float) -> None:
     (found,) = doubted(wrong(focal=focal))
     assert "focal lengths" in found.what and "fx: " in found.advice
-    fit = fit_trajectory(take_look(open_recording(CHAIR, wrong(focal=focal))))
+    fit = fit_trajectory(probe_recording(open_recording(CHAIR, wrong(focal=focal))))
     assert fit is not None and not fit.proven
     assert fit.lengths.focal * focal == pytest.approx(1, abs=0.08)
 

@@ -11,7 +11,7 @@ import pytest
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.doctor.during_build import likely_cause
 from kinectbench.doctor.fit import Reading, fits
-from kinectbench.doctor.look import take_look
+from kinectbench.doctor.probe import probe_recording
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
@@ -118,7 +118,7 @@ def test_poses_of_another_recording_are_never_called_a_fit(near: Path, tmp_path:
 def test_no_reading_that_leaves_over_50_mm_is_called_a_fit(
     near: Path, residual_m: float, reading: Reading
 ) -> None:
-    look = take_look(open_recording(near))
+    look = probe_recording(open_recording(near))
     fit = fit_trajectory(look)
     assert fit is not None
     # However far the things are, and so however much noise there is.
@@ -133,7 +133,7 @@ def test_no_reading_that_leaves_over_50_mm_is_called_a_fit(
 
 def test_a_reading_that_nearly_fits_is_told_with_what_is_left(near: Path) -> None:
     """As of a noisy sensor: below 50 mm, but more than noise."""
-    look = take_look(open_recording(near))
+    look = probe_recording(open_recording(near))
     fit = fit_trajectory(look)
     assert fit is not None
     nearly = replace(fit, reading=Reading(inverse=True), residual_m=0.012, fits=False, proven=False)

@@ -1,4 +1,4 @@
-"""Hand-made trajectories whose health is known: circles of cameras, ties that are off, given poses."""
+"""Hand-made trajectories whose health is known: circles of cameras, constraints that are off, given poses."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -17,7 +17,7 @@ from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.frame_check import FrameCheck
 from kinectbench.stages.track.health import health
 from kinectbench.stages.track.health_figures import median
-from kinectbench.stages.track.tracked import Tie, Tracked
+from kinectbench.stages.track.tracked import Constraint, Tracked
 
 SMALL = Camera(80, 60, 65.625, 65.625, 39.5, 29.5)
 FLOOR = plane((0, 0, 1), -0.3)
@@ -33,8 +33,8 @@ def sequence_at(poses: np.ndarray, camera: Camera = SMALL) -> Sequence:
     return sequence_of([depth_of(SCENE, camera, T) if np.isfinite(T).all() else blank for T in poses], camera)
 
 
-def tie(poses: np.ndarray, a: int, b: int, kind: str = "odometry", **changes: object) -> Tie:
-    """A tie that agrees with the poses; `off` (4, 4) is put behind it."""
+def constraint(poses: np.ndarray, a: int, b: int, kind: str = "odometry", **changes: object) -> Constraint:
+    """A constraint that agrees with the poses; `off` (4, 4) is put behind it."""
     off = changes.pop("off", np.eye(4))
     measured = invert_rigid(poses[a]) @ poses[b] @ off
     values = {"overlap": 0.7, "inlier_share": 0.9, "residual_m": 0.004, **changes}
@@ -42,7 +42,7 @@ def tie(poses: np.ndarray, a: int, b: int, kind: str = "odometry", **changes: ob
 
 
 def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:
-    """Everything tracked, every second frame a keyframe tied to the next one, residual 3 mm."""
+    """Everything tracked, every second frame a keyframe with a constraint to the next one, residual 3 mm."""
     n = len(poses)
     posed = np.isfinite(poses).all(axis=(1, 2))
     keyframes = np.flatnonzero(posed & (np.arange(n) % 2 == 0))
@@ -51,7 +51,7 @@ def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:
         "states": tuple("tracked" if p else "lost" for p in posed),
         "reasons": {},
         "keyframes": keyframes,
-        "ties": tuple(tie(poses, int(a), int(b)) for a, b in pairwise(keyframes)),
+        "constraints": tuple(constraint(poses, int(a), int(b)) for a, b in pairwise(keyframes)),
         "refused": (),
         "residual_m": np.where(posed, 0.003, np.nan),
         "noise_m": np.where(posed, 0.004, np.nan),
@@ -104,5 +104,5 @@ def closed(poses: np.ndarray, **changes: object) -> Tracked:
     """The tracked circle with a loop from its first to its last frames."""
     tracked = tracked_of(poses)
     last = int(tracked.keyframes[-1])
-    loop = tie(poses, 0, last, "loop", **changes)
-    return replace(tracked, ties=(*tracked.ties, loop))
+    loop = constraint(poses, 0, last, "loop", **changes)
+    return replace(tracked, constraints=(*tracked.constraints, loop))

@@ -28,7 +28,7 @@ from kinectbench.core.trajectory.compare import align_positions
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.registration import Registration
-from kinectbench.stages.track.tracked import Tie, TieKind
+from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
 Float64 = NDArray[np.float64]
 # Points (..., 3) of the world to intensities 0 to 255.
@@ -229,13 +229,13 @@ def tie_at(
     b: int,
     T_a_b: np.ndarray,
     information: np.ndarray,
-    kind: TieKind,
+    kind: ConstraintKind,
     overlap: float = 0.8,
     inlier_share: float = 0.99,
     residual_m: float = 0.002,
     weight: float = 1.0,
-) -> Tie:
-    """A tie of which the registration says no more than the pose graph and health.json take from it."""
-    unknown = dict.fromkeys(("noise_m", "over_noise", "sigma_m", "intensity_correlation"), np.nan)
+) -> Constraint:
+    """A constraint with the figures that the pose graph and health.json use; the others are NaN."""
+    unknown = dict.fromkeys(("noise_m", "signal_to_noise", "sigma_m", "intensity_correlation"), np.nan)
     found = Registration(T_a_b, information, overlap, inlier_share, residual_m, **unknown)
-    return Tie(a, b, found, kind, weight)
+    return Constraint(a, b, found, kind, weight)

@@ -8,7 +8,7 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
-USUAL_DISTANCE_M = 1.5
+TYPICAL_DISTANCE_M = 1.5
 # Upper edges whose mean is shorter than this point anywhere.
 MIN_UPRIGHT = 0.1
 # Enough for a few cameras side by side, whose rows say nothing; little enough to find 119 of 120 degrees.
@@ -44,7 +44,7 @@ def convergence_point(T_world_camera: Float64) -> Float64:
     axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     weak = 1e-3 * len(axes)
-    ahead = (positions + USUAL_DISTANCE_M * axes).mean(axis=0)
+    ahead = (positions + TYPICAL_DISTANCE_M * axes).mean(axis=0)
     normal_matrix = across.sum(axis=0) + weak * np.eye(3)
     nearest = np.linalg.solve(
         normal_matrix, (across @ positions[:, :, None]).sum(axis=0)[:, 0] + weak * ahead
@@ -76,7 +76,7 @@ def from_above(T_world_camera: Float64) -> Float64:
     return np.stack([right, np.cross(up, right), up])
 
 
-def usual_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
+def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
     """`middle_depth_m` of some of a recording's frames (n,) that have a pose, the same for whoever asks."""
     some = frames[np.unique(np.linspace(0, len(frames) - 1, min(MIDDLE_FRAMES, len(frames))).astype(int))]
     thin = slice(None, None, MIDDLE_STEP_PX)

@@ -63,7 +63,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
     Raises:
         RecordingError: so far apart that they are micro- or nanoseconds.
     """
-    period_s = usual_period_ns(np.asarray(stamps_ns, np.int64)) / NS_PER_S
+    period_s = typical_period_ns(np.asarray(stamps_ns, np.int64)) / NS_PER_S
     unit = next((unit for least_s, unit in UNITS_OF_STEPS.items() if period_s >= least_s), None)
     if unit is None:
         return []
@@ -86,7 +86,7 @@ def no_times(stamps_ns: Sequence[int]) -> str:
     # Rows of a list may be in any order.
     if back_share >= BACK_SHARE and not are_of_today(stamps_ns):
         return f"they go back in {back_share:.0%} of their steps"
-    period_ns = usual_period_ns(np.sort(np.asarray(stamps_ns, np.int64)))
+    period_ns = typical_period_ns(np.sort(np.asarray(stamps_ns, np.int64)))
     if 0 < period_ns < NS_PER_S / FASTEST_HZ:
         return f"they would be of {NS_PER_S / period_ns:.0f} frames a second"
     return ""
@@ -136,7 +136,7 @@ class StampFaults:
     resets: tuple[int, ...]
 
 
-def usual_period_ns(stamps_ns: Int64) -> int:
+def typical_period_ns(stamps_ns: Int64) -> int:
     """The step between frames where none is missing; 0: unknown.
 
     The median of the steps forward that are shorter than one and a half of their lower quartile: where every
@@ -158,7 +158,7 @@ def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
     """
     stamps = np.asarray(stamps_ns, np.int64)
     steps = np.diff(stamps)
-    is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * usual_period_ns(stamps))
+    is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * typical_period_ns(stamps))
     is_reset = steps < -RESET_NS
     return StampFaults(
         repeated=int((steps == 0).sum()),

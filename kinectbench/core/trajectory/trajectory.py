@@ -63,7 +63,7 @@ class Trajectory:
         return UNCHECKED_POSE_SIGMA_M if np.isnan(sigma_m) else sigma_m
 
     @cached_property
-    def usual_pose_sigma_m(self) -> float | None:
+    def median_pose_sigma_m(self) -> float | None:
         """Median of `pose_sigma_m` over the good frames that were checked, metres; None if none was."""
         if self.pose_sigma_m is None:
             return None

@@ -97,24 +97,24 @@ def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) 
     return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
 
 
-def pose_reach_m(usual_pose_sigma_m: float | None) -> float:
+def pose_reach_m(median_pose_sigma_m: float | None) -> float:
     """Three sigmas of a usual pose that was checked, metres; 0 if none was (None).
 
     Without any figure the largest plausible error would set the truncation, in which thin parts vanish even
     where the poses are right: with 75 mm, F at 5 mm of a simulated chair falls from 0.99 to 0.28.
     """
-    return 0.0 if usual_pose_sigma_m is None else POSE_SIGMAS * usual_pose_sigma_m
+    return 0.0 if median_pose_sigma_m is None else POSE_SIGMAS * median_pose_sigma_m
 
 
-def ray_width_m(camera: Camera, usual_pose_sigma_m: float | None, distance_m: float) -> float:
+def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: float) -> float:
     """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose (own rule).
 
     Args:
         camera: of the depth images.
-        usual_pose_sigma_m: by how much a usual pose may be off, metres; None if no pose was checked.
+        median_pose_sigma_m: by how much a usual pose may be off, metres; None if no pose was checked.
         distance_m: from the cameras.
     """
-    return float(np.hypot(distance_m / camera.fx, pose_reach_m(usual_pose_sigma_m)))
+    return float(np.hypot(distance_m / camera.fx, pose_reach_m(median_pose_sigma_m)))
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:

@@ -82,7 +82,7 @@ def fuse(
     chosen = depth_range_of(sequence, frames, trajectory.T_world_camera[frames], settings)
     settings = settings.model_copy(update={"max_depth_m": chosen.max_depth_m})
     distance_m = _usual_distance_m(sequence, frames, settings)
-    width_m = ray_width_m(sequence.camera, trajectory.usual_pose_sigma_m, distance_m)
+    width_m = ray_width_m(sequence.camera, trajectory.median_pose_sigma_m, distance_m)
     voxel_size_m = settings.scene_voxel_size_m or scene_voxel_size_m(width_m)
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
 
@@ -196,7 +196,7 @@ def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionS
     Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
     Poses that nobody could check do not widen it: see `pose_reach_m`.
     """
-    return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.usual_pose_sigma_m))
+    return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.median_pose_sigma_m))
 
 
 def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
@@ -207,7 +207,7 @@ def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
     better than another, and depth alone weighs: next to 20 mm for all, near pixels would count no more than
     far ones; the box around a simulated object of half a metre would be 4 to 11 mm larger on each axis.
     """
-    usual_m = trajectory.usual_pose_sigma_m
+    usual_m = trajectory.median_pose_sigma_m
     if trajectory.pose_sigma_m is None or usual_m is None:
         return 0.0, 0.0
     sigma_m = float(trajectory.pose_sigma_m[frame])

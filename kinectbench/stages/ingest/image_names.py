@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, TODAY_NS, no_times, usual_period_ns
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, TODAY_NS, no_times, typical_period_ns
 
 # Longer numbers are no frame numbers.
 FRAME_NUMBER = re.compile(r"\d{1,9}")
@@ -198,7 +198,7 @@ def _if_times(stamps_ns: list[int]) -> list[int] | None:
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
     """Stamps, if they are times, and far enough apart for parts of a second."""
     found = _if_times(stamps_ns)
-    period_ns = usual_period_ns(np.array(sorted(found or []), np.int64))
+    period_ns = typical_period_ns(np.array(sorted(found or []), np.int64))
     return found if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
 
 
@@ -222,4 +222,4 @@ def _step(values: list[Decimal]) -> float:
     thousandths = np.array(sorted(int((value - first) * 1000) for value in values), object)
     if len(thousandths) < 2 or thousandths[-1] >= LIMIT_NS:
         return 0.0
-    return usual_period_ns(thousandths.astype(np.int64)) / 1000
+    return typical_period_ns(thousandths.astype(np.int64)) / 1000

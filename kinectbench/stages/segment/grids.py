@@ -70,7 +70,7 @@ def usual_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Floa
     """How wide the frames' rays are at a point (3,), at their median distance from it, metres."""
     cameras_world = trajectory.T_world_camera[trajectory.good_frames, :3, 3]
     distance_m = float(np.median(np.linalg.norm(cameras_world - middle_world, axis=1)))
-    return ray_width_m(camera, trajectory.usual_pose_sigma_m, distance_m)
+    return ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)
 
 
 def surround_frames(frames: Int64) -> Int64:

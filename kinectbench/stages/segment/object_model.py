@@ -83,7 +83,7 @@ def object_model(
 
 def usual_pose_error(trajectory: Trajectory) -> PoseError:
     """By how much a usual pose may be off; given poses are taken at their word."""
-    usual_m = trajectory.usual_pose_sigma_m
+    usual_m = trajectory.median_pose_sigma_m
     if trajectory.source == "trust":
         return PoseError(0.0, usual_m is not None)
     return PoseError(UNCHECKED_POSE_SIGMA_M if usual_m is None else usual_m, usual_m is not None)

@@ -10,7 +10,7 @@ import numpy as np
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.core.trajectory.coverage import from_above, usual_middle_depth_m
+from kinectbench.core.trajectory.coverage import from_above, median_middle_depth_m
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 
@@ -76,7 +76,7 @@ def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float
     """`hint_of` a recording with the poses that are used of it, and how far its images see."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
-    return replace(hint, middle_depth_m=usual_middle_depth_m(sequence, good))
+    return replace(hint, middle_depth_m=median_middle_depth_m(sequence, good))
 
 
 def hint_of(

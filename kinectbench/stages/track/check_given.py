@@ -1,4 +1,4 @@
-"""How far a given trajectory can be trusted: each frame against those around it, and distant ones."""
+"""Check a given trajectory: compare each frame with its neighbours, and distant frames with each other."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,48 +14,48 @@ from kinectbench.core.trajectory.compare import compare_poses, has_pose
 from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track.depth_calibration import calibrate_posed
-from kinectbench.stages.track.disagreement import distant_residual_m, tie_distant
+from kinectbench.stages.track.disagreement import distant_constraints, distant_residual_m
 from kinectbench.stages.track.frame_check import FrameCheck, check_frames, evenly_spread
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.health_figures import median
 from kinectbench.stages.track.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
 from kinectbench.stages.track.standing_out import STANDS_OUT
-from kinectbench.stages.track.tracked import State, Tie, Tracked
+from kinectbench.stages.track.tracked import Constraint, State, Tracked
 
 NO_POSE = "the given trajectory has no pose at its time"
 NO_DEPTH = f"it has no depth between {MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m"
 CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
-MAX_JUMPS_TOLD = 5
-# If more of the frames disagree, something is wrong with all of them.
+MAX_JUMPS_REPORTED = 5
+# If a larger ratio of frames disagrees, the cause affects all frames.
 MANY = 0.2
-# Drift that is more likely due to a wrong scale or clock.
+# More drift than this is more likely a wrong scale or clock.
 IMPLAUSIBLE_DRIFT_M = 0.1
 
 
 @dataclass(frozen=True)
 class GivenCheck:
-    """A given trajectory and what the depth says of it.
+    """A given trajectory, and how well the depth agrees with it.
 
     Attributes:
         T_given: (n, 4, 4), NaN where there is none.
-        frames: each frame against those around it.
+        frames: each frame compared with its neighbours.
         distant: distant frames, registered from the given poses.
-        figures: as health.json has them. Where no refined poses are made, the residual "with refined poses"
-            between distant frames is that of frames as registered in pairs.
-        sharpness: of the colour, by frame, where it was read.
-        calibration: of the depth, as frames agree best under these poses; all figures are with it.
+        figures: as in health.json. Without refined poses, the residual "with refined poses" between distant
+            frames is that of the pairwise registrations.
+        sharpness: of the colour, by frame index, where colour was read.
+        calibration: the depth correction under which the frames agree best; all figures use it.
     """
 
     T_given: Float64
     frames: FrameCheck
-    distant: tuple[Tie, ...]
+    distant: tuple[Constraint, ...]
     figures: GivenFigures
     sharpness: Mapping[int, float]
     calibration: DepthCalibration
 
     @property
     def agrees(self) -> Bools:
-        """(n,) whether the depth of a frame was compared with that of others, and agrees."""
+        """(n,) whether a frame's depth was compared with other frames and agrees with them."""
         return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
@@ -79,7 +79,7 @@ def check_given(
     maps.calibrate(calibration)
     frames = check_frames(maps, T_given, settings, progress)
     sound = frames.compared[~(frames.disagrees | frames.stands_out)[frames.compared]]
-    distant, shifts_m, unmatched = tie_distant(maps, T_given, sound, every)
+    distant, shifts_m, unmatched = distant_constraints(maps, T_given, sound, every)
     figures = GivenFigures(
         disagreeing=tuple(np.flatnonzero(frames.disagrees).tolist()),
         median_shift_m=known(median(frames.shift_m)),
@@ -96,7 +96,7 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """The figures, with those that compare the given poses with refined ones (n, 4, 4)."""
+    """Add the figures that compare the given poses with refined ones (n, 4, 4)."""
     maps, every = MapCache(sequence), settings.check_stride_px
     maps.calibrate(checked.calibration)
     found_m = distant_residual_m(maps, checked.distant, every, T_refined)
@@ -107,7 +107,7 @@ def as_refined(
 
 
 def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
-    """The given poses as they are, but for those that the depth contradicts.
+    """The given poses, without those that the depth contradicts.
 
     Raises:
         TrackingError: most frames disagree.
@@ -130,7 +130,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
         | dict.fromkeys(np.flatnonzero(posed & blind).tolist(), NO_DEPTH)
         | dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT),
         keyframes=checked.frames.compared[kept[checked.frames.compared]],
-        ties=checked.distant,
+        constraints=checked.distant,
         refused=(),
         residual_m=checked.frames.residual_m,
         noise_m=checked.frames.noise_m,
@@ -142,31 +142,31 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
 
 
 def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
-    """What people should know of a given trajectory: jumps, implausible drift, frames that nothing checks."""
+    """Warnings about a given trajectory: jumps, implausible drift, frames that nothing checks."""
     jumps = checked.frames.jumps
-    # Stamps that only count the frames tell nothing more.
+    # Stamps that only count frames add no information.
     counted = counts_frames(sequence.stamps_ns)
-    told = [
+    messages = [
         f"the given trajectory jumps by {by_m * 1000:.0f} mm before frame {frame}"
         + ("" if counted else f" ({sequence.stamps_ns[frame] / 1e9:.3f} s)")
-        for frame, by_m in jumps[:MAX_JUMPS_TOLD]
+        for frame, by_m in jumps[:MAX_JUMPS_REPORTED]
     ]
-    if len(jumps) > MAX_JUMPS_TOLD:
-        told.append(f"it jumps {len(jumps) - MAX_JUMPS_TOLD} more times")
+    if len(jumps) > MAX_JUMPS_REPORTED:
+        messages.append(f"it jumps {len(jumps) - MAX_JUMPS_REPORTED} more times")
     drift_m = checked.figures.distant_shift_m
     if drift_m is not None and drift_m > IMPLAUSIBLE_DRIFT_M:
-        told.append(
+        messages.append(
             f"distant frames disagree by {drift_m * 1000:.0f} mm: if the given trajectory does not drift so "
             "much, depth_scale or the clock of its stamps is wrong"
         )
     disagreeing, compared = checked.frames.disagrees.sum(), np.isfinite(checked.frames.shift_m).sum()
     if disagreeing > MANY * compared:
-        told.append(f"{disagreeing} of {compared} frames disagree with the given trajectory: {CAUSES}?")
+        messages.append(f"{disagreeing} of {compared} frames disagree with the given trajectory: {CAUSES}?")
     posed = has_pose(checked.T_given)
     unchecked = int((posed & np.isnan(checked.frames.shift_m)).sum())
     if unchecked > 0.5 * posed.sum():
-        told.append(
+        messages.append(
             f"{unchecked} of {posed.sum()} poses could not be checked: too little of the frames overlaps; "
             "are the poses in metres?"
         )
-    return told
+    return messages

@@ -1,4 +1,4 @@
-"""A built trajectory against one in TUM format: figures for people and for machines, and a picture."""
+"""Compare a built trajectory with one in TUM format: figures, JSON and a picture."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Comparison:
         frames: of the recording.
         tracked: of these, frames with a pose.
         error: over the poses that both have.
-        clock: by how much the reference's clock is late, where that can be told and matters; or None.
+        clock: by how much the reference's clock is late; None if that is unknown or negligible.
     """
 
     frames: int
@@ -28,11 +28,11 @@ class Comparison:
     clock: ClockOffset | None = None
 
     def row(self) -> dict[str, float | int | None]:
-        """The figures as they are shown, and printed as JSON: millimetres and degrees.
+        """The figures as they are printed and written as JSON: millimetres and degrees.
 
-        Relative errors (rmse) are from one matched frame to the next, and over a metre of path: None if the
-        path is shorter. `clock_late_ms` is None where no offset of the clocks is found, and then
-        `ate_rmse_moved_mm`, the error without it, is None, too.
+        Relative errors (rmse) are given from one matched frame to the next, and over a metre of path. The
+        latter are None if the path is shorter. `clock_late_ms` is None where no clock offset is found. Then
+        `ate_rmse_moved_mm`, the error without that offset, is None, too.
         """
         error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
         return {

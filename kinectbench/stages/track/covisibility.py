@@ -1,4 +1,4 @@
-"""Which keyframes look at the same places, from their poses and a few of their points."""
+"""Find keyframes that see the same places, from their poses and a few of their points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from kinectbench.stages.track.frame_maps import FrameMaps
 
 COARSEST = 2
 POINTS = 200
-# Another surface lies at least so much farther or nearer than this one, beside what drift may have moved.
+# Depth tolerance, which includes drift: a measurement farther off than this is another surface.
 TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
-# Keyframes farther apart in what they look at (of the depth they look at it from) need not be compared.
+# Only keyframes whose point centroids lie within this ratio of the mean depth are compared.
 NEAR_SHARE = 0.8
 MAX_NEIGHBOURS = 60
 
 
 @dataclass(frozen=True)
-class Glimpse:
-    """What is kept of a keyframe to tell what it sees: a thumbnail and a few points.
+class KeyframeThumbnail:
+    """A keyframe in small: a depth thumbnail and a few points, enough to compute shared views.
 
     Attributes:
-        depth_m: (height, width) float32 at the coarsest level, some 80 x 60.
+        depth_m: (height, width) float32 at the coarsest level, about 80 x 60.
         intrinsics: (4,) of that level.
         points: (m, 6) float64, at most 200, position and normal, camera frame.
     """
@@ -36,35 +36,39 @@ class Glimpse:
     points: Float64
 
 
-def glimpse(maps: FrameMaps) -> Glimpse:
-    """Take what is needed from the maps of a keyframe."""
+def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
+    """Make the thumbnail from the maps of a keyframe."""
     level = maps[COARSEST]
     chosen = np.linspace(0, len(level.points) - 1, min(POINTS, len(level.points))).astype(int)
-    return Glimpse(level.depth_m, level.camera.intrinsics, level.points[chosen, :6].astype(np.float64))
+    return KeyframeThumbnail(
+        level.depth_m, level.camera.intrinsics, level.points[chosen, :6].astype(np.float64)
+    )
 
 
-def shared_view(a: Glimpse, b: Glimpse, T_a_b: Float64) -> float:
-    """Share of b's points that a sees, at about their depth and from their front."""
+def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> float:
+    """Ratio of b's points that a sees, at about their depth and from their front; 0 to 1."""
     if not len(b.points):
         return 0.0
     return float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
 
 
-def covisible(glimpses: Sequence[Glimpse], T_world: Float64) -> list[tuple[float, int, int]]:
+def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list[tuple[float, int, int]]:
     """Pairs of keyframes that see the same places: (shared view, i, j) with i < j.
 
-    Each keyframe is compared with at most 60 others that look at places near its own, so that the cost grows
-    as their number does.
+    Each keyframe is compared with at most 60 others that look at nearby places, so the cost grows linearly
+    with their number.
 
     Args:
-        glimpses: of the keyframes.
+        thumbnails: of the keyframes.
         T_world: (k, 4, 4) their poses, NaN where unknown.
     """
-    known = [i for i in range(len(glimpses)) if np.isfinite(T_world[i]).all() and len(glimpses[i].points)]
+    known = [i for i in range(len(thumbnails)) if np.isfinite(T_world[i]).all() and len(thumbnails[i].points)]
     if len(known) < 2:
         return []
-    centres = np.array([transform_points(T_world[i], glimpses[i].points[:, :3].mean(axis=0)) for i in known])
-    reach = [NEAR_SHARE * float(glimpses[i].points[:, 2].mean()) for i in known]
+    centres = np.array(
+        [transform_points(T_world[i], thumbnails[i].points[:, :3].mean(axis=0)) for i in known]
+    )
+    reach = [NEAR_SHARE * float(thumbnails[i].points[:, 2].mean()) for i in known]
     tree = cKDTree(centres)
     pairs = set()
     for row, i in enumerate(known):
@@ -76,8 +80,8 @@ def covisible(glimpses: Sequence[Glimpse], T_world: Float64) -> list[tuple[float
     for i, j in sorted(pairs):
         T_i_j = invert_rigid(T_world[i]) @ T_world[j]
         share = min(
-            shared_view(glimpses[i], glimpses[j], T_i_j),
-            shared_view(glimpses[j], glimpses[i], invert_rigid(T_i_j)),
+            shared_view(thumbnails[i], thumbnails[j], T_i_j),
+            shared_view(thumbnails[j], thumbnails[i], invert_rigid(T_i_j)),
         )
         found.append((share, i, j))
     return found

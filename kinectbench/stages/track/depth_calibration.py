@@ -1,10 +1,11 @@
-"""The sensor's own depth distortion, found from what no rigid motion between keyframes explains.
+"""Depth distortion of the sensor, estimated from residuals that no rigid motion explains.
 
 A structured-light sensor errs in disparity, by an amount that varies smoothly over the image (Herrera,
-Kannala and Heikkila, PAMI 2012; Teichman, Miller and Thrun, RSS 2013). It moves with the camera, pulls every
-registration a little the same way, and bends a walk around a chair by millimetres. So, after Zhou and Koltun
-("Simultaneous localization and calibration", CVPR 2014), it is estimated along: 1 / true depth = 1 / depth +
-correction, a polynomial of the pixel.
+Kannala and Heikkila, PAMI 2012; Teichman, Miller and Thrun, RSS 2013). The error moves with the camera. It
+biases every registration in the same direction and bends a path around a chair by millimetres. The distortion
+is therefore estimated together with the poses, after Zhou and Koltun ("Simultaneous localization and
+calibration", CVPR 2014): 1 / true depth = 1 / depth + correction, where the correction is a polynomial of the
+pixel.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,26 +23,26 @@ from kinectbench.core.geometry.depth import (
     legendre_terms,
 )
 from kinectbench.core.types import Float64
-from kinectbench.stages.track.covisibility import covisible, glimpse
+from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
 from kinectbench.stages.track.linearise import add_products, mirrored
 from kinectbench.stages.track.registration import CORRELATED_POINTS
 
-# Points of each pair that are enough.
+# Points used of each pair.
 POINTS_PER_PAIR = 1500
-# How large the correction may be expected: 1 % of depth at 4 m; higher degrees less.
+# Prior standard deviation of the correction: 1 % of the depth at 4 m; less for higher degrees.
 PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
 MIN_PAIRS = 6
-# Pairs of frames that share this much of their view tell, at most so many.
+# Least shared view of a pair of frames, and the largest number of pairs.
 MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400
-# Frames agree clearly better where given poses put them if this is left of the squares of their residuals.
+# A correction is used with given poses only if it lowers the squared residuals to this ratio or less.
 POSED_FALLS_TO = 0.98
 
 
 @dataclass(frozen=True)
 class View:
-    """A pair of frames at the finest level: points of the source that fall on the target."""
+    """A pair of frames at the finest level; points of the source are projected into the target."""
 
     source: Level
     target: Level
@@ -50,7 +51,7 @@ class View:
 
 @dataclass(frozen=True)
 class _Sums:
-    """A sum of squares of residuals as coefficients x change it: squares + 2 b x + x A x."""
+    """The sum of squared residuals as a function of the coefficients x: squares + 2 b x + x A x."""
 
     A: Float64
     b: Float64
@@ -60,7 +61,7 @@ class _Sums:
         return _Sums(self.A + other.A, self.b + other.b, self.squares + other.squares)
 
     def falls_to(self, coefficients_per_m: Float64) -> float:
-        """What share is left with these coefficients."""
+        """Ratio of the squared residuals with these coefficients to those without."""
         x = coefficients_per_m
         return 1 + float(2 * x @ self.b + x @ self.A @ x) / max(self.squares, 1e-12)
 
@@ -69,26 +70,27 @@ NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
 
 
 def calibrate(views: Iterable[View]) -> DepthCalibration:
-    """The correction that pairs of frames agree on best; each pair's motion is free besides.
+    """Estimate the correction under which pairs of frames agree best; each pair's motion is free.
 
     Args:
         views: in the order of time, with depth as recorded, not yet corrected.
     """
-    return _believed([unexplained for _, unexplained in _all_sums(views)])
+    return _accepted([unexplained for _, unexplained in _all_sums(views)])
 
 
 def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
-    """The correction by which frames of known poses agree best; each pair's motion is free all the same.
+    """Estimate the correction under which frames of known poses agree best; pairs may still move.
 
-    Given poses are off by a hand-eye calibration, or made from the same distorted depth: then correct depth
-    fits them worse. So it is believed only if frames agree clearly better where the poses put them.
+    Given poses may contain the error of a hand-eye calibration, or come from the same distorted depth. Then
+    correct depth fits them worse. The correction is therefore accepted only if frames agree clearly better at
+    the given poses.
 
     Args:
         maps: of the recording, depth as recorded.
         T_world_camera: (n, 4, 4), of all frames.
-        frames: (k,) those to look at, ascending; they have poses.
+        frames: (k,) frames to compare, ascending; all have poses.
     """
-    seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
+    seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
     found = _all_sums(
         View(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
@@ -96,23 +98,23 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     )
     sums = [unexplained for _, unexplained in found]
     helps = len(sums) >= MIN_PAIRS and _left(sums, [posed for posed, _ in found]) < POSED_FALLS_TO
-    return _believed(sums) if helps else NO_CALIBRATION
+    return _accepted(sums) if helps else NO_CALIBRATION
 
 
 def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """At most 400 of the pairs, in their order: more add nothing."""
+    """At most 400 of the pairs, evenly spread, in their order."""
     rows = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(int)
     return [pairs[row] for row in rows]
 
 
-def _believed(sums: Sequence[_Sums]) -> DepthCalibration:
-    """Their solution, if what either half of the pairs says explains the other half, too; or none."""
-    believed = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
-    return DepthCalibration(_solved(sums)) if believed else NO_CALIBRATION
+def _accepted(sums: Sequence[_Sums]) -> DepthCalibration:
+    """The solution, if the estimate of either half of the pairs improves the other half; or none."""
+    accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
+    return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
 
 def _left(solved: Sequence[_Sums], judged: Sequence[_Sums]) -> float:
-    """What share of the squares of a half of the pairs is left with what the other half says, at most."""
+    """Worst-case cross-validated ratio of squared residuals between the two halves of the pairs."""
     half = len(solved) // 2
     return max(
         sum(judged[half:], NO_SUMS).falls_to(_solved(solved[:half])),
@@ -130,9 +132,9 @@ def _all_sums(views: Iterable[View]) -> list[tuple[_Sums, _Sums]]:
 
 
 def _sums(view: View) -> tuple[_Sums, _Sums] | None:
-    """Of one pair where it lies, and with the motion that is best for any coefficients.
+    """The sums of one pair: at its pose, and with the pair's motion eliminated.
 
-    None where too little overlaps.
+    None if too little overlaps.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -143,7 +145,7 @@ def _sums(view: View) -> tuple[_Sums, _Sums] | None:
     add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
     sums = mirrored(sums)
     A, b = sums[:-1, :-1], sums[:-1, -1]
-    # The motion is eliminated: what is left is what it cannot explain.
+    # Eliminate the motion (Schur complement): the rest is what no motion explains.
     motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
     posed = _Sums(A[6:, 6:], b[6:], float(sums[-1, -1]))
     explained = A[6:, :6] @ motion

@@ -1,6 +1,6 @@
-"""By how much two or more frames disagree with the poses they are said to have.
+"""By how much the depth of frames disagrees with their given poses.
 
-A given trajectory that drifts shows it between distant frames that see the same place.
+Drift of a given trajectory shows between distant frames that see the same place.
 """
 
 from collections.abc import Sequence
@@ -13,37 +13,37 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import twist_from_rigid
 from kinectbench.core.types import Float64
-from kinectbench.stages.track.covisibility import covisible, glimpse
+from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import FrameMaps, Level, MapCache
-from kinectbench.stages.track.odometry import ENOUGH_INLIERS, is_believable
+from kinectbench.stages.track.odometry import ENOUGH_INLIERS, is_accepted
 from kinectbench.stages.track.registration import PLACED, Registration, measure, register
-from kinectbench.stages.track.tracked import Tie
+from kinectbench.stages.track.tracked import Constraint
 
-# Of a shift, so many of its standard deviations are put down to the registration.
+# This many standard deviations of a shift are attributed to the registration.
 SIGMAS = 3.0
-# Frames of which no more than this falls on measurements of others are not compared.
+# Frames that overlap less than this are not compared.
 MIN_OVERLAP = 0.05
-# A pose under which as many points agree, as closely and with colours as alike, is as good as the place that
-# a registration found: along a flat face it slides by a metre and fits as well. Own choices, held by right
-# poses of box-like things in no order of time, and by poses that are wrong by known amounts.
+# A given pose counts as good as the registered one if as many points agree, as closely, and with colours as
+# similar. Along a flat face a registration may slide by a metre and fit as well. The margins are checked by
+# correct poses of box-like objects in no order of time, and by poses with known errors.
 AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_ALIKE = 0.03, 1.1, 0.5, 0.1
-# Points that tell how far a motion moves what is seen.
+# Points used to measure how far a motion moves the visible surface.
 MOVED_POINTS = 1000
-# Residuals: how far along the ray a measurement may lie from the point it is taken for, and the least cosine
-# between their normals.
+# Residuals: largest distance along the ray between a point and its measurement, and the least cosine between
+# their normals.
 GATE_M = 0.1
 MIN_FACING = 0.5
 MIN_DEPTH_M = 0.1
-# At most so many pairs are registered, those farthest apart in time first; and no more than this per frame.
+# Largest number of registered pairs, in total and per frame; pairs farthest apart in time come first.
 MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
-# Of the recording's length, what lies between two distant frames at least.
+# Least distance in time of two distant frames, as a ratio of the recording's length.
 MIN_APART = 1 / 6
 MIN_SHARED_VIEW = 0.3
-# Drift that is worth a doubt: far more than what registrations of right poses leave (own choice).
-DOUBTED_M = 0.05
-# Of fewer pairs no share is told.
+# Shifts above this are checked again: far more than registrations of correct poses leave.
+RECHECKED_SHIFT_M = 0.05
+# No ratio is reported of fewer pairs.
 MIN_TRIED = 8
-# Fewer residuals than this say nothing.
+# Fewer residuals than this are not used.
 MIN_RESIDUALS = 100
 
 
@@ -52,9 +52,9 @@ class Disagreement:
     """How a frame would move to agree with others.
 
     Attributes:
-        registration: of the frame to the first of the others, from where its pose puts it.
+        registration: of the frame to the first of the others, started at its given pose.
         shift_m: how far its points move, median, metres.
-        certain_shift_m: of this, what the registration cannot be wrong by.
+        certain_shift_m: the part of the shift that exceeds the registration's uncertainty.
         turn_rad: by how much the camera turns, radians.
     """
 
@@ -64,31 +64,31 @@ class Disagreement:
     turn_rad: float
 
 
-def ask(
+def check_pose(
     source: FrameMaps,
     targets: Sequence[FrameMaps],
     T_targets_source: Sequence[Float64],
     coarsest: int,
     every: int,
-    doubted_m: float = 0.0,
+    recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others from where the poses put it; None if they have too little in common.
+    """Register a frame to others, started at its given pose; None if they overlap too little.
 
-    Where it moves far, but fitted as well before, it has slid: then it does not disagree.
+    A frame that moves far but fitted equally well before has slid along a surface. It does not disagree.
 
     Args:
         source: the frame.
-        targets: one or more others, that stand still to each other.
-        T_targets_source: (4, 4) each, as the poses say.
-        coarsest: level to start at; 0 finds less than half of a shift of 100 mm, 2 all of it.
+        targets: one or more other frames, fixed relative to each other.
+        T_targets_source: (4, 4) each, by the given poses.
+        coarsest: level to start at. Level 0 finds less than half of a shift of 100 mm, level 2 all of it.
         every: only every n-th point is used.
-        doubted_m: a shift of more than this is doubted.
+        recheck_above_m: above this shift the fit at the given pose is measured as well.
     """
     found = register(source, targets, T_targets_source, coarsest, PLACED, every)
-    if found.overlap < MIN_OVERLAP or found.over_noise == 0:
+    if found.overlap < MIN_OVERLAP or found.signal_to_noise == 0:
         return None
     moved = disagreement(source, T_targets_source[0], found)
-    if moved.shift_m > doubted_m:
+    if moved.shift_m > recheck_above_m:
         as_given = measure(source, targets, T_targets_source, every)
         if agrees_as_well(as_given, found):
             return Disagreement(as_given, 0.0, 0.0, 0.0)
@@ -96,13 +96,13 @@ def ask(
 
 
 def agrees_as_well(as_given: Registration, found: Registration) -> bool:
-    """Whether a frame fits others where its pose puts it as well as where a registration does (own rule).
+    """Whether a frame fits others at its given pose as well as at the registered one.
 
-    How much of them overlaps does not count: frames of two sides of a thing share little, and fit.
+    The overlap does not count: frames of two sides of an object share little, and still fit.
 
     Args:
-        as_given: the figures where the pose puts it.
-        found: of the registration.
+        as_given: the figures at the given pose.
+        found: the registration.
     """
     close_m = max(AS_CLOSE * found.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (
@@ -114,13 +114,13 @@ def agrees_as_well(as_given: Registration, found: Registration) -> bool:
 
 
 def disagreement(source: FrameMaps, T_target_source: Float64, found: Registration) -> Disagreement:
-    """How far a registration is from where the poses put the frame (own rule).
+    """How far a registration is from the given pose of the frame.
 
-    A shift is as certain as the information along it says; along an open motion there is none.
+    The information matrix gives the certainty of a shift. Along an unobservable direction it is zero.
 
     Args:
         source: the frame.
-        T_target_source: (4, 4), as the poses say.
+        T_target_source: (4, 4), by the given poses.
         found: its registration to the same target.
     """
     off = invert_rigid(T_target_source) @ found.T_target_source
@@ -134,9 +134,9 @@ def disagreement(source: FrameMaps, T_target_source: Float64, found: Registratio
 
 
 def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
-    """Point-to-plane distances (m,) of all points of a frame that lie within 0.1 m of what they fall on.
+    """Point-to-plane distances (m,) of all points within 0.1 m of the measurement they project to.
 
-    Unlike a registration's they are not cut off at the noise, so they tell how wrong a pose is.
+    Unlike a registration's residuals they are not truncated at the noise, so they measure a pose error.
 
     Args:
         source: the frame.
@@ -186,42 +186,44 @@ def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untype
     return found[:count].copy()
 
 
-def tie_distant(
+def distant_constraints(
     maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
-) -> tuple[tuple[Tie, ...], Float64, float]:
-    """Register distant frames that see the same place by the given poses.
+) -> tuple[tuple[Constraint, ...], Float64, float]:
+    """Register distant frames that see the same place under the given poses.
 
     Args:
         maps: of the recording, n frames.
         T_given: (n, 4, 4).
-        frames: (k,) that have a pose, ascending.
+        frames: (k,) frames with a pose, ascending.
         every: only every n-th point is used.
 
     Returns:
-        What convinces, as loops; (m,) how far each moves b's points from where the poses put them, metres;
-        and the share of pairs that ought to see the same place and fit nowhere near, NaN of few pairs.
+        The accepted registrations, as loop constraints; (m,) how far each moves b's points from the given
+        pose, metres; the ratio of pairs that should see the same place but do not fit, NaN of few pairs.
     """
     apart = MIN_APART * len(T_given)
-    seen = covisible([glimpse(maps[frame]) for frame in frames.tolist()], T_given[frames])
+    seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])
     pairs = [(int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW]
     pairs = sorted(((a, b) for a, b in pairs if b - a >= apart), key=lambda pair: (pair[0] - pair[1], pair))
-    ties, shifts_m, unfit = [], [], 0
+    constraints, shifts_m, unfit = [], [], 0
     tried = pairs[: min(MAX_PAIRS, int(PAIRS_PER_FRAME * len(T_given)))]
     for a, b in tried:
         T_a_b = invert_rigid(T_given[a]) @ T_given[b]
-        asked = (ask(maps[b], [maps[a]], [T_a_b], coarsest, every, DOUBTED_M) for coarsest in (1, 2))
-        found = next((each for each in asked if each and is_believable(each.registration)), None)
+        checks = (
+            check_pose(maps[b], [maps[a]], [T_a_b], coarsest, every, RECHECKED_SHIFT_M) for coarsest in (1, 2)
+        )
+        found = next((each for each in checks if each and is_accepted(each.registration)), None)
         if found is not None:
-            ties.append(Tie(a, b, found.registration, "loop"))
+            constraints.append(Constraint(a, b, found.registration, "loop"))
             shifts_m.append(found.shift_m)
         elif not _fits(measure(maps[b], [maps[a]], [T_a_b], every)):
             unfit += 1
     unmatched = unfit / len(tried) if len(tried) >= MIN_TRIED else np.nan
-    return tuple(ties), np.array(shifts_m), unmatched
+    return tuple(constraints), np.array(shifts_m), unmatched
 
 
 def _fits(as_given: Registration) -> bool:
-    """Whether depth agrees where the poses put it, though no registration there convinces."""
+    """Whether depth agrees at the given pose, although no registration there is accepted."""
     return (
         as_given.overlap >= MIN_OVERLAP
         and as_given.inlier_share >= ENOUGH_INLIERS
@@ -230,18 +232,18 @@ def _fits(as_given: Registration) -> bool:
 
 
 def distant_residual_m(
-    maps: MapCache, ties: tuple[Tie, ...], every: int, T_world_camera: Float64 | None = None
+    maps: MapCache, constraints: tuple[Constraint, ...], every: int, T_world_camera: Float64 | None = None
 ) -> float:
-    """Median over the ties of the median absolute residual from b to a, metres; NaN if none tells.
+    """Median over constraints of the median absolute residual from b to a, metres; NaN if unknown.
 
     Args:
         maps: of the recording, n frames.
-        ties: between distant frames.
+        constraints: between distant frames.
         every: only every n-th point is used.
-        T_world_camera: (n, 4, 4), NaN where a frame has no pose; None: as the ties say.
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose; None: use the constraints' own poses.
     """
     medians = []
-    for each in ties:
+    for each in constraints:
         T_a_b = each.T_a_b
         if T_world_camera is not None:
             T_a_b = invert_rigid(T_world_camera[each.a]) @ T_world_camera[each.b]

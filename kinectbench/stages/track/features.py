@@ -1,11 +1,11 @@
-"""Where a frame may lie to another one when nothing else says so: ORB features, matched and lifted to 3-D.
+"""Relative pose of two frames without a prediction: ORB features, matched and lifted to 3-D.
 
 ORB: Rublee et al. 2011; the pose by P3P (Ke & Roumeliotis 2017) in RANSAC, then EPnP (Lepetit et al. 2009)
-of all inliers. Where colour is not registered to depth, the features are found in the depth's shading, which
-looks alike while the camera turns by less than some 30 degrees.
+of all inliers. Where colour is not registered to depth, the features are found in a shaded image of the
+depth. Its appearance is stable while the camera turns by less than about 30 degrees.
 
-Keyframes that look alike, wherever the odometry believes they are, are found by a bag of the recording's own
-ORB words: Sivic & Zisserman 2003 ("Video Google") with binary words, as in Galvez-Lopez & Tardos 2012.
+Similar keyframes are found by a bag of binary ORB words of the recording itself, whatever the odometry
+estimates: Sivic & Zisserman 2003 ("Video Google"), as in Galvez-Lopez & Tardos 2012.
 """
 
 from collections import OrderedDict
@@ -21,7 +21,7 @@ from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 
 MAX_FEATURES = 600
 FAST_THRESHOLD = 7
-# Of two candidates for a match the better one must be this much better (Lowe 2004).
+# Largest distance ratio of the best candidate match to the second best (Lowe 2004).
 RATIO = 0.85
 MIN_MATCHES = 12
 MIN_INLIERS = 10
@@ -46,7 +46,7 @@ class Features:
 
 
 class FeatureCache(OrderedDict[int, Features]):
-    """Features of frames, found when asked for; the last 1000 are kept."""
+    """Features of frames, computed on demand; the last 1000 are kept."""
 
     def __init__(self, maps: MapCache) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class FeatureCache(OrderedDict[int, Features]):
 
 
 def find_features(maps: FrameMaps) -> Features:
-    """ORB features with depth, of intensity where there is some, else of the depth's shading."""
+    """ORB features with depth, found in the intensity, or in the depth's shading if there is none."""
     import cv2
 
     level = maps[0]
@@ -104,11 +104,11 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 
 
 def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
-    """T_target_source (4, 4) by PnP of the matches, and the number of inliers; None if they do not tell.
+    """T_target_source (4, 4) by PnP of the matches, and the number of inliers; None if too few match.
 
     Args:
-        source: its pixels are what is observed.
-        target: its points are what is known.
+        source: its pixels are the observations.
+        target: its points are the known 3-D points.
         camera: of the source, at working resolution.
     """
     import cv2
@@ -132,7 +132,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
     return invert_rigid(T_source_target), len(inliers)
 
 
-def likeness(features: Sequence[Features]) -> NDArray[np.float64]:
+def similarity(features: Sequence[Features]) -> NDArray[np.float64]:
     """(k, k) cosine between the tf-idf weighted word counts of keyframes; the diagonal is 0."""
     import cv2
 

@@ -1,7 +1,7 @@
-"""Does each frame's depth agree with the frames around it, under the poses it was given?
+"""Check whether each frame's depth agrees with nearby frames under the given poses.
 
-A right pose stays where it is when its depth is registered to that of others; a wrong one moves. Drift moves
-distant frames against each other, but hardly those that follow each other: see `disagreement.tie_distant`.
+Registration to other frames leaves a correct pose in place and moves a wrong one. Drift moves distant frames
+against each other, but hardly moves consecutive ones: see `disagreement.distant_constraints`.
 """
 
 from collections.abc import Iterable
@@ -17,45 +17,45 @@ from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track.disagreement import (
     Disagreement,
     agrees_as_well,
-    ask,
+    check_pose,
     disagreement,
     residuals_m,
 )
 from kinectbench.stages.track.frame_maps import MapCache
-from kinectbench.stages.track.odometry import is_believable
+from kinectbench.stages.track.odometry import is_accepted
 from kinectbench.stages.track.registration import Registration, measure, register, score, search
 from kinectbench.stages.track.standing_out import stand_out
 
-# Frames that others are compared with, evenly spread.
+# Number of frames that others are compared with, evenly spread.
 COMPARED_FRAMES = 60
-# A frame that moves by half of what is allowed, and by so many times what is usual, is asked again.
-DOUBTFUL_TIMES = 2.0
-# Before and after a frame that disagrees, so many frames that do not are asked.
+# A frame is checked again if it moves by half the limit and by this many times the median shift.
+RECHECK_TIMES = 2.0
+# A frame that disagrees is compared with this many agreeing frames before it and after it.
 NEXT_IN_TIME = 3
-# A frame of which less than this agrees with others wherever it is put shows something else.
+# Minimum inlier ratio at any pose; below it the frame shows a different scene.
 MIN_INLIERS = 0.65
-# Nine of ten frames agree better than the usual limits, which leave this much besides.
-USUAL_PERCENTILE, UNUSUAL_INLIERS, UNUSUAL_CORRELATION = 10, 0.03, 0.1
-# A place found by a search is believed if it convinces by this much more than where the frame is said to be.
+# Typical quality is this percentile over the frames, minus these margins.
+TYPICAL_PERCENTILE, INLIER_SLACK, CORRELATION_SLACK = 10, 0.03, 0.1
+# A pose found by search is accepted if its score exceeds that of the given pose by this much.
 CLEARLY_BETTER = 0.05
 
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """How the frames of a recording agree with each other under given poses; NaN where it is not known.
+    """How the frames of a recording agree under given poses; NaN where it is unknown.
 
     Attributes:
         compared: (k,) the frames that others were compared with.
         shift_m: (n,) how far each frame's points move to agree with others, metres.
         turn_rad: (n,) by how much the camera turns, radians.
         residual_m: (n,) median absolute point-to-plane residual as given, metres.
-        noise_m: (n,) what the noise of a Kinect's depth makes of it, at the frame's median depth, metres.
-        inlier_share: (n,) share of its points that agree once it has moved.
-        degenerate: (n,) bool, the depth leaves a motion open.
+        noise_m: (n,) the residual expected from a Kinect's depth noise at the median depth, metres.
+        inlier_share: (n,) inlier ratio of its points after registration.
+        degenerate: (n,) bool, the depth has an unobservable direction of motion.
         disagrees: (n,) bool.
-        stands_out: (n,) bool, does not disagree, but agrees far worse than nearly all.
-        blind: (n,) bool, it measured nothing that could be compared.
-        jumps: where the trajectory jumps: the frame behind it, and by how much, metres.
+        stands_out: (n,) bool, an outlier: within the limits, but far worse than nearly all frames.
+        blind: (n,) bool, it has no depth that could be compared.
+        jumps: where the trajectory jumps: the frame after the jump, and its size, metres.
     """
 
     compared: Int64
@@ -77,11 +77,11 @@ def check_frames(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> FrameCheck:
-    """Compare every frame that has a pose with frames that look at the same place from nearby.
+    """Compare every frame that has a pose with frames of similar views.
 
-    A frame that disagrees is asked again among the agreeing frames before it and after it in time: next to a
-    jump it agrees with one side, and one wrong frame does not drag its right neighbours along. Of views in no
-    order of time those that look from nearby are asked instead, and there are no jumps.
+    A frame that disagrees is checked again against the agreeing frames before it and after it in time. Next
+    to a jump it agrees with one side. This also keeps one wrong frame from rejecting its correct neighbours.
+    Views in no order of time are checked against the most similar views, and have no jumps.
 
     Args:
         maps: of the recording, n frames.
@@ -98,17 +98,17 @@ def check_frames(
             checker.step(int(posed[done - 2]), frame)
         if progress:
             progress(done, len(posed))
-    checker.ask_again(posed)
+    checker.recheck(posed)
     return checker.result(posed)
 
 
 def evenly_spread(frames: Int64) -> Int64:
-    """Of frames (k,) those that others are compared with."""
+    """Choose from frames (k,) those that others are compared with."""
     return frames[np.unique(np.linspace(0, len(frames) - 1, COMPARED_FRAMES).astype(np.int64))]
 
 
 class _Checker:
-    """The figures while they are found."""
+    """Collects the figures frame by frame."""
 
     def __init__(self, maps: MapCache, T_given: Float64, settings: TrackingSettings, compared: Int64) -> None:
         n = len(T_given)
@@ -121,10 +121,10 @@ class _Checker:
         self.blind = np.zeros(n, bool)
 
     def compare(self, frame: int) -> None:
-        """With the frames that look at the same place from nearby."""
+        """Compare a frame with the frames of the most similar views."""
         self.blind[frame] = len(self.maps[frame][0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
-        found = self._ask(frame, near, coarsest=0) if near else None
+        found = self._check(frame, near, coarsest=0) if near else None
         if found is None:
             return
         self.found[frame] = found
@@ -133,32 +133,36 @@ class _Checker:
         self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
-        """With the frame before it."""
+        """Compare a frame with the frame before it."""
         found = self._across(before, frame, coarsest=1)
         if found is not None:
             self.step_m[frame] = found.certain_shift_m
 
-    def ask_again(self, posed: Int64) -> None:
-        """Ask the frames that disagree, or of which less agrees than is usual, a second time."""
-        # The finest level, where every frame was asked first, sees only part of a large shift.
-        usual_m = np.median([found.shift_m for found in self.found.values()] or [0.0])
-        doubtful_m = max(self.max_shift_m / 2, DOUBTFUL_TIMES * usual_m)
-        wrong = [f for f, each in self.found.items() if self._disagrees(each) or each.shift_m > doubtful_m]
+    def recheck(self, posed: Int64) -> None:
+        """Check again the frames that disagree, or that agree less than is typical."""
+        # The first check runs at the finest level, which recovers only part of a large shift.
+        median_m = np.median([found.shift_m for found in self.found.values()] or [0.0])
+        recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
+        wrong = [
+            f for f, each in self.found.items() if self._disagrees(each) or each.shift_m > recheck_above_m
+        ]
         sound = np.setdiff1d(self.compared, wrong)
         if len(sound) < 2:
             return
-        usual = _Usual.of(found.registration for f, found in self.found.items() if f not in set(wrong))
-        unusual = [f for f, found in self.found.items() if not usual.includes(found.registration)]
+        typical = _TypicalQuality.of(
+            found.registration for f, found in self.found.items() if f not in set(wrong)
+        )
+        atypical = [f for f, found in self.found.items() if not typical.includes(found.registration)]
         missing = np.setdiff1d(posed, list(self.found)).tolist()
-        # If most are wrong it is not them that have to be found elsewhere.
+        # If most frames are wrong, a search for other poses is of no use.
         few = len(wrong) + len(missing) < 0.5 * len(posed)
-        for frame in sorted({*wrong, *unusual, *missing}):
+        for frame in sorted({*wrong, *atypical, *missing}):
             first = [self.found[frame]] if frame in self.found else []
             sides = self._both_sides(frame, sound)
             answers = sides or first if frame in set(wrong) else sides + first
-            answers.sort(key=lambda each: (not usual.includes(each.registration), each.shift_m))
+            answers.sort(key=lambda each: (not typical.includes(each.registration), each.shift_m))
             best = answers[0] if answers else None
-            if few and (best is None or not usual.includes(best.registration)):
+            if few and (best is None or not typical.includes(best.registration)):
                 best = self._elsewhere(frame, sound, best)
             if best is not None:
                 self.found[frame] = best
@@ -174,22 +178,23 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The agreeing frames next before it, and those next after it; or those that look alike."""
+        """The nearest agreeing frames before it and after it; or those of the most similar views."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """What the agreeing frames say, on either side."""
-        asked = [self._ask(frame, side, coarsest=2) for side in self._sides(frame, sound)]
-        return [each for each in asked if each is not None]
+        """The registrations to the agreeing frames on either side."""
+        checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
+        return [each for each in checks if each is not None]
 
     def stands_out(self, disagrees: Bools) -> Bools:
-        """Which frames (n,) of those that do not disagree agree far worse than nearly all.
+        """Frames (n,) that are within the limits but agree far worse than nearly all others.
 
-        Those that seem to are measured again to the others before them and after them, and the better side
-        counts: a wrong frame makes its right neighbours look worse, and next to a jump one side agrees.
+        Candidates are measured again against the frames before them and after them, and the better side
+        counts. A wrong frame makes its correct neighbours look worse, and next to a jump only one side
+        agrees.
         """
         odd = stand_out(self.residual_m / self.noise_m, ~disagrees)
         sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
@@ -200,7 +205,7 @@ class _Checker:
         return odd & stand_out(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given pose, and around that of the next frame; one that fits clearly better."""
+        """Search around the given pose and around the next frame's; keep the result if clearly better."""
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -211,25 +216,25 @@ class _Checker:
         found = max((search(source, self.maps[near], T) for T in starts), key=score)
         if agrees_as_well(measure(source, [self.maps[near]], [T_given], self.every), found):
             return best
-        as_given = self._ask(frame, [near], coarsest=1)
+        as_given = self._check(frame, [near], coarsest=1)
         known = 0.0 if as_given is None else score(as_given.registration)
         return disagreement(source, T_given, found) if score(found) > known + CLEARLY_BETTER else best
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
-        """With a frame just before it; if that does not convince, as after a jump, from a standstill."""
-        found = self._ask(frame, [before], coarsest)
-        if found is not None and is_believable(found.registration):
+        """Compare with an earlier frame; if that is not accepted, start from zero motion."""
+        found = self._check(frame, [before], coarsest)
+        if found is not None and is_accepted(found.registration):
             return found
         source, T_given = self.maps[frame], self._starts(frame, [before])[0]
         still = register(source, [self.maps[before]], [np.eye(4)], 2, every=self.every)
-        return disagreement(source, T_given, still) if is_believable(still) else found
+        return disagreement(source, T_given, still) if is_accepted(still) else found
 
-    def _ask(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
+    def _check(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
         targets = [self.maps[k] for k in others]
-        # Several together say enough with half of the points.
+        # With several targets, half of the points are enough.
         every = self.every if len(others) == 1 else 2 * self.every
         starts = self._starts(frame, others)
-        return ask(self.maps[frame], targets, starts, coarsest, every, self.max_shift_m)
+        return check_pose(self.maps[frame], targets, starts, coarsest, every, self.max_shift_m)
 
     def _starts(self, frame: int, others: list[int]) -> list[Float64]:
         return [invert_rigid(self.T[k]) @ self.T[frame] for k in others]
@@ -238,7 +243,7 @@ class _Checker:
         return found.certain_shift_m > self.max_shift_m or found.registration.inlier_share < MIN_INLIERS
 
     def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
-        """Steps that are off alone, if the frames before and behind confirm it: a wrong frame makes two."""
+        """Isolated wrong steps, confirmed by the frames on both sides; a wrong frame makes two steps."""
         rows = np.arange(1, len(kept))
         off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
         found = []
@@ -248,14 +253,14 @@ class _Checker:
                 for a, b in ((row - 1, row), (row - 2, row), (row - 1, row + 1))
                 if a >= 0 and b < len(kept)
             ]
-            asked = [self._across(int(kept[a]), int(kept[b]), coarsest=2) for a, b in across]
-            shifts_m = [0.0 if each is None else each.certain_shift_m for each in asked]
+            checks = [self._across(int(kept[a]), int(kept[b]), coarsest=2) for a, b in across]
+            shifts_m = [0.0 if each is None else each.certain_shift_m for each in checks]
             if min(shifts_m) > self.max_shift_m:
                 found.append((int(kept[row]), float(np.median(shifts_m))))
         return tuple(found)
 
     def result(self, posed: Int64) -> FrameCheck:
-        """What was found of the frames (k,) that have a pose."""
+        """The result for the frames (k,) that have a pose."""
         n = len(self.T)
         shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
         degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)
@@ -280,21 +285,21 @@ class _Checker:
 
 
 @dataclass(frozen=True)
-class _Usual:
-    """What nearly all registrations of a recording reach."""
+class _TypicalQuality:
+    """The quality that nearly all registrations of a recording reach."""
 
     inlier_share: float
     correlation: float
 
     @classmethod
-    def of(cls, registrations: Iterable[Registration]) -> "_Usual":
-        """What nine of ten registrations reach, and some slack."""
+    def of(cls, registrations: Iterable[Registration]) -> "_TypicalQuality":
+        """The quality that nine of ten registrations reach, minus a margin."""
         figures = [(each.inlier_share, each.intensity_correlation) for each in registrations]
         inliers, correlation = np.array(figures or [(0.0, np.nan)]).T
         known = correlation[np.isfinite(correlation)]
         return cls(
-            float(np.percentile(inliers, USUAL_PERCENTILE)) - UNUSUAL_INLIERS,
-            float(np.percentile(known, USUAL_PERCENTILE)) - UNUSUAL_CORRELATION if len(known) else -1.0,
+            float(np.percentile(inliers, TYPICAL_PERCENTILE)) - INLIER_SLACK,
+            float(np.percentile(known, TYPICAL_PERCENTILE)) - CORRELATION_SLACK if len(known) else -1.0,
         )
 
     def includes(self, registration: Registration) -> bool:

@@ -1,11 +1,11 @@
-"""What registration needs of one frame: depth, normals and intensity at three resolutions, and points.
+"""Maps of one frame for registration: depth, normals, intensity at three resolutions, and points.
 
-The finest resolution is about 320 pixels wide: the depth of a Kinect holds no more (its noise is correlated
-over two pixels), and a fourth of the pixels is four times as fast.
+The finest resolution is about 320 pixels wide. The depth of a Kinect holds no more detail, because its noise
+is correlated over two pixels. A quarter of the pixels is four times as fast.
 
 The depth of a keyframe is averaged with that of the frames registered to it, for less noise and better
-normals, after the keyframe fusion of Meilland & Comport (IROS 2013): each pixel of the keyframe is looked up
-in the frames around it, where they see the same surface.
+normals, after the keyframe fusion of Meilland & Comport (IROS 2013). Each pixel of the keyframe is projected
+into those frames and averaged where they see the same surface.
 """
 
 from collections import OrderedDict
@@ -37,25 +37,25 @@ from kinectbench.stages.track.map_kernels import (
 )
 
 WORKING_WIDTH_PX = 320
-# At most so many points are registered, per level, finest first.
+# Largest number of registered points per level, finest first.
 POINTS = (20_000, 3_000, 1_500)
-# Noise of normals is no less: smoothing bends the exact planes of a simulation by as much.
+# Lower bound of the normal noise: smoothing bends the exact planes of a simulation by as much.
 MIN_NORMAL_NOISE = 8.0
-# Neighbouring pixels are of one surface if their depths differ by less than this share, or less than a slope
-# makes them: over the focal length. For smoothing, and for differences.
+# Neighbouring pixels belong to one surface if their relative depth difference is below the first value, or
+# below the second value divided by the focal length (a slope). For smoothing, and for differences.
 SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
 CACHED_FRAMES = 150
-# What is read of a frame takes about 0.2 MB.
+# One frame as read takes about 0.2 MB.
 READ_FRAMES = 2000
 # Reduced depth is kept in tenths of a millimetre: 6.5 m at most.
 STORED_PER_M = 10_000.0
-# More frames than this add nothing but time.
+# Largest number of averaged frames; more only cost time. Chosen by hand.
 MAX_FRAMES = 16
 
 
 @dataclass(frozen=True)
 class ReducedFrame:
-    """What is read of one frame, at working resolution.
+    """One frame as read, at working resolution.
 
     Attributes:
         depth: (height, width) uint16, 0.1 mm, 0 = none.
@@ -76,8 +76,8 @@ class Level:
         normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
         intensity: (height, width) float32, 0 to 255; (0, 0) where colour is not registered to depth.
         points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
-        normal_noise: standard deviation of the normals along either tangent (radians), over sigma / depth and
-            the cosine of the slant.
+        normal_noise: standard deviation of the normals along either tangent (radians), divided by sigma /
+            depth and by the cosine of the slant.
     """
 
     camera: Camera
@@ -89,7 +89,7 @@ class Level:
 
 
 class FrameMaps:
-    """One frame at three resolutions, each half the one before; made when first asked for."""
+    """One frame at three resolutions, each half the one before; computed on demand."""
 
     def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
         self._inputs = [(camera, depth_m, intensity)]
@@ -109,7 +109,7 @@ class FrameMaps:
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame, with half as many pixels each way if it is then still wide enough."""
+        """The same frame, halved in both directions if it is then still wide enough."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
@@ -118,15 +118,15 @@ class FrameMaps:
 
 @dataclass
 class MapCache:
-    """The maps of a sequence's frames, made when asked for; the last 150 are kept, so memory is bounded.
+    """The maps of a sequence's frames, computed on demand; the last 150 are kept to bound memory.
 
-    Of the first frames what was read is kept, small as it is: reading is slow.
+    The reduced images of the first 2000 frames stay in memory, because reading is slow.
 
     Attributes:
         sequence: the recording.
         averaged: better depth of some frames, by index: see `improve`.
         correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
-        shutter: what is undone of each frame that is read: see `undo_shutter`.
+        shutter: the rolling shutter that is undone in each frame: see `undo_shutter`.
         sharpness: of the frames read, by index; none where colour is not registered to depth.
     """
 
@@ -187,18 +187,18 @@ class MapCache:
         return frame
 
     def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
-        """From now on use this depth for a frame: (height, width) uint16, 0.1 mm, working resolution."""
+        """Use this depth for a frame from now on: (height, width) uint16, 0.1 mm, working resolution."""
         self.averaged[index] = depth
         self._kept.pop(index, None)
 
     def undo_shutter(self, shutter: RollingShutter) -> None:
-        """From now on undo a rolling shutter in all frames; what was averaged without is forgotten."""
+        """Undo a rolling shutter in all frames from now on; averages made without it are dropped."""
         self.shutter = shutter
         self.averaged.clear()
         self._kept.clear()
 
     def calibrate(self, calibration: DepthCalibration) -> None:
-        """From now on correct the depth of all frames."""
+        """Correct the depth of all frames from now on."""
         camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
         none = calibration.is_none
         self.correction_per_m = None if none else calibration.correction_per_m(camera.width, camera.height)
@@ -219,7 +219,7 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
 
 
 def _reduction(camera: Camera) -> int:
-    """How many pixels each way make one."""
+    """The reduction factor: pixels per working pixel in each direction."""
     return max(1, round(camera.width / WORKING_WIDTH_PX))
 
 
@@ -264,10 +264,10 @@ def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) 
 
 
 def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
-    """From what normals nine pixels apart differ by, in the median: most of them lie on one plane.
+    """Estimate the normal noise from normals nine pixels apart, most of which lie on one plane.
 
-    The squared difference of two normals with this noise along both tangents is exponential, its mean
-    4 sigma^2.
+    With this noise along both tangents, the squared difference of two normals is exponentially distributed
+    with mean 4 sigma^2. The median is used.
     """
     squared = normal_differences(normals, depth_m, intrinsics)
     if not len(squared):
@@ -276,7 +276,7 @@ def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.flo
 
 
 class DepthAverage:
-    """The depth of one keyframe while frames are added."""
+    """The running average of one keyframe's depth."""
 
     def __init__(self, keyframe: Level) -> None:
         """Begin with the keyframe at its finest resolution."""
@@ -285,7 +285,7 @@ class DepthAverage:
         self._frames = 0
 
     def add(self, frame: Level, T_keyframe_frame: NDArray[np.float64]) -> None:
-        """Add a frame that lies at T_keyframe_frame (4, 4) to the keyframe."""
+        """Add a frame with the relative pose T_keyframe_frame (4, 4)."""
         if self._frames >= MAX_FRAMES:
             return
         self._frames += 1
@@ -325,7 +325,7 @@ def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyp
             reach = 4 * (SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2) + 0.003
             if near <= 0 or abs(near - z) > reach:
                 continue
-            # Unsigned, so that no index is taken for one from the end.
+            # Unsigned, so that no index counts from the end.
             i, j = np.uint32(y), np.uint32(x)
             down, right = y - i, x - j
             d00, d01, d10, d11 = frame[i, j], frame[i, j + 1], frame[i + 1, j], frame[i + 1, j + 1]

@@ -1,4 +1,4 @@
-"""The health of a trajectory without a truth: what health.json holds, from what the tracker found."""
+"""The health of a trajectory without ground truth: the contents of health.json."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -23,20 +23,20 @@ from kinectbench.core.artefacts.trajectory import (
 from kinectbench.core.images import relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility, usual_middle_depth_m
+from kinectbench.core.trajectory.coverage import covered_arc_rad, covisibility, median_middle_depth_m
 from kinectbench.core.types import Bools, Float64
 from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.health_figures import (
-    TieCorrection,
+    ConstraintCorrection,
+    constraint_correction,
     lost_stretches,
     median,
     median_depths_m,
     motion,
     pose_sigma_m,
     sharpness,
-    tie_correction,
 )
-from kinectbench.stages.track.tracked import Tie, Tracked
+from kinectbench.stages.track.tracked import Constraint, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
 COVISIBLE_KEYFRAMES = 60
@@ -49,19 +49,19 @@ def health(
     warnings: Rows[str],
     given: GivenCheck | None = None,
 ) -> TrajectoryHealth:
-    """The figures of health.json, and a verdict; docs/tracking.md says what each of them is.
+    """The figures of health.json, and a verdict; docs/tracking.md defines each figure.
 
     Args:
         sequence: the recording, n frames.
-        source: trust: the poses are the given ones; refine: these, corrected; tracked: found without.
-        tracked: what the tracker found. Frames that are left out have no pose in it.
+        source: trust: the given poses; refine: the given poses, corrected; tracked: no given poses.
+        tracked: the tracker's result. Frames that are left out have no pose in it.
         warnings: for people, one line each.
-        given: of the given trajectory, if there is one; trust needs it.
+        given: the check of the given trajectory, if there is one; required for trust.
     """
     case = _Case(sequence, source, tracked, given)
     shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
     steps_m, closed = _steps(case)
-    kinds: Counter[str] = Counter(tie.kind for tie in tracked.ties)
+    kinds: Counter[str] = Counter(constraint.kind for constraint in tracked.constraints)
     figures = TrajectoryHealth(
         source=source,
         verdict="",
@@ -86,7 +86,7 @@ def health(
         open_path_m=round(float(steps_m[~closed].sum()), 3),
         arc_rad=_arc_rad(case),
         ties=ConstraintCounts(**kinds, refused=len(tracked.refused)),
-        loop_correction_m=_rms_m(each.shift_m for each in case.loops if each.believed),
+        loop_correction_m=_rms_m(each.shift_m for each in case.loops if each.accepted),
         loops=tuple(_loop(each) for each in case.loops),
         refused_loops=tuple(_loop(each) for each in case.refused_loops),
         given=None if given is None else given.figures,
@@ -101,7 +101,7 @@ def health(
 
 @dataclass(frozen=True)
 class _Case:
-    """What is judged, and what several figures are taken from."""
+    """The inputs, and values that several figures share."""
 
     sequence: Sequence
     source: Source
@@ -128,33 +128,40 @@ class _Case:
 
     @cached_property
     def depths_m(self) -> dict[int, float]:
-        ties = (*self.tracked.ties, *self.tracked.refused)
-        return median_depths_m(self.sequence, [*self.tracked.keyframes.tolist(), *(tie.b for tie in ties)])
+        constraints = (*self.tracked.constraints, *self.tracked.refused)
+        return median_depths_m(
+            self.sequence, [*self.tracked.keyframes.tolist(), *(constraint.b for constraint in constraints)]
+        )
 
-    def corrections(self, ties: tuple[Tie, ...]) -> list[TieCorrection]:
+    def corrections(self, constraints: tuple[Constraint, ...]) -> list[ConstraintCorrection]:
         T, camera = self.tracked.T_world_camera, self.sequence.camera
-        return [tie_correction(tie, T, camera, self.depths_m[tie.b]) for tie in ties]
+        return [
+            constraint_correction(constraint, T, camera, self.depths_m[constraint.b])
+            for constraint in constraints
+        ]
 
     @cached_property
-    def kept(self) -> list[TieCorrection]:
-        return self.corrections(self.tracked.ties)
+    def kept(self) -> list[ConstraintCorrection]:
+        return self.corrections(self.tracked.constraints)
 
     @property
-    def loops(self) -> list[TieCorrection]:
-        return [each for each in self.kept if each.tie.kind == "loop"]
+    def loops(self) -> list[ConstraintCorrection]:
+        return [each for each in self.kept if each.constraint.kind == "loop"]
 
     @property
-    def refused_loops(self) -> list[TieCorrection]:
-        return self.corrections(tuple(tie for tie in self.tracked.refused if tie.kind == "loop"))
+    def refused_loops(self) -> list[ConstraintCorrection]:
+        return self.corrections(
+            tuple(constraint for constraint in self.tracked.refused if constraint.kind == "loop")
+        )
 
     @property
     def trusted(self) -> GivenCheck | None:
-        """The check that speaks for the poses: only if they are the given ones."""
+        """The check of the given poses, if these are the poses of the trajectory; else None."""
         return self.given if self.source == "trust" else None
 
     @cached_property
     def shift_m(self) -> Float64:
-        """(n,) by how much each pose may be off; NaN where unknown."""
+        """(n,) possible error of each pose, metres; NaN where unknown."""
         if self.trusted:
             return self.trusted.frames.shift_m
         return pose_sigma_m(self.sequence, self.tracked, self.kept)
@@ -165,7 +172,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Frames with a pose, no keyframes: these take part in the model that others are compared with."""
+        """Frames with a pose that are no keyframes; keyframes belong to the model that is compared with."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -214,45 +221,45 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
 
 
 def _steps(case: _Case) -> tuple[Float64, Bools]:
-    """How long each step from a pose to the next is, metres, and whether a believed loop closes it.
+    """Length of each step between poses, metres, and whether an accepted loop spans it.
 
-    Such a loop holds together what lies before and behind the step.
+    Such a loop constrains the poses before the step against those after it.
     """
     frames = np.flatnonzero(case.posed)
     positions = case.tracked.T_world_camera[frames][:, :3, 3]
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     closed = np.zeros(len(steps_m), dtype=bool)
     for each in case.loops:
-        if each.believed:
-            first, last = sorted((each.tie.a, each.tie.b))
+        if each.accepted:
+            first, last = sorted((each.constraint.a, each.constraint.b))
             closed |= (frames[:-1] >= first) & (frames[1:] <= last)
     return steps_m, closed
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc that the frames with a pose see what they look at from."""
+    """The arc of directions from which the frames with a pose see the point they look at."""
     frames = np.flatnonzero(case.posed)
-    depth_m = usual_middle_depth_m(case.sequence, frames)
+    depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 
 def _rms_m(shifts_m: Iterable[float]) -> float | None:
-    """The root mean square of those that are known; None if there is none."""
+    """The root mean square of the known values; None if there is none."""
     finite = [shift_m for shift_m in shifts_m if np.isfinite(shift_m)]
     return known(np.sqrt(np.mean(np.square(finite)))) if finite else None
 
 
-def _loop(each: TieCorrection) -> LoopClosure:
+def _loop(each: ConstraintCorrection) -> LoopClosure:
     return LoopClosure(
-        a=each.tie.a,
-        b=each.tie.b,
-        residual_m=known(each.tie.registration.residual_m),
-        overlap=known(each.tie.registration.overlap, 4),
-        inlier_share=known(each.tie.registration.inlier_share, 4),
+        a=each.constraint.a,
+        b=each.constraint.b,
+        residual_m=known(each.constraint.registration.residual_m),
+        overlap=known(each.constraint.registration.overlap, 4),
+        inlier_share=known(each.constraint.registration.inlier_share, 4),
         correction_m=known(each.shift_m),
         correction_rad=known(each.turn_rad),
-        weight=known(each.tie.weight, 4),
-        believed=each.believed,
+        weight=known(each.constraint.weight, 4),
+        believed=each.accepted,
     )
 
 

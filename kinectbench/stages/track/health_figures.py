@@ -1,7 +1,7 @@
-"""What health.json says of ties and of frames.
+"""Figures of health.json about constraints and frames.
 
-Of ties: how far they disagree with the final poses, and so how sure a pose is. Of frames: state, residual,
-motion and blur; and where the camera was lost.
+Constraints: how far they disagree with the final poses, which gives the uncertainty of a pose. Frames: state,
+residual, motion and blur; and where the camera was lost.
 """
 
 from collections import Counter
@@ -18,36 +18,36 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64
 from kinectbench.stages.track.frame_maps import gray_frame, reduced_gray
-from kinectbench.stages.track.tracked import Tie, Tracked
+from kinectbench.stages.track.tracked import Constraint, Tracked
 
-# A loop is believed if the robust kernel left it at least this weight.
-BELIEVED_WEIGHT = 0.5
-# Keyframes whose ties the robust kernel all but removed are held by nothing.
+# A loop is accepted if the robust kernel left it at least this weight.
+ACCEPTED_WEIGHT = 0.5
+# A keyframe whose constraints weigh less than this in total is unconstrained.
 MIN_WEIGHT = 0.1
-# A correction is taken over so many points across and down the image.
+# A correction is averaged over a grid of this many points across and down the image.
 GRID = 5
-# For views without any depth.
-USUAL_DEPTH_M = 1.5
+# For frames without any depth.
+TYPICAL_DEPTH_M = 1.5
 
 
 @dataclass(frozen=True)
-class TieCorrection:
-    """A tie, and by how much the final poses move and turn its frame b against what it measured.
+class ConstraintCorrection:
+    """A constraint, and by how much the final poses move and turn frame b against its measurement.
 
     Attributes:
-        tie: the tie.
+        constraint: between frames a and b.
         shift_m: rms over a grid of pixels at b's median depth, metres; NaN if a frame has no pose.
-        turn_rad: angle, radians; NaN likewise.
+        turn_rad: angle, radians; NaN if a frame has no pose.
     """
 
-    tie: Tie
+    constraint: Constraint
     shift_m: float
     turn_rad: float
 
     @property
-    def believed(self) -> bool:
-        """Whether the pose graph holds on to it."""
-        return self.tie.weight >= BELIEVED_WEIGHT
+    def accepted(self) -> bool:
+        """Whether the pose graph accepts it."""
+        return self.constraint.weight >= ACCEPTED_WEIGHT
 
 
 def median(values: Float64) -> float:
@@ -57,43 +57,47 @@ def median(values: Float64) -> float:
 
 
 def median_depths_m(sequence: Sequence, frames: Iterable[int]) -> dict[int, float]:
-    """Median measured depth of each frame, metres; of frames without depth a usual 1.5 m."""
+    """Median measured depth of each frame, metres; 1.5 m for frames without depth."""
     medians = {}
     for frame in sorted(set(frames)):
         depth_m = sequence.depth_m(frame)[::4, ::4]
         measured = depth_m[depth_m > 0]
-        medians[frame] = float(np.median(measured)) if len(measured) else USUAL_DEPTH_M
+        medians[frame] = float(np.median(measured)) if len(measured) else TYPICAL_DEPTH_M
     return medians
 
 
-def tie_correction(tie: Tie, T_world_camera: Float64, camera: Camera, depth_m: float) -> TieCorrection:
-    """Compare one tie with the final poses (own rule).
+def constraint_correction(
+    constraint: Constraint, T_world_camera: Float64, camera: Camera, depth_m: float
+) -> ConstraintCorrection:
+    """Compare one constraint with the final poses.
 
     Args:
-        tie: between frames a and b.
+        constraint: between frames a and b.
         T_world_camera: (n, 4, 4), NaN where there is no pose.
         camera: intrinsics.
-        depth_m: at which points of b are taken.
+        depth_m: at which points of b are sampled.
     """
-    T_a_b = invert_rigid(T_world_camera[tie.a]) @ T_world_camera[tie.b]
+    T_a_b = invert_rigid(T_world_camera[constraint.a]) @ T_world_camera[constraint.b]
     if not np.isfinite(T_a_b).all():
-        return TieCorrection(tie, np.nan, np.nan)
-    T_measured_final = invert_rigid(tie.T_a_b) @ T_a_b
+        return ConstraintCorrection(constraint, np.nan, np.nan)
+    T_measured_final = invert_rigid(constraint.T_a_b) @ T_a_b
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID))
     points = depth_m * camera.rays_at(u, v).reshape(-1, 3)
     moved_m = np.linalg.norm(transform_points(T_measured_final, points) - points, axis=1)
     turn_rad = float(rotation_angle_rad(T_measured_final[:3, :3]))
-    return TieCorrection(tie, float(np.sqrt(np.mean(moved_m**2))), turn_rad)
+    return ConstraintCorrection(constraint, float(np.sqrt(np.mean(moved_m**2))), turn_rad)
 
 
-def pose_sigma_m(sequence: Sequence, tracked: Tracked, corrections: Iterable[TieCorrection]) -> Float64:
-    """By how much each frame's pose may be off: what the ties of its keyframe disagree with it by (own rule).
+def pose_sigma_m(
+    sequence: Sequence, tracked: Tracked, corrections: Iterable[ConstraintCorrection]
+) -> Float64:
+    """Uncertainty of each pose: how far the constraints of its keyframe disagree with it.
 
-    The weighted rms of their corrections over the square root of 2, because a correction may be due to either
-    of a tie's frames. A frame's keyframe is the nearest one in time.
+    It is the weighted rms of the corrections, divided by the square root of 2, because either frame of a
+    constraint may cause the correction. A frame's keyframe is the nearest one in time.
 
     Returns:
-        (n,) metres; NaN where there is no pose, or no tie.
+        (n,) metres; NaN where there is no pose, or no constraint.
     """
     n = len(sequence)
     if not len(tracked.keyframes):
@@ -101,12 +105,12 @@ def pose_sigma_m(sequence: Sequence, tracked: Tracked, corrections: Iterable[Tie
     weights, squares_m2 = np.zeros(n), np.zeros(n)
     for each in corrections:
         if np.isfinite(each.shift_m):
-            ends = [each.tie.a, each.tie.b]
-            weights[ends] += each.tie.weight
-            squares_m2[ends] += each.tie.weight * each.shift_m**2
-    tied = weights >= MIN_WEIGHT
+            ends = [each.constraint.a, each.constraint.b]
+            weights[ends] += each.constraint.weight
+            squares_m2[ends] += each.constraint.weight * each.shift_m**2
+    constrained = weights >= MIN_WEIGHT
     sigma_m = np.full(n, np.nan)
-    sigma_m[tied] = np.sqrt(squares_m2[tied] / weights[tied] / 2)
+    sigma_m[constrained] = np.sqrt(squares_m2[constrained] / weights[constrained] / 2)
     posed = has_pose(tracked.T_world_camera)
     return np.where(posed, sigma_m[_nearest_keyframes(sequence.stamps_ns, tracked.keyframes)], np.nan)
 
@@ -121,7 +125,7 @@ def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64
 
 
 def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float64, Float64]:
-    """How fast each camera moved and turned since the frame before.
+    """Speed and turn rate of the camera since the frame before.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where there is no pose.
@@ -141,15 +145,15 @@ def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float
 def lost_stretches(
     stamps_ns: NDArray[np.int64], lost: Bools, reasons: Mapping[int, str]
 ) -> list[LostStretch]:
-    """Runs of lost frames: from where to where, and the most frequent reason.
+    """Runs of lost frames: first and last frame, and the most frequent reason.
 
     Args:
         stamps_ns: (n,).
         lost: (n,).
-        reasons: why, per lost frame.
+        reasons: by lost frame, why it is lost.
 
     Returns:
-        A row each; times in seconds from the first frame of the recording on.
+        A row each; times in seconds from the first frame of the recording.
     """
     frames = np.flatnonzero(lost)
     runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1) if len(frames) else []
@@ -170,14 +174,14 @@ def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
 
     Args:
         sequence: the recording.
-        known: of frames whose colour has been read already.
+        known: sharpness of frames whose colour was read already.
     """
     frames = range(len(sequence))
     return np.array([known[f] if f in known else _frame_sharpness(sequence, f) for f in frames])
 
 
 def _frame_sharpness(sequence: Sequence, index: int) -> float:
-    """Of one frame, read at the resolution the tracker works at, or at half its own."""
+    """Sharpness of one frame, read at the tracker's working resolution, or at half its own."""
     import cv2
 
     if sequence.color_registered:

@@ -1,6 +1,6 @@
-"""Tie the keyframes to each other: covisible ones, places seen again, and segments that lost each other.
+"""Connect keyframes by constraints: covisible keyframes, loop closures, and lost segments.
 
-Every tie is a registration that convinced in both directions. The number of tries per keyframe is bounded.
+Every constraint is a registration that is accepted in both directions. The tries per keyframe are bounded.
 """
 
 from collections import defaultdict
@@ -12,31 +12,32 @@ import numpy as np
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.types import Float64
-from kinectbench.stages.track.covisibility import Glimpse, covisible, glimpse
+from kinectbench.stages.track.covisibility import KeyframeThumbnail, covisible, keyframe_thumbnail
 from kinectbench.stages.track.depth_calibration import View, calibrate, evenly_chosen
-from kinectbench.stages.track.features import FeatureCache, likeness, pose_from_features
+from kinectbench.stages.track.features import FeatureCache, pose_from_features, similarity
 from kinectbench.stages.track.frame_maps import MapCache
-from kinectbench.stages.track.odometry import Odometry, every_of, is_believable
+from kinectbench.stages.track.odometry import Odometry, is_accepted, point_stride
 from kinectbench.stages.track.pose_graph import optimise
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
-from kinectbench.stages.track.tracked import Tie, TieKind
+from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
-# Texture ties keyframes so well that more rounds add little.
+# With texture the keyframes are constrained so well that more rounds add little.
 ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
-# Tries per keyframe and round: of what looks alike, and of what ought to be in view.
-ALIKE_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
-MIN_LIKENESS, MIN_SHARED_VIEW = 0.25, 0.3
+# Tries per keyframe and round: similar keyframes, and keyframes with a predicted shared view.
+SIMILAR_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
+MIN_SIMILARITY, MIN_SHARED_VIEW = 0.25, 0.3
 # Keyframes this close in order are neighbours, not loops.
 NEAR_IN_ORDER = 3
-# A loop may correct this much of the path walked since, and this much besides.
+# A loop may correct this ratio of the path walked since, plus this much.
 DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
-# Two registrations of two segments that agree within this confirm each other.
+# Two registrations between the same two segments confirm each other within these tolerances.
 AGREE_M, AGREE_RAD = 0.06, 0.06
-# And they are nearly as good as the ties of consecutive keyframes: a chair's back looks much like its front.
-FEWER_INLIERS = 0.015
-# Ties between two groups whose neighbourhood is tried.
-JOINTS_CONFIRMED = 5
-MIN_TIE_WEIGHT = 0.05
+# Their inlier ratio is at most this much below that of consecutive keyframes: a chair's back resembles its
+# front.
+INLIER_MARGIN = 0.015
+# Number of constraints between two groups whose neighbouring keyframes are tried.
+JOINS_CONFIRMED = 5
+MIN_CONSTRAINT_WEIGHT = 0.05
 LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
 
 
@@ -47,19 +48,19 @@ class KeyframeGraph:
     Attributes:
         keyframes: (k,) frame indices.
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
-        ties: kept, with their weights.
-        refused: tried and not believed, or switched off.
-        joined: segments that are part of the world.
-        glimpses: (k,) of the keyframes.
-        calibration: of the depth, as the ties have it.
+        constraints: accepted, with their weights.
+        refused: tried and rejected, or switched off by the optimisation.
+        joined: segments that belong to the world.
+        thumbnails: (k,) of the keyframes.
+        calibration: the depth calibration that the constraints use.
     """
 
     keyframes: tuple[int, ...]
     T_world: Float64
-    ties: tuple[Tie, ...]
-    refused: tuple[Tie, ...]
+    constraints: tuple[Constraint, ...]
+    refused: tuple[Constraint, ...]
     joined: frozenset[int]
-    glimpses: tuple[Glimpse, ...]
+    thumbnails: tuple[KeyframeThumbnail, ...]
     calibration: DepthCalibration = NO_CALIBRATION
 
 
@@ -69,19 +70,19 @@ def build_graph(
     odometry: Odometry,
     T_given: Float64 | None = None,
 ) -> KeyframeGraph:
-    """Find ties, join segments, and optimise; places are looked for again with every better estimate.
+    """Find constraints, join segments and optimise, in rounds with ever better poses.
 
     Args:
         maps: of the frames.
         features: of the frames.
-        odometry: keyframes, and the ties between consecutive ones.
-        T_given: (n, 4, 4) loosely believed poses of all frames, or None.
+        odometry: keyframes, and constraints between consecutive keyframes.
+        T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
     """
     builder = _Builder(maps, features, odometry, T_given)
-    builder.tie_alike()
+    builder.add_loop_candidates()
     rounds = ROUNDS_WITH_COLOR if builder.textured else ROUNDS_WITHOUT
     for last in [False] * (rounds - 1) + [True]:
-        builder.tie_covisible()
+        builder.add_covisibility_constraints()
         builder.optimise()
         if not last:
             builder.calibrate()
@@ -89,7 +90,7 @@ def build_graph(
 
 
 class _Builder:
-    """The graph while it grows."""
+    """Builds the graph step by step."""
 
     def __init__(
         self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
@@ -98,7 +99,9 @@ class _Builder:
         self.calibration = NO_CALIBRATION
         self.keyframes = odometry.keyframes
         self.row = {frame: row for row, frame in enumerate(self.keyframes)}
-        self.glimpses: list[Glimpse] = [glimpse(maps[frame]) for frame in self.keyframes]
+        self.thumbnails: list[KeyframeThumbnail] = [
+            keyframe_thumbnail(maps[frame]) for frame in self.keyframes
+        ]
         self.textured = any(maps[frame].has_intensity for frame in self.keyframes[:3])
         followed = [odometry.frames[frame] for frame in self.keyframes]
         self.segments = np.array([f.segment for f in followed if f is not None])
@@ -106,31 +109,31 @@ class _Builder:
         self.T_given = None if T_given is None else T_given[list(self.keyframes)]
         steps = np.linalg.norm(np.diff(self.T_segment[:, :3, 3], axis=0), axis=1) if len(followed) else []
         self.path_m = np.concatenate([[0.0], np.cumsum(steps)])
-        self.ties: list[Tie] = [self._again(each) for each in odometry.ties]
+        self.constraints: list[Constraint] = [self._again(each) for each in odometry.constraints]
         self.round = 0
-        self.refused: list[Tie] = []
-        self.tried = {(tie.a, tie.b) for tie in self.ties}
-        # Each segment begins as a world of its own.
+        self.refused: list[Constraint] = []
+        self.tried = {(constraint.a, constraint.b) for constraint in self.constraints}
+        # Each segment begins as a separate world.
         self.group = self.segments.copy()
         self.T_world = self.T_segment.copy()
         self._place_groups_as_given()
-        self.weights = np.ones(len(self.ties))
+        self.weights = np.ones(len(self.constraints))
 
-    def _again(self, each: Tie) -> Tie:
-        """A tie of the odometry, registered again now that the keyframes' depth is averaged."""
+    def _again(self, each: Constraint) -> Constraint:
+        """Register a constraint again, with the averaged depth of the keyframes."""
         source, target = self.maps[each.b], self.maps[each.a]
-        found = register(source, [target], [each.T_a_b], 0, PLACED, every_of(source))
-        return Tie(each.a, each.b, found, each.kind) if is_believable(found) else each
+        found = register(source, [target], [each.T_a_b], 0, PLACED, point_stride(source))
+        return Constraint(each.a, each.b, found, each.kind) if is_accepted(found) else each
 
-    def tie_alike(self) -> None:
-        """Try keyframes that look alike and are not neighbours; and those on both sides of a gap."""
-        alike = likeness([self.features[frame] for frame in self.keyframes])
+    def add_loop_candidates(self) -> None:
+        """Try keyframes of similar appearance that are no neighbours, and those on both sides of a gap."""
+        similar = similarity([self.features[frame] for frame in self.keyframes])
         order = np.arange(len(self.keyframes))
-        alike[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
+        similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
         tries = set()
         for row in order:
-            for other in np.argsort(-alike[row], kind="stable")[:ALIKE_PER_KEYFRAME]:
-                if alike[row, other] >= MIN_LIKENESS:
+            for other in np.argsort(-similar[row], kind="stable")[:SIMILAR_PER_KEYFRAME]:
+                if similar[row, other] >= MIN_SIMILARITY:
                     tries.add((min(row, other), max(row, other)))
         for row in order[1:]:
             if self.segments[row] != self.segments[row - 1]:
@@ -138,8 +141,8 @@ class _Builder:
         for a, b in sorted(tries):
             self._try(int(a), int(b), None)
 
-    def tie_covisible(self) -> None:
-        """Try keyframes that ought to see the same places, those with the largest shared view first."""
+    def add_covisibility_constraints(self) -> None:
+        """Try keyframes with a predicted shared view, largest first."""
         tries: dict[int, int] = defaultdict(int)
         chosen = []
         pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
@@ -151,7 +154,7 @@ class _Builder:
             tries[a] += 1
             tries[b] += 1
             chosen.append((a, b))
-        # One after the other along the path: their maps are still at hand then.
+        # In the order of the path, so that their maps are still cached.
         for a, b in sorted(chosen):
             self._try(a, b, self._between(a, b))
 
@@ -159,45 +162,47 @@ class _Builder:
         pairs = []
         for group in np.unique(self.group):
             rows = np.flatnonzero(self.group == group)
-            found = covisible([self.glimpses[row] for row in rows], self.T_world[rows])
+            found = covisible([self.thumbnails[row] for row in rows], self.T_world[rows])
             pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in found]
         return pairs
 
     def _try(self, a: int, b: int, T_a_b: Float64 | None) -> None:
-        """Register keyframe b to a; keep it as a tie if it convinces."""
+        """Register keyframe b to a; keep it as a constraint if it is accepted."""
         frames = self.keyframes[a], self.keyframes[b]
         if frames in self.tried:
             return
         self.tried.add(frames)
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
-        kind: TieKind = "covisible" if near else "loop"
+        kind: ConstraintKind = "covisible" if near else "loop"
         best = self._register(frames, T_a_b)
         if best is None:
             return
-        made = Tie(*frames, best, kind)
-        believed = self._is_mutual(frames, best) and not (
+        made = Constraint(*frames, best, kind)
+        accepted = self._is_mutual(frames, best) and not (
             self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
         )
-        (self.ties if believed else self.refused).append(made if believed else replace(made, weight=0.0))
+        (self.constraints if accepted else self.refused).append(
+            made if accepted else replace(made, weight=0.0)
+        )
 
     def _register(self, frames: tuple[int, int], T_a_b: Float64 | None) -> Registration | None:
         target, source = (self.maps[frame] for frame in frames)
         best: Registration | None = None
         if T_a_b is not None:
-            best = register(source, [target], [T_a_b], every=every_of(source))
+            best = register(source, [target], [T_a_b], every=point_stride(source))
         lost = T_a_b is None or self.round == 0
         if lost and (best is None or not _convinces(best)):
             seen = pose_from_features(self.features[frames[1]], self.features[frames[0]], source[0].camera)
             if seen is not None:
-                best = better(best, register(source, [target], [seen[0]], 1, every=every_of(source)))
+                best = better(best, register(source, [target], [seen[0]], 1, every=point_stride(source)))
         if lost and T_a_b is not None and best is not None and not _convinces(best):
             best = better(best, search(source, target, T_a_b))
         return best
 
     def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
-        """Whether the registration convinces from either side."""
+        """Whether the registration is accepted in both directions."""
         source, target = self.maps[frames[0]], self.maps[frames[1]]
-        back = measure(source, [target], [invert_rigid(registration.T_target_source)], every_of(source))
+        back = measure(source, [target], [invert_rigid(registration.T_target_source)], point_stride(source))
         return _convinces(registration) and _convinces(back)
 
     def _breaks_drift_bound(self, a: int, b: int, T_a_b: Float64) -> bool:
@@ -209,12 +214,12 @@ class _Builder:
         )
 
     def optimise(self) -> None:
-        """Join groups that enough ties connect, then optimise each group."""
+        """Join groups that are connected by enough constraints, then optimise each group."""
         self.round += 1
-        self._confirm_joints()
+        self._confirm_joins()
         self._join_groups()
-        self.weights = np.ones(len(self.ties))
-        ends = [self._ends(each) for each in self.ties]
+        self.weights = np.ones(len(self.constraints))
+        ends = [self._ends(each) for each in self.constraints]
         for group in np.unique(self.group):
             rows = np.flatnonzero(self.group == group)
             local = {int(row): i for i, row in enumerate(rows)}
@@ -223,48 +228,50 @@ class _Builder:
             prior = None if self.T_given is None else self.T_given[rows]
             if prior is not None and not np.isfinite(prior).any():
                 prior = None
-            poses, weights = optimise(self.T_world[rows], [self.ties[t] for t in chosen], nodes, prior)
+            poses, weights = optimise(self.T_world[rows], [self.constraints[t] for t in chosen], nodes, prior)
             self.T_world[rows] = poses
             self.weights[chosen] = weights
 
     def calibrate(self) -> None:
-        """Estimate the depth distortion where keyframes overlap; register the ties with corrected depth."""
-        if not self.ties:
+        """Estimate the depth distortion from overlapping keyframes; register the constraints again."""
+        if not self.constraints:
             return
         pairs = sorted((a, b) for share, a, b in self._covisible_pairs() if share >= MIN_SHARED_VIEW)
         self.maps.calibrate(NO_CALIBRATION)
         self.calibration = calibrate(self._view(a, b) for a, b in evenly_chosen(pairs))
         self.maps.calibrate(self.calibration)
-        along = sorted(range(len(self.ties)), key=lambda t: (self.ties[t].a, self.ties[t].b))
+        along = sorted(
+            range(len(self.constraints)), key=lambda t: (self.constraints[t].a, self.constraints[t].b)
+        )
         for t in along:
-            self.ties[t] = self._again(self.ties[t])
+            self.constraints[t] = self._again(self.constraints[t])
 
     def _view(self, a: int, b: int) -> View:
         target, source = (self.maps[self.keyframes[row]][0] for row in (a, b))
         return View(source, target, self._between(a, b))
 
-    def _ends(self, each: Tie) -> tuple[int, int]:
+    def _ends(self, each: Constraint) -> tuple[int, int]:
         return self.row[each.a], self.row[each.b]
 
     def _between(self, a: int, b: int) -> Float64:
-        """T_a_b (4, 4) of two rows, as their poses are now."""
+        """T_a_b (4, 4) of two rows, from their current poses."""
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
-    def _joints(self) -> dict[tuple[int, int], list[Tie]]:
-        """The ties between each two groups that are nearly as good as those of consecutive keyframes."""
-        along = [each.registration for each in self.ties if each.kind == "odometry"]
-        usual = np.median([each.inlier_share for each in along] or [0.0])
-        between: dict[tuple[int, int], list[Tie]] = defaultdict(list)
-        for each in self.ties:
+    def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:
+        """Constraints between each two groups, if nearly as good as those of consecutive keyframes."""
+        along = [each.registration for each in self.constraints if each.kind == "odometry"]
+        typical_share = np.median([each.inlier_share for each in along] or [0.0])
+        between: dict[tuple[int, int], list[Constraint]] = defaultdict(list)
+        for each in self.constraints:
             low, high = sorted(int(self.group[row]) for row in self._ends(each))
-            if low != high and each.registration.inlier_share >= usual - FEWER_INLIERS:
+            if low != high and each.registration.inlier_share >= typical_share - INLIER_MARGIN:
                 between[low, high].append(each)
         return between
 
-    def _confirm_joints(self) -> None:
-        """Where one tie joins two groups, the keyframes next to its ends ought to see each other as well."""
-        for _, ties in sorted(self._joints().items()):
-            for each in ties[:JOINTS_CONFIRMED]:
+    def _confirm_joins(self) -> None:
+        """Try the keyframes next to the ends of a joining constraint: they should overlap as well."""
+        for _, constraints in sorted(self._joining_constraints().items()):
+            for each in constraints[:JOINS_CONFIRMED]:
                 a, b = self._ends(each)
                 for i, j in ((a - 1, b), (a + 1, b), (a, b - 1), (a, b + 1)):
                     inside = 0 <= i < len(self.group) and 0 <= j < len(self.group)
@@ -272,21 +279,21 @@ class _Builder:
                         self._try(i, j, self._between(i, a) @ each.T_a_b @ self._between(b, j))
 
     def _join_groups(self) -> None:
-        """Join two groups if two ties agree how they lie to each other, or one tie spans a gap in time."""
+        """Join two groups if two constraints agree on their relative pose, or one spans a gap in time."""
         while True:
-            between = self._joints()
-            found = [(self._agreed(ties), groups) for groups, ties in sorted(between.items())]
+            between = self._joining_constraints()
+            found = [(self._agreed(constraints), groups) for groups, constraints in sorted(between.items())]
             joints = [(agreed, groups) for agreed, groups in found if agreed is not None]
             if not joints:
                 return
             (_, each), groups = max(joints, key=lambda joint: joint[0][0])
             self._join(each, groups)
 
-    def _agreed(self, ties: Sequence[Tie]) -> tuple[int, Tie] | None:
-        """The tie that most others confirm, with their number; None if they are too few."""
-        relative = [self._T_group_group(each) for each in ties]
-        best: tuple[int, Tie] | None = None
-        for each, T in zip(ties, relative, strict=True):
+    def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
+        """The constraint that most others confirm, with their number; None if too few confirm it."""
+        relative = [self._T_group_group(each) for each in constraints]
+        best: tuple[int, Constraint] | None = None
+        for each, T in zip(constraints, relative, strict=True):
             errors = [invert_rigid(T) @ other for other in relative]
             agree = sum(
                 float(np.linalg.norm(e[:3, 3])) < AGREE_M + AGREE_RAD
@@ -301,13 +308,13 @@ class _Builder:
         small = min(int((self.group == self.group[row]).sum()) for row in (a, b)) == 1
         return best if best[0] >= 2 or b == a + 1 or small else None
 
-    def _T_group_group(self, each: Tie) -> Float64:
-        """How the worlds of two groups lie to each other if the tie is right: from the higher number."""
+    def _T_group_group(self, each: Constraint) -> Float64:
+        """Relative pose of two groups by one constraint, from the higher to the lower number."""
         a, b = self._ends(each)
         T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
         return T if self.group[a] < self.group[b] else invert_rigid(T)
 
-    def _join(self, each: Tie, groups: tuple[int, int]) -> None:
+    def _join(self, each: Constraint, groups: tuple[int, int]) -> None:
         """Move the smaller group into the world of the larger one."""
         T_low_high = self._T_group_group(each)
         low, high = (np.flatnonzero(self.group == group) for group in groups)
@@ -319,7 +326,7 @@ class _Builder:
             self.group[low] = groups[1]
 
     def _place_groups_as_given(self) -> None:
-        """With given poses all segments lie in one world, each moved to where its first posed keyframe is."""
+        """Put all segments into the world of the given poses, each by its middle posed keyframe."""
         if self.T_given is None:
             return
         for segment in np.unique(self.segments):
@@ -332,33 +339,33 @@ class _Builder:
                 )
 
     def graph(self) -> KeyframeGraph:
-        """What was found: the largest group is the world, all others stay lost."""
+        """The finished graph: the largest group is the world, all others stay lost."""
         if not len(self.keyframes):
             return KeyframeGraph((), np.zeros((0, 4, 4)), (), (), frozenset(), ())
         groups, counts = np.unique(self.group, return_counts=True)
         world = groups[np.argmax(counts)]
         inside = self.group == world
         T_world = np.where(inside[:, None, None], self.T_world, np.nan)
-        kept: list[Tie] = []
+        kept: list[Constraint] = []
         refused = list(self.refused)
-        for each, weight in zip(self.ties, self.weights, strict=True):
+        for each, weight in zip(self.constraints, self.weights, strict=True):
             weighed = replace(each, weight=float(weight))
             within = inside[list(self._ends(each))].all()
-            (kept if within and weight >= MIN_TIE_WEIGHT else refused).append(weighed)
+            (kept if within and weight >= MIN_CONSTRAINT_WEIGHT else refused).append(weighed)
         return KeyframeGraph(
             keyframes=self.keyframes,
             T_world=T_world,
-            ties=tuple(kept),
+            constraints=tuple(kept),
             refused=tuple(refused),
             joined=frozenset(self.segments[inside].tolist()),
-            glimpses=tuple(self.glimpses),
+            thumbnails=tuple(self.thumbnails),
             calibration=self.calibration,
         )
 
 
 def _convinces(registration: Registration) -> bool:
     return (
-        is_believable(registration)
+        is_accepted(registration)
         and registration.inlier_share >= LOOP_INLIERS
         and registration.overlap >= LOOP_OVERLAP
     )

@@ -1,9 +1,9 @@
-"""Linearise how one frame lies to another: projective point-to-plane residuals with a photometric term.
+"""Linearise the relative pose of two frames: projective point-to-plane and photometric residuals.
 
 Geometry: Chen & Medioni 1991, Rusinkiewicz & Levoy 2001; residuals n . (q - T p), where q is the target's
-measurement on the pixel that T p falls on, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
-Steinbruecker, Sturm & Cremers 2011, Park, Zhou & Koltun 2017; residuals I_target(T p) - gain I_source(p)
-- offset, with gain and offset estimated along, so that exposure may change. Twists are (rotation,
+measurement at the pixel that T p projects to, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
+Steinbruecker, Sturm & Cremers 2011, Park, Zhou & Koltun 2017; residuals I_target(T p) - gain I_source(p) -
+offset. Gain and offset are estimated as well, so that the exposure may change. Twists are (rotation,
 translation) in the source frame: T <- T exp(twist).
 """
 
@@ -20,14 +20,14 @@ from kinectbench.stages.track.map_kernels import MIN_COSINE
 
 HUBER_SIGMAS = 1.5
 INTENSITY_SIGMA = 8.0
-# Photometry is off by more than its noise says: colour is not taken at quite the instant of depth.
+# Photometric errors exceed the image noise, because colour and depth are not taken at the same instant.
 PHOTOMETRIC_WEIGHT = 0.25
-# Fewer intensities than this say nothing of gain and offset.
+# Gain and offset are not estimated from fewer intensities.
 MIN_INTENSITIES = 100
 MIN_FACING = 0.5
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
 EXPOSURE_PRIOR = np.diag([0.3**-2, 30.0**-2])
-# Rows are gathered in blocks of this many, which stay in the cache; padded, lest they crowd its sets.
+# Rows are gathered in blocks of this many, which stay in the cache. Padding avoids cache-set conflicts.
 BLOCK, PADDING = 512, 8
 
 
@@ -40,14 +40,16 @@ class LinearTerms:
         photometric: (6, 6), gain and offset of intensity eliminated.
         gradient: (6,).
         inliers: number of points that agree within three standard deviations.
-        violations: number of points where the target sees through them, or another surface.
+        violations: number of points where the target sees through the point or sees another surface.
         residual_m: root mean square of the inliers' residuals.
-        noise_m: what the depth's noise alone would make of it.
-        shares: (6, 6) sum of J J^T of the inliers, each over the square of what its normal's noise goes with.
+        noise_m: the residual expected from the depth noise alone.
+        normal_information: (6, 6) sum of J J^T of the inliers, each divided by its squared normal-noise
+            factor depth / (sigma * cosine).
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
         intensity_correlation: weighted, -1 to 1; NaN without.
         exposure: (2,) gain and offset before the step.
-        exposure_step: (2, 7) what the step adds to them: its linear part, to be taken off, and a constant.
+        exposure_step: (2, 7) change of gain and offset with the step: a linear part, which is subtracted, and
+            a constant.
     """
 
     geometric: Float64
@@ -57,14 +59,14 @@ class LinearTerms:
     violations: int
     residual_m: float
     noise_m: float
-    shares: Float64
+    normal_information: Float64
     moments: Float64
     intensity_correlation: float
     exposure: Float64
     exposure_step: Float64
 
     def exposure_after(self, step: NDArray[np.floating]) -> Float64:
-        """(2,) gain and offset that belong to the frame moved by the twist `step` (6,)."""
+        """(2,) gain and offset of the frame after the twist `step` (6,)."""
         return np.asarray(self.exposure + self.exposure_step[:, 6] - self.exposure_step[:, :6] @ step)
 
 
@@ -74,31 +76,32 @@ def linearise(
     T_target_source: Float64,
     gate_m: float,
     exposure: Float64 = NO_EXPOSURE_CHANGE,
-    with_shares: bool = False,
+    with_observability: bool = False,
     every: int = 1,
 ) -> LinearTerms:
     """Linearise the residuals of a pair of frames.
 
     Args:
         source: points p.
-        target: the maps they fall on.
-        T_target_source: (4, 4), where.
-        gate_m: how far along the ray a measurement may lie from the point it is taken for, metres.
+        target: the maps they are projected into.
+        T_target_source: (4, 4), the pose at which to linearise.
+        gate_m: largest distance along the ray between a point and its measurement, metres.
         exposure: (2,) gain and offset of intensity.
-        with_shares: whether to sum what tells open motions: `shares` and `moments`, else 0.
+        with_observability: whether to sum `normal_information` and `moments`, which show unobservable
+            directions; else they are 0.
         every: only every n-th point is used.
     """
     (A, P, S, M), inliers, violations, compared, squares, variances = _accumulate(
         source.points[::every],
         target.depth_m,
         target.normals,
-        # A frame that came without colour is compared by its depth alone.
+        # A frame without colour is compared by its depth alone.
         target.intensity if source.intensity.size else source.intensity,
         target.camera.intrinsics,
         np.ascontiguousarray(T_target_source),
         gate_m,
         exposure,
-        with_shares,
+        with_observability,
     )
     photometric, gradient, follows = np.zeros((6, 6)), A[:6, 6], np.zeros((2, 7))
     if compared >= MIN_INTENSITIES:
@@ -114,7 +117,7 @@ def linearise(
         violations=violations,
         residual_m=float(np.sqrt(squares / max(1, inliers))),
         noise_m=float(np.sqrt(variances / max(1, inliers))),
-        shares=S,
+        normal_information=S,
         moments=M,
         intensity_correlation=_correlation(P[6:, 6:], exposure) if compared >= MIN_INTENSITIES else np.nan,
         exposure=exposure,
@@ -123,7 +126,7 @@ def linearise(
 
 
 def _correlation(products: Float64, exposure: Float64) -> float:
-    """Of the intensities of source and target, from weighted products (3, 3) of source, 1 and residual."""
+    """Correlation of source and target intensities, from weighted products (3, 3) of source, 1, residual."""
     # The target's intensity is the residual + gain * source + offset.
     to_target = np.array([exposure[0], exposure[1], 1.0])
     n, s, t = products[1, 1], products[0, 1], products[1] @ to_target
@@ -143,7 +146,7 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
     """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
 
-    Kept from BLAS, whose threads wait for work longer than they do any.
+    BLAS is slower here: its threads wait longer for work than they compute.
     """
     for i in range(len(sums)):
         for j in range(i + 1):
@@ -160,13 +163,13 @@ def mirrored(lower):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
-def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_shares):  # type: ignore[no-untyped-def]
+def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
 
-    Also, if asked for, the inliers' sums of the twist's part over the noise of normals (6, 6) and of their
-    positions (4, 4); the numbers of inliers, violations and compared intensities; and the inliers' sums of
-    squared residuals and of their variances. Rows are gathered in blocks that stay in the cache; a block
-    lies row by row, so that its products run on vectors.
+    On request also sums over inliers: the twist's part over the noise of normals (6, 6), and the positions
+        (4, 4). Further results are the numbers of inliers, violations and compared intensities, and the
+        inliers' sums of squared residuals and of their variances. Rows are gathered in blocks that stay in
+        the cache. A block is stored row by row, so that its products are vectorised.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -179,7 +182,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     A, P, S, M = np.zeros((7, 7)), np.zeros((9, 9)), np.zeros((6, 6)), np.zeros((4, 4))
     J, J_weights = np.empty((7, BLOCK + PADDING)), np.empty(BLOCK)
     Q, Q_weights = np.empty((9, BLOCK + PADDING)), np.empty(BLOCK)
-    places, inlying, over_noise = np.empty((4, BLOCK + PADDING)), np.empty(BLOCK), np.empty(BLOCK)
+    places, inlying, normal_weights = np.empty((4, BLOCK + PADDING)), np.empty(BLOCK), np.empty(BLOCK)
     inliers, violations, compared, squares, variances = 0, 0, 0, 0.0, 0.0
     n = len(points)
     for first in range(0, n, BLOCK):
@@ -216,7 +219,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             nz = r02 * mx + r12 * my + r22 * mz
             facing = nx * ox + ny * oy + nz * oz
             if facing < MIN_FACING:
-                # A surface that faces elsewhere is another one.
+                # A surface with another orientation is another surface.
                 violations += 1
                 continue
             shorten = 1 / np.sqrt(2 + 2 * facing)
@@ -240,11 +243,13 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
                 variances += variance * ((mx * x + my * y + mz * z) * over_z) ** 2
             else:
                 violations += 1
-            if with_shares:
+            if with_observability:
                 cosine = abs(px * ox + py * oy + pz * oz) / np.sqrt(px * px + py * py + pz * pz)
                 places[0, m], places[1, m], places[2, m], places[3, m] = px, py, pz, 1.0
                 inlying[m] = 1.0 if inlies else 0.0
-                over_noise[m] = inlying[m] * (pz / (np.float64(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
+                normal_weights[m] = (
+                    inlying[m] * (pz / (np.float64(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
+                )
             m += 1
             if not has_intensity or not _within(d - z, variance, 0.01):
                 continue
@@ -274,8 +279,8 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
         add_products(A, J, J_weights, m)
         add_products(P, Q, Q_weights, k)
         compared += k
-        if with_shares:
-            add_products(S, J, over_noise, m)
+        if with_observability:
+            add_products(S, J, normal_weights, m)
             add_products(M, places, inlying, m)
     sums = mirrored(A), mirrored(P), mirrored(S), mirrored(M)
     return sums, inliers, violations, compared, squares, variances

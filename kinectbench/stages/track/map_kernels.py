@@ -1,4 +1,4 @@
-"""The loops over pixels of `frame_maps`: depth at lower resolutions, normals, and points of all directions.
+"""Pixel loops of `frame_maps`: reduced depth, normals, and points with evenly spread normals.
 
 Images are (height, width), depth in metres along z, 0 = none; intrinsics are fx, fy, cx, cy in pixels.
 """
@@ -9,10 +9,10 @@ import numpy as np
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
-# Normals are told apart on a grid of this many cells each way over the half sphere that faces the camera.
+# Normals are binned on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12
 NO_CELL = 255
-# Surfaces more slanted than this have normals as noisy as there.
+# Lower bound of the cosine of the slant in the model of normal noise.
 MIN_COSINE = 0.3
 # Columns of the points: position (3), normal (3), standard deviation of depth, intensity.
 POINT_COLUMNS = 8
@@ -20,7 +20,7 @@ POINT_COLUMNS = 8
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
-    """Mean of each block's measurements that lie on its nearest surface: edges stay sharp."""
+    """Mean of each block's measurements on its nearest surface, so that edges stay sharp."""
     height, width = native.shape[0] // factor, native.shape[1] // factor
     out = np.zeros((height, width), np.uint16)
     low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
@@ -72,7 +72,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Mean over 5 x 5 pixels of the same surface: for normals only."""
+    """Mean over 5 x 5 pixels of the same surface; used for normals only."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -80,8 +80,8 @@ def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
         total[:], count[:] = 0, 0
         for y in range(max(v - 2, 0), min(v + 3, height)):
             for shift in range(-2, 3):
-                # One shift of a whole row at a time, and slices whose indices cannot be negative: so the
-                # loop runs on vectors.
+                # One shift of a whole row at a time, with slices that have no negative index, so that the
+                # loop is vectorised.
                 first, end = max(0, -shift), min(width, width - shift)
                 near, centre = depth_m[y, first + shift : end + shift], depth_m[v, first:end]
                 sums, counts = total[first:end], count[first:end]
@@ -96,13 +96,13 @@ def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals by central differences over two pixels either way, where these lie on one surface."""
+    """Normals by central differences over two pixels each way, where these lie on one surface."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     over_fx, over_fy = 1 / fx, 1 / fy
     out = np.zeros((height, width, 3), np.float32)
     reach = 2
-    # Near the border smoothing is one-sided, and what it smooths would seem flatter.
+    # Near the border smoothing is one-sided and would flatten the surface.
     border = 2 * reach
     n = width - 2 * border
     if n <= 0:
@@ -113,7 +113,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
         centre, left, right = row[border:], row[border - reach :], row[border + reach :]
         above, below = depth_m[v - reach, border:], depth_m[v + reach, border:]
         for i in range(n):
-            # No way out of the loop, so that it runs on vectors.
+            # No early exit, so that the loop is vectorised.
             z, zl, zr, za, zb = centre[i], left[i], right[i], above[i], below[i]
             limit = gate * z
             valid = (z > 0) & (zl > 0) & (zr > 0) & (za > 0) & (zb > 0)
@@ -142,10 +142,10 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
-    """Points chosen so that rare normals count (normal-space sampling: Rusinkiewicz & Levoy 2001).
+    """Points sampled evenly over normals (normal-space sampling: Rusinkiewicz & Levoy 2001).
 
-    A floor is most of the image and says nothing of how far one has walked on it; the noise of its normals
-    only blurs what the legs of a table say.
+    A floor fills most of the image but does not constrain motion along it. The noise of its normals would
+    outweigh the few points, such as table legs, that do.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -184,10 +184,10 @@ def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: i
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped-def]
-    """Squared differences of normals nine pixels apart, over the noise of depth and the slant: (m,).
+    """Squared differences of normals nine pixels apart, normalised by depth noise and slant: (m,).
 
-    A pixel is as wide as its depth, and a slanted surface is seen larger than it looks: the noise of normals
-    goes with sigma / depth and the cosine of the slant.
+    A pixel's width grows with depth, and a slanted surface is larger than its image. The noise of normals is
+    therefore proportional to sigma / depth and to the cosine of the slant.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -201,16 +201,16 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
             x, y, z = (u - cx) / fx, (v - cy) / fy, np.float64(depth_m[v, u])
             cosine = abs(x * this[0] + y * this[1] + this[2]) / np.sqrt(x * x + y * y + 1)
             sigma = SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2
-            over_noise = z / (sigma * max(cosine, MIN_COSINE))
+            inverse_noise = z / (sigma * max(cosine, MIN_COSINE))
             dx, dy, dz = this[0] - other[0], this[1] - other[1], this[2] - other[2]
-            out[m] = (dx * dx + dy * dy + dz * dz) * over_noise**2
+            out[m] = (dx * dx + dy * dy + dz * dz) * inverse_noise**2
             m += 1
     return out[:m].copy()
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
-    """Which cell of the half sphere a normal falls in: its x and y, evenly divided."""
+    """The cell of the half sphere that a normal belongs to: its x and y, evenly divided."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
     j = min(NORMAL_CELLS - 1, int((ny + 1) * 0.5 * NORMAL_CELLS))
     return i * NORMAL_CELLS + j
@@ -218,7 +218,7 @@ def _cell(nx, ny):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cap(counts, total):  # type: ignore[no-untyped-def]
-    """The cap c for which the sum of min(count, c) is `total`, or infinity if there are no more than that."""
+    """The cap c for which the sum of min(count, c) is `total`; infinity if all counts sum to less."""
     if counts.sum() <= total:
         return np.inf
     ascending = np.sort(counts)

@@ -1,7 +1,7 @@
 """Follow the camera from frame to frame: each frame is registered to a keyframe.
 
-A frame that fits no keyframe at hand begins a new segment, with a world of its own; loop closure may join the
-segments later. Nothing is guessed.
+A frame that fits no recent keyframe begins a new segment in a separate world. Loop closure may join the
+segments later. No pose is guessed.
 """
 
 import itertools
@@ -16,27 +16,27 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.features import FeatureCache, pose_from_features
 from kinectbench.stages.track.frame_maps import DepthAverage, FrameMaps, MapCache
 from kinectbench.stages.track.registration import Registration, better, measure, register, search
-from kinectbench.stages.track.tracked import Tie
+from kinectbench.stages.track.tracked import Constraint
 
-# A frame with fewer points (of some 19000) shows nothing to register.
+# A frame with fewer points (of about 19000) cannot be registered.
 MIN_POINTS = 400
-# Believed at once: as good as the frames before, but for so much less.
-SURE_OVERLAP, UNUSUAL_INLIERS, UNUSUAL_CORRELATION = 0.4, 0.008, 0.03
-# Believed after a search: as good as the frames before but for this, or of nearly the same view (something in
-# it may have moved); and at least so good.
+# Accepted without a search: at least this overlap, and at most these margins below the reference quality.
+REFERENCE_OVERLAP, INLIER_SLACK, CORRELATION_SLACK = 0.4, 0.008, 0.03
+# Accepted after a search: at most this margin below the reference quality, or an overlap of at least
+# SAME_VIEW (something in view may have moved).
 MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
-# The next keyframe.
+# A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
 RECENT_SEGMENTS = 3
-# Frames before a keyframe that its depth is averaged with; those after it are too, up to the next one.
+# A keyframe's depth is averaged with this many frames before it, and with all frames up to the next keyframe.
 FRAMES_BEFORE = 5
 NO_DEPTH = "too little depth to register"
-OPEN_MOTION = "one plane in view: a motion is left open"
-# A frame is compared with itself to see whether all it shows is one plane: few points tell. Its normals then
-# say no more than so many times what their noise does.
+UNOBSERVABLE = "one plane in view: a motion is left open"
+# A frame is compared with itself, on every fourth point, to detect a view of one plane. There the
+# signal-to-noise ratio of the normals is below this.
 EVERY_ALONE, ONE_PLANE = 4, 1.2
-# Texture holds what few points leave open.
+# With texture fewer points suffice: intensity constrains the directions that they do not.
 EVERY_WITH_COLOR, EVERY_WITHOUT = 3, 1
 
 
@@ -46,7 +46,7 @@ class Followed:
 
     Attributes:
         segment: which.
-        keyframe: frame index of the keyframe it was registered to; its own for a keyframe.
+        keyframe: frame index of the keyframe it was registered to; a keyframe has its own index.
         T_segment_camera: (4, 4).
         registration: to the keyframe; None for the first frame of a segment.
     """
@@ -59,62 +59,62 @@ class Followed:
 
 @dataclass(frozen=True)
 class Odometry:
-    """All frames, followed as far as they can be.
+    """The odometry of all frames.
 
     Attributes:
-        frames: per frame; None: it shows too little to register.
-        reasons: why, by frame.
+        frames: per frame; None: it has too little depth to register.
+        reasons: by frame without an entry, why.
         keyframes: frame indices, ascending.
-        ties: between consecutive keyframes of a segment.
+        constraints: between consecutive keyframes of a segment.
     """
 
     frames: tuple[Followed | None, ...]
     reasons: dict[int, str]
     keyframes: tuple[int, ...]
-    ties: tuple[Tie, ...]
+    constraints: tuple[Constraint, ...]
 
 
 @dataclass(frozen=True)
-class Usual:
-    """What a right registration of this recording looks like: running means."""
+class ReferenceQuality:
+    """The reference quality of this recording's registrations: running means."""
 
     inlier_share: float
     correlation: float
 
-    def after(self, registration: Registration) -> "Usual":
-        """With one more registration that is believed."""
+    def after(self, registration: Registration) -> "ReferenceQuality":
+        """The running means after one more accepted registration."""
         correlation = registration.intensity_correlation
         known = self.correlation if np.isnan(correlation) else correlation
-        return Usual(
+        return ReferenceQuality(
             0.9 * self.inlier_share + 0.1 * registration.inlier_share, 0.9 * self.correlation + 0.1 * known
         )
 
     def is_possible(self, registration: Registration) -> bool:
-        """Whether a registration is believable and not much worse than usual."""
-        usual = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
-        return (usual or registration.overlap >= SAME_VIEW) and is_believable(registration)
+        """Whether a registration is accepted and not much below the reference quality."""
+        reference = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
+        return (reference or registration.overlap >= SAME_VIEW) and is_accepted(registration)
 
-    def is_sure(self, registration: Registration) -> bool:
-        """Whether a registration is as good as usual, or nearly."""
+    def meets_reference(self, registration: Registration) -> bool:
+        """Whether a registration reaches the reference quality, within small margins."""
         return (
-            registration.inlier_share >= self.inlier_share - UNUSUAL_INLIERS
-            and registration.overlap >= SURE_OVERLAP
-            and not registration.intensity_correlation < self.correlation - UNUSUAL_CORRELATION
+            registration.inlier_share >= self.inlier_share - INLIER_SLACK
+            and registration.overlap >= REFERENCE_OVERLAP
+            and not registration.intensity_correlation < self.correlation - CORRELATION_SLACK
         )
 
 
-# Before anything is known much is asked: a first frame that is wrong would be followed by others.
-AT_FIRST = Usual(0.99, 0.99)
+# The initial reference is strict, because a wrong first frame would make the next ones wrong.
+INITIAL_QUALITY = ReferenceQuality(0.99, 0.99)
 
 
-def usual_of(registrations: Sequence[Registration]) -> Usual:
-    """The median of registrations that are believed."""
+def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
+    """The median quality of accepted registrations."""
     correlations = [r.intensity_correlation for r in registrations if np.isfinite(r.intensity_correlation)]
     if not registrations:
-        return AT_FIRST
-    return Usual(
+        return INITIAL_QUALITY
+    return ReferenceQuality(
         float(np.median([r.inlier_share for r in registrations])),
-        float(np.median(correlations)) if correlations else AT_FIRST.correlation,
+        float(np.median(correlations)) if correlations else INITIAL_QUALITY.correlation,
     )
 
 
@@ -141,19 +141,19 @@ def follow(
 
 
 class _Follower:
-    """The odometry while it grows, frame by frame."""
+    """Builds the odometry frame by frame."""
 
     def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None) -> None:
         self.maps, self.features, self.T_given = maps, features, T_given
         self.frames: list[Followed | None] = []
         self.reasons: dict[int, str] = {}
         self.keyframes: list[int] = []
-        self.ties: list[Tie] = []
-        self.usual = AT_FIRST
+        self.constraints: list[Constraint] = []
+        self.reference = INITIAL_QUALITY
         self.average: DepthAverage | None = None
 
     def take(self, index: int) -> None:
-        """Follow the camera to the next frame."""
+        """Register the next frame."""
         reason = _too_little(self.maps[index])
         if reason is not None:
             self.reasons[index] = reason
@@ -161,7 +161,7 @@ class _Follower:
             return
         tried = (self._register(reference, index) for reference in self._references(index))
         followed = next((each for each in tried if each is not None), None)
-        frame = self._first_of_segment(index) if followed is None else self._believed(index, followed)
+        frame = self._first_of_segment(index) if followed is None else self._accepted(index, followed)
         if frame.keyframe == index:
             self._begin_keyframe(index, frame)
         elif self.average is not None and frame.keyframe == self.keyframes[-1] and frame.registration:
@@ -169,26 +169,26 @@ class _Follower:
         self.frames.append(frame)
 
     def odometry(self) -> Odometry:
-        """What was followed, once all frames are taken."""
+        """The odometry, once all frames were taken."""
         self._end_average()
-        return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.ties))
+        return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.constraints))
 
     def _first_of_segment(self, index: int) -> Followed:
-        """A frame that fits none before it: a keyframe in a world of its own."""
+        """A frame that fits none before it: the first keyframe of a new segment."""
         segment = 1 + max((f.segment for f in self.frames if f is not None), default=-1)
         return Followed(segment, index, np.eye(4), None)
 
-    def _believed(self, index: int, followed: Followed) -> Followed:
-        """A frame that was registered; if it has moved far from its keyframe it is the next one."""
+    def _accepted(self, index: int, followed: Followed) -> Followed:
+        """Accept a registered frame; it becomes the next keyframe if it moved far from its keyframe."""
         assert followed.registration is not None
-        self.usual = self.usual.after(followed.registration)
+        self.reference = self.reference.after(followed.registration)
         if not _is_keyframe(followed.registration, self.maps[index]):
             return followed
-        self.ties.append(Tie(followed.keyframe, index, followed.registration, "odometry"))
+        self.constraints.append(Constraint(followed.keyframe, index, followed.registration, "odometry"))
         return replace(followed, keyframe=index)
 
     def _begin_keyframe(self, index: int, keyframe: Followed) -> None:
-        """Average the new keyframe's depth, first with the frames just before it."""
+        """Start to average the new keyframe's depth, with the frames just before it."""
         self._end_average()
         self.keyframes.append(index)
         self.average = DepthAverage(self.maps[index][0])
@@ -203,7 +203,7 @@ class _Follower:
             self.maps.improve(self.keyframes[-1], self.average.stored())
 
     def _references(self, index: int) -> list[int]:
-        """The keyframe and the last frame of each of the last segments: what to register a frame to."""
+        """Frames to register a frame to: the last keyframe and the last frame of each recent segment."""
         references: list[int] = []
         segments: list[int] = []
         for back in range(index - 1, max(-1, index - 200), -1):
@@ -217,32 +217,32 @@ class _Follower:
         return references
 
     def _register(self, reference: int, index: int) -> Followed | None:
-        """Register a frame to a reference from its predictions; if none convinces, from elsewhere."""
+        """Register a frame to a reference from its predictions; if none is good enough, search."""
         source, target, before = self.maps[index], self.maps[reference], self._followed(reference)
-        every = every_of(source)
+        every = point_stride(source)
         starts = self._predictions(reference, index)
         best: Registration | None = None
         for T_start, coarsest in itertools.product(starts, (1, 2)):
             best = better(best, register(source, [target], [T_start], coarsest, every=every))
-            if self.usual.is_sure(best):
+            if self.reference.meets_reference(best):
                 break
         else:
             seen = pose_from_features(self.features[index], self.features[reference], source[0].camera)
             if seen is not None:
                 best = better(best, register(source, [target], [seen[0]], coarsest=1, every=every))
-            if best is None or not self.usual.is_sure(best):
+            if best is None or not self.reference.meets_reference(best):
                 best = better(best, search(source, target, starts[0]))
-        if best is None or not self.usual.is_possible(best):
+        if best is None or not self.reference.is_possible(best):
             return None
         T_segment_camera = on_so3(before.T_segment_camera @ best.T_target_source)
-        # The reference may be a frame beside the keyframe: what counts is how the frame lies to the keyframe.
+        # The reference may be another frame than the keyframe; the pose is stored relative to the keyframe.
         keyframe = self._followed(before.keyframe)
         T_keyframe_camera = on_so3(invert_rigid(keyframe.T_segment_camera) @ T_segment_camera)
         registration = replace(best, T_target_source=T_keyframe_camera)
         return Followed(before.segment, before.keyframe, T_segment_camera, registration)
 
     def _predictions(self, reference: int, index: int) -> list[Float64]:
-        """T_reference_camera, the likeliest first: as given, with constant velocity, standing still."""
+        """T_reference_camera, most likely first: given poses, constant velocity, zero motion."""
         predictions = []
         if self.T_given is not None and np.isfinite(self.T_given[[reference, index]]).all():
             predictions.append(invert_rigid(self.T_given[reference]) @ self.T_given[index])
@@ -266,20 +266,20 @@ class _Follower:
 
 
 def _too_little(maps: FrameMaps) -> str | None:
-    """Why a frame cannot be registered to anything; None if it can."""
+    """The reason why a frame cannot be registered to anything; None if it can."""
     if len(maps[0].points) < MIN_POINTS:
         return NO_DEPTH
     alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
-    return OPEN_MOTION if alone.degenerate and alone.over_noise < ONE_PLANE else None
+    return UNOBSERVABLE if alone.degenerate and alone.signal_to_noise < ONE_PLANE else None
 
 
-def every_of(source: FrameMaps) -> int:
-    """Every how many points of a frame are enough to register it."""
+def point_stride(source: FrameMaps) -> int:
+    """The stride of the points used to register a frame: every n-th point is enough."""
     return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
 
 
-def is_believable(registration: Registration) -> bool:
-    """Whether two frames show the same place where the registration says so."""
+def is_accepted(registration: Registration) -> bool:
+    """Whether a registration is accepted: its figures show that both frames see the same place."""
     correlation = registration.intensity_correlation
     return (
         registration.inlier_share >= ENOUGH_INLIERS

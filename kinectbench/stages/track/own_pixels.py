@@ -1,4 +1,4 @@
-"""Tracking an object by its own pixels: the world is then the object's, however it is turned or carried."""
+"""Track an object by its masked pixels: the world moves with the object, turned or carried."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from kinectbench.core.types import Progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES, track
 
-# Poses that agree by chance do not go so many times as far as they lie apart.
+# Two trajectories agree only if the path is this many times as long as their distance.
 AT_REST_RATIO = 10.0
 
 
@@ -25,12 +25,12 @@ def track_own_pixels(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """`track`, of what lies within the masks; a frame without a mask has no pose.
+    """Run `track` on the pixels within the masks; a frame without a mask has no pose.
 
     Args:
         sequence: the recording, whole.
         masks: index -> (height, width) bool, the object, or None for a frame without one.
-        mode: of a given trajectory, as for `track`: only one of a camera around an object at rest fits.
+        mode: of a given trajectory, as for `track`. A given trajectory fits only if the object was at rest.
         settings: what counts as disagreement.
         progress: called with (done, total).
 
@@ -55,7 +55,7 @@ def track_own_pixels(
 
 
 def _at_rest(sequence: Sequence, trajectory: Trajectory, settings: TrackingSettings) -> list[str]:
-    """A line if given poses were left aside, but move as the object's own do (own rule)."""
+    """A warning if given poses were ignored although they agree with the object's own poses."""
     given = sequence.given_trajectory
     if given is None:
         return []

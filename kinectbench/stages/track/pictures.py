@@ -1,4 +1,4 @@
-"""Pictures of a trajectory for people: path from above, health over time, what keyframes share, errors."""
+"""Pictures of a trajectory: path from above, health over time, covisibility, errors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # The picture of `track --compare`, in `build/<recording>/`.
 COMPARISON = "compare.png"
-# Blue, orange, vermilion and green of Okabe and Ito: told apart by everybody.
+# Blue, orange, vermilion and green of Okabe and Ito, distinct for colour-blind people as well.
 BLUE, ORANGE, RED, GREEN = "#0072b2", "#e69f00", "#d55e00", "#009e73"
 TIME_COLORS = "viridis"
 ARROWS = 24
@@ -36,8 +36,8 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
     """Write trajectory.png and, of a trajectory that has its health, health.png and covisibility.png.
 
     Args:
-        folder: is there already.
-        trajectory: as `track` makes it.
+        folder: an existing folder.
+        trajectory: the result of `track`.
     """
     (folder / "trajectory.png").write_bytes(path_picture(trajectory))
     if trajectory.health is not None:
@@ -46,7 +46,7 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
 
 
 def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
-    """What the frames are drawn over, and its label.
+    """The horizontal axis of plots over frames, and its label.
 
     Args:
         stamps_ns: (n,) of the sequence, n > 0.
@@ -62,13 +62,13 @@ def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
 def path_picture(trajectory: Trajectory) -> bytes:
     """The cameras from above, up in the picture where the first one looks: a PNG file.
 
-    Shown are time (colour), keyframes (150 at most, the viewing direction of 24), loops, lost stretches and,
-    if the health knows an arc around it, the point where the optical axes meet. Metres from the first camera
-    with a pose.
+    It shows time (colour), keyframes (150 at most, the viewing direction of 24), loops and lost stretches. If
+    the health has an arc, it also shows the point where the optical axes meet. Axes are in metres from the
+    first camera with a pose.
     """
     figure = new_figure(6.6, 5.6, margins=(0.11, 0.14, 0.1, 0.02))
     axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
-    # More is shown beside a narrow path, instead of an empty margin.
+    # A narrow path is padded with data space, not with an empty margin.
     axes.set_aspect("equal", adjustable="datalim")
     good = trajectory.good_frames
     if not len(good):
@@ -128,12 +128,12 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
     figure = new_figure(8.6, 6.8, margins=(0.09, 0.08, 0.01, 0.05))
     grid = figure.subplots(len(panels), 1, sharex=True)
     for axes, (key, label, color, unit) in zip(grid, panels, strict=True):
-        # What is not known, None, becomes NaN.
+        # Unknown values, None, become NaN.
         values = unit * np.array([getattr(row, key) for row in rows], np.float64)
         _mark_states(axes, moments, [row.state for row in rows])
         if np.isfinite(values).any():
             axes.plot(moments, values, ".-", color=color, linewidth=0.8, markersize=2.5)
-            # A few wild frames must not flatten the rest.
+            # A few outliers must not flatten the rest.
             top = 1.15 * min(float(np.nanmax(values)), 4 * float(np.nanmedian(values)) + 1e-9)
             axes.set_ylim(0, 102 if key == "inlier_share" else max(top, 1e-3))
         else:
@@ -149,7 +149,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
 
 
 def covisibility_picture(health: TrajectoryHealth) -> bytes:
-    """The share of each keyframe's points that others see, and the loops: a PNG file."""
+    """The ratio of each keyframe's points that others see, and the loops: a PNG file."""
     figure = new_figure(5.6, 4.8, margins=(0.11, 0.11, 0.03, 0.07))
     axes = figure.add_subplot(xlabel="… that this keyframe sees", ylabel="points of this keyframe …")
     keyframes = np.array(health.covisibility.keyframes, np.int64)
@@ -159,9 +159,9 @@ def covisibility_picture(health: TrajectoryHealth) -> bytes:
     shares = 100 * np.array(health.covisibility.share, np.float64)
     image = axes.imshow(shares, cmap="cividis", vmin=0, vmax=100, interpolation="nearest")
     figure.colorbar(image, label="points, %", shrink=0.9)
-    if believed := [row for row in health.loops if row.believed]:
-        ends = np.array([(row.a, row.b) for row in believed])
-        # Only some keyframes have a row: a loop is drawn at the nearest ones.
+    if accepted := [row for row in health.loops if row.believed]:
+        ends = np.array([(row.a, row.b) for row in accepted])
+        # Only some keyframes have a row; a loop is drawn at the nearest of them.
         at = np.abs(ends[..., None] - keyframes).argmin(axis=-1)
         axes.plot(*np.concatenate([at, at[:, ::-1]]).T, "s", color=RED, markersize=3.5, fillstyle="none",
                   markeredgewidth=0.9, label="loops")  # fmt: skip
@@ -179,13 +179,13 @@ def comparison_picture(
     moments: Float64,
     when: str,
 ) -> bytes:
-    """A trajectory laid onto a reference, from above, and its errors over time: a PNG file.
+    """A trajectory aligned to a reference, from above, and its errors over time: a PNG file.
 
     Args:
         error: of these poses.
         T_world_camera_estimate: (n, 4, 4) the matched poses.
         T_world_camera_reference: (n, 4, 4).
-        moments: (n,) what the errors are drawn over, of `timeline`.
+        moments: (n,) the horizontal axis of the errors, from `timeline`.
         when: its label.
     """
     figure = new_figure(6.6, 7.2)
@@ -214,7 +214,7 @@ def comparison_picture(
 
 
 def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
-    """Dotted lines over the lost stretches, crosses where rejected frames are believed to be."""
+    """Dotted lines over the lost stretches, crosses at the interpolated places of rejected frames."""
     label = "lost"
     for row in health.lost_stretches:
         ends = [*good[good < row.first_frame][-1:], *good[good > row.last_frame][:1]]
@@ -261,7 +261,7 @@ def _runs(states: Sequence[str], state: str) -> list[tuple[int, int]]:
 
 
 def _fit(axes: "Axes", points_m: Float64) -> None:
-    """Show all points (n, 2) with a margin; where a camera stood still, half a metre around it."""
+    """Show all points (n, 2) with a margin; at least half a metre around a camera that stood still."""
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
     reach_m = np.maximum(0.56 * (high_m - low_m), MIN_REACH_M)
     left, bottom = (low_m + high_m) / 2 - reach_m

@@ -1,8 +1,8 @@
-"""Pose-graph optimisation with switchable ties: keyframe poses that agree best with all ties.
+"""Pose-graph optimisation with a robust kernel: keyframe poses that agree best with all constraints.
 
-Levenberg-Marquardt on SE(3) with a sparse solver; ties that contradict the rest lose their weight by
+Levenberg-Marquardt on SE(3) with a sparse solver; constraints that contradict the rest lose their weight by
 a Geman-McClure kernel that is tightened step by step (graduated non-convexity: Yang, Antonante, Tzoumas &
-Carlone, RA-L 2020), so that the outcome does not depend on where it starts.
+Carlone, RA-L 2020), so that the result does not depend on the initial poses.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,17 +17,17 @@ from scipy.spatial.transform import Rotation
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import on_so3, twist_from_rigid
 from kinectbench.core.types import Float64
-from kinectbench.stages.track.tracked import Tie
+from kinectbench.stages.track.tracked import Constraint
 
-# What calibration and depth distortion add to a tie of two equal views, whatever its noise: radians, metres.
+# Systematic error of a constraint of two equal views, by calibration and depth distortion: radians, metres.
 SYSTEMATIC = np.array([0.0007] * 3 + [0.001] * 3)
-# They grow as the views share less, and by this much for a share of points that do not agree.
+# It grows as the views overlap less, and by this factor with the ratio of outliers.
 PER_DISAGREEING_SHARE = 100.0
-# Keeps what no tie constrains: a step of one radian or one metre costs this much.
+# Regularises unconstrained directions: a step of one radian or one metre costs this much.
 LOOSE = 1e-3
-# Squared error of a tie, in its own sigmas, at which it loses three quarters of its weight.
+# Squared error of a constraint, in its standard deviations, at which it loses three quarters of its weight.
 KERNEL = 30.0
-# How loosely priors are believed: 30 mrad and 50 mm.
+# Information of the priors: standard deviations of 30 mrad and 50 mm.
 PRIOR = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
 ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
 TIGHTENINGS = 8
@@ -35,27 +35,27 @@ TIGHTENINGS = 8
 
 def optimise(
     T_world: Float64,
-    ties: Sequence[Tie],
+    constraints: Sequence[Constraint],
     nodes: Sequence[tuple[int, int]],
     T_prior: Float64 | None = None,
 ) -> tuple[Float64, Float64]:
-    """Move poses until the ties agree.
+    """Move poses until the constraints agree.
 
     Args:
-        T_world: (k, 4, 4) where to start; the first stays, unless there are priors.
-        ties: measured T_a_b with information.
-        nodes: for each tie its two rows of `T_world`.
-        T_prior: (k, 4, 4) poses believed loosely, NaN where there is none; or None.
+        T_world: (k, 4, 4) initial poses; the first stays fixed, unless there are priors.
+        constraints: measured T_a_b with information.
+        nodes: for each constraint, its two rows of `T_world`.
+        T_prior: (k, 4, 4) poses used as a weak prior, NaN where there is none; or None.
 
     Returns:
-        (k, 4, 4) poses and (number of ties,) weights, 0 to 1.
+        (k, 4, 4) poses and (number of constraints,) weights, 0 to 1.
     """
     poses = T_world.copy()
-    measured = np.array([tie.T_a_b for tie in ties]).reshape(-1, 4, 4)
-    information = np.array([softened(tie) for tie in ties]).reshape(-1, 6, 6)
+    measured = np.array([constraint.T_a_b for constraint in constraints]).reshape(-1, 4, 4)
+    information = np.array([softened(constraint) for constraint in constraints]).reshape(-1, 6, 6)
     ends = np.array(nodes, int).reshape(-1, 2)
-    weights = np.ones(len(ties))
-    if len(poses) == 1 or not len(ties):
+    weights = np.ones(len(constraints))
+    if len(poses) == 1 or not len(constraints):
         return poses, weights
     graph = _Graph(measured, information, ends, T_prior)
     largest = graph.squared(poses).max(initial=0.0)
@@ -66,12 +66,12 @@ def optimise(
     return poses, graph.weights(poses, KERNEL)
 
 
-def softened(tie: Tie) -> Float64:
-    """The information (6, 6) of a tie with the systematic errors in its covariance: (A^-1 + S)^-1.
+def softened(constraint: Constraint) -> Float64:
+    """The information (6, 6) of a constraint with the systematic errors in its covariance: (A^-1 + S)^-1.
 
-    Their growth is an own rule, found on simulated orbits. Also where A is singular.
+    The growth of the systematic errors was fitted to simulated orbits. A may be singular.
     """
-    found = tie.registration
+    found = constraint.registration
     A = found.information
     growth = (1 + PER_DISAGREEING_SHARE * (1 - found.inlier_share)) / max(found.overlap, 0.1) ** 2
     systematic = np.diag((SYSTEMATIC * growth) ** 2)
@@ -80,7 +80,7 @@ def softened(tie: Tie) -> Float64:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Ties and priors as arrays."""
+    """Constraints and priors as arrays."""
 
     measured: Float64
     information: Float64
@@ -88,7 +88,7 @@ class _Graph:
     T_prior: Float64 | None
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
-        """Levenberg-Marquardt: a step that does not lower the cost is taken back and damped."""
+        """Levenberg-Marquardt: a step that raises the cost is rejected and the damping increased."""
         damping, cost = 1e-6, self.cost(poses, kernel)
         for _ in range(iterations):
             step = self.step(poses, kernel, damping)
@@ -103,16 +103,16 @@ class _Graph:
         return poses
 
     def weights(self, poses: Float64, kernel: float) -> Float64:
-        """(m,) of the ties: Geman-McClure."""
+        """(m,) of the constraints: Geman-McClure."""
         return np.asarray((kernel / (kernel + self.squared(poses))) ** 2)
 
     def squared(self, poses: Float64) -> Float64:
-        """(m,) squared errors of the ties in their own sigmas."""
+        """(m,) squared errors of the constraints, in their standard deviations."""
         errors = _errors(poses, self.measured, self.ends)
         return np.asarray(np.einsum("mi,mij,mj->m", errors, self.information, errors))
 
     def cost(self, poses: Float64, kernel: float) -> float:
-        """Sum of the kernels of all ties and priors."""
+        """Sum of the kernels of all constraints and priors."""
         squares = self.squared(poses)
         total = float((kernel * squares / (kernel + squares)).sum())
         for _, error in self._priors(poses):
@@ -134,7 +134,7 @@ class _Graph:
         np.add.at(gradient, a, -(to_a @ errors))
         np.add.at(gradient, b, -(information @ errors))
         for node, error in self._priors(poses):
-            # A prior that is far off is wrong, not loose.
+            # The robust kernel switches off a prior that is far off.
             weight = 1 / (1 + error @ PRIOR @ error / KERNEL) ** 2
             diagonal[node] += weight * PRIOR
             gradient[node, :, 0] -= weight * PRIOR @ error

@@ -1,8 +1,8 @@
-"""Registration: move one frame until it agrees with others; see `linearise` for what is minimised.
+"""Registration: move one frame until it agrees with others; `linearise` has the cost function.
 
-When registration from the prediction does not convince, `search` looks around it. Registration settles at
-once whatever the surfaces hold (a floor: two turns and a height), so only the motions they leave open need a
-search: a grid along the three weakest ones, judged at the coarsest level.
+If registration from the prediction is not good enough, `search` looks around it. Registration converges at
+once in the directions that the surfaces constrain (a floor: two rotations and the height). Only the other
+directions need a search: a grid along the three weakest ones, scored at the coarsest level.
 """
 
 import itertools
@@ -17,27 +17,27 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, Level
 from kinectbench.stages.track.linearise import NO_EXPOSURE_CHANGE, LinearTerms, linearise
 
-# Neighbouring pixels share their noise: this many count as one measurement.
+# The noise of neighbouring pixels is correlated: this many count as one measurement.
 CORRELATED_POINTS = 10.0
-# Per level, the finest first: how far along the ray a measurement may lie from the point it is taken for, the
-# number of iterations, and the step that ends them.
+# Per level, finest first: the largest distance along the ray between a point and its measurement, the number
+# of iterations, and the step at which they stop.
 GATES_M = (0.06, 0.10, 0.20)
 ITERATIONS = (5, 8, 20)
 STEP_ENOUGH = (1e-4, 2e-4, 5e-4)
 MIN_POINTS = 100
-# Along a motion that slides surfaces on each other the noise of their normals pretends to know something. It
-# is taken off, and half as much again: how large it is, is only estimated.
-NOISE_TAKEN = 1.5
-# A motion known no better than this is open, whatever holds it.
+# Where a motion slides surfaces along each other, noisy normals add false information. The expected false
+# information is subtracted 1.5 times, because the noise is only estimated.
+NOISE_FACTOR = 1.5
+# A direction with a larger standard deviation is unobservable.
 MAX_SIGMA_M = 0.012
-# Shortens steps along what the surfaces do not fix.
+# Shortens steps along weakly constrained directions.
 DAMPING = np.diag([0.1**-2] * 3 + [0.1**-2] * 3)
 NO_PRIOR = np.zeros((6, 6))
-# The prior of a start that is known to 10 mrad and 10 mm; it counts as often as correlated measurements do.
+# Prior of a start known to 10 mrad and 10 mm, scaled like correlated measurements.
 PLACED = CORRELATED_POINTS * np.diag([0.01**-2] * 3 + [0.01**-2] * 3)
-# Of the search: the level it is done at.
+# Level of the search.
 COARSEST = 2
-# The points move by so much from one start to the next, root mean square.
+# Root-mean-square motion of the points from one start to the next.
 SPACING_M = 0.12
 STARTS = np.array([k for k in itertools.product((-2, -1, 0, 1, 2), repeat=3) if any(k)])
 SETTLED, REGISTERED = 8, 2
@@ -48,19 +48,19 @@ ENOUGH_OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Registration:
-    """How one frame lies to another.
+    """The relative pose of two frames, and its quality.
 
     Attributes:
         T_target_source: (4, 4).
-        information: (6, 6) inverse covariance of the twist, without what noise of the normals pretends.
-        overlap: share of the source's points that fall on measurements of the target.
-        inlier_share: of these, without the hidden ones, the share that agrees with the target.
+        information: (6, 6) inverse covariance of the twist, without the false information of noisy normals.
+        overlap: ratio of the source's points that project onto measurements of the target.
+        inlier_share: inlier ratio of these points, without the occluded ones.
         residual_m: root mean square of the inliers' point-to-plane residuals, metres.
-        noise_m: what the noise of a Kinect's depth alone would make of it, metres.
-        over_noise: how much more the normals say about the least constrained motion than their noise
-            alone would; about 1 for one plane, 0 for too few points.
-        sigma_m: how far the points move (root mean square) along the motion that is known least, for one
-            standard deviation; infinite where a motion is left open.
+        noise_m: the residual expected from a Kinect's depth noise alone, metres.
+        signal_to_noise: information of the normals along the least constrained direction, divided by that of
+            their noise alone; about 1 for one plane, 0 for too few points.
+        sigma_m: standard deviation along the least constrained direction, as root-mean-square motion of the
+            points; infinite where that direction is unobservable.
         intensity_correlation: of the inliers' intensities, -1 to 1; NaN without.
     """
 
@@ -70,13 +70,13 @@ class Registration:
     inlier_share: float
     residual_m: float
     noise_m: float
-    over_noise: float
+    signal_to_noise: float
     sigma_m: float
     intensity_correlation: float
 
     @property
     def degenerate(self) -> bool:
-        """Whether a motion is left open, as one plane in view does without texture."""
+        """Whether a direction is unobservable, as with a single plane in view without texture."""
         return not self.sigma_m < MAX_SIGMA_M
 
 
@@ -88,12 +88,12 @@ def register(
     prior: Float64 = NO_PRIOR,
     every: int = 1,
 ) -> Registration:
-    """Move one frame until it agrees with others that stand still to each other.
+    """Move one frame until it agrees with others that are fixed relative to each other.
 
     Args:
         source: the frame that moves.
         targets: one or more others.
-        T_targets_source: (4, 4) each, where to start.
+        T_targets_source: (4, 4) each, the initial poses.
         coarsest: level to start at, 0 the finest.
         prior: (6, 6) information of the start, in the same units as the measurements'.
         every: at the finest level only every n-th point is used.
@@ -127,7 +127,7 @@ def register(
     textured = source.has_intensity and all(target.has_intensity for target in targets)
     if textured or not free.shape[1]:
         return registration
-    # What the surfaces leave open is taken back: noise drove it there.
+    # Motion along unobservable directions is undone: it was caused by noise.
     twist = twist_from_rigid(motion)
     motion = rigid_from_twist(twist - free @ np.linalg.pinv(free) @ twist)
     return measure(source, targets, [start @ motion for start in starts], every)
@@ -136,7 +136,7 @@ def register(
 def measure(
     source: FrameMaps, targets: Sequence[FrameMaps], T_targets_source: Sequence[Float64], every: int = 1
 ) -> Registration:
-    """The figures of a registration where it stands.
+    """The figures of a registration at given poses, without moving the frame.
 
     Args:
         source: the frame.
@@ -157,7 +157,7 @@ def _linearised(
     level: int,
     every: int,
 ) -> list[LinearTerms]:
-    """The terms of each target at one level; at the finest with what the figures need, and fewer points."""
+    """The terms of each target at one level; the finest adds observability and uses fewer points."""
     finest = level == 0
     return [
         linearise(
@@ -166,7 +166,7 @@ def _linearised(
             T,
             GATES_M[level],
             exposure,
-            with_shares=finest,
+            with_observability=finest,
             every=every if finest else 1,
         )
         for target, T, exposure in zip(targets, T_targets_source, exposures, strict=True)
@@ -180,12 +180,12 @@ def _figures(
     found: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
-    """The figures, and the motions (6, k) that are left open, as `Openness.motions`."""
+    """The figures, and the unobservable directions (6, k), as in `Observability.motions`."""
     inliers = sum(terms.inliers for terms in found)
     compared = inliers + sum(terms.violations for terms in found)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
     variances = sum(terms.inliers * terms.noise_m**2 for terms in found)
-    held = openness(found, source[0], [target[0] for target in targets])
+    held = observability(found, source[0], [target[0] for target in targets])
     geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
     photometric = np.sum([terms.photometric for terms in found], axis=0)
     information = (geometric + photometric) * (every / CORRELATED_POINTS)
@@ -199,7 +199,7 @@ def _figures(
         inlier_share=inliers / max(1, compared),
         residual_m=float(np.sqrt(squares / max(1, inliers))),
         noise_m=float(np.sqrt(variances / max(1, inliers))),
-        over_noise=float(held.over_noise[0]) if enough else 0.0,
+        signal_to_noise=float(held.signal_to_noise[0]) if enough else 0.0,
         sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
         intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),
     )
@@ -207,37 +207,37 @@ def _figures(
 
 
 @dataclass(frozen=True)
-class Openness:
-    """How well the normals hold each of six motions, the weakest first.
+class Observability:
+    """How well the normals constrain each of six directions of motion, the weakest first.
 
     Attributes:
-        over_noise: (6,) what the normals say about it over what their noise alone would.
-        motions: (6, 6) the twists as columns; each moves the points by 1 m (root mean square).
+        signal_to_noise: (6,) information of the normals along a direction, divided by that of their noise.
+        motions: (6, 6) the directions as columns of twists; each moves the points by 1 m (root mean square).
         metric: (6, 6), motions.T @ metric @ motions is the unit matrix.
     """
 
-    over_noise: Float64
+    signal_to_noise: Float64
     motions: Float64
     metric: Float64
 
     def without_noise(self, information: Float64) -> Float64:
-        """Take from (6, 6) what the noise of the normals only pretends to know of each motion."""
-        left = np.sqrt(np.maximum(0.0, 1 - NOISE_TAKEN / np.maximum(self.over_noise, NOISE_TAKEN)))
+        """Subtract from the information (6, 6) what the noise of the normals adds along each direction."""
+        left = np.sqrt(np.maximum(0.0, 1 - NOISE_FACTOR / np.maximum(self.signal_to_noise, NOISE_FACTOR)))
         # The inverse of the motions is motions.T @ metric.
         back = self.metric @ self.motions * left
         return np.asarray(back @ (self.motions.T @ information @ self.motions) @ back.T)
 
 
-def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Openness:
-    """How well the normals hold each motion, over what their noise alone would seem to.
+def observability(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
+    """How well the normals constrain each direction, compared with their noise alone.
 
     Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: the sum of [[p]x; 1] [[p]x; 1]^T.
-    This is also the metric in which a twist is as long as it moves the points.
+    In this metric the length of a twist is the motion of the points.
 
     Args:
-        found: one for each target, with shares.
-        source: what was linearised.
-        targets: what it was linearised with.
+        found: the terms of each target, linearised `with_observability`.
+        source: the level that was linearised.
+        targets: the levels it was linearised against.
     """
     moments = np.sum([terms.moments for terms in found], axis=0)
     x, y, z, n = moments[3] / max(moments[3, 3], 1)
@@ -245,34 +245,34 @@ def openness(found: Sequence[LinearTerms], source: Level, targets: Sequence[Leve
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     metric = np.block([[np.trace(squares) * np.eye(3) - squares, cross], [cross.T, n * np.eye(3)]])
     metric += 1e-6 * np.eye(6)
-    shares = np.sum([terms.shares for terms in found], axis=0) / max(moments[3, 3], 1)
-    over_noise, motions = eigh(shares, metric)
+    shares = np.sum([terms.normal_information for terms in found], axis=0) / max(moments[3, 3], 1)
+    signal_to_noise, motions = eigh(shares, metric)
     counts = np.array([max(terms.inliers, 1) for terms in found])
-    # The mean of two normals is less noisy than either, unless they are the same.
+    # The mean of two normals has less noise than either, unless they are the same.
     noises = [
         source.normal_noise**2 if target is source else (source.normal_noise**2 + target.normal_noise**2) / 4
         for target in targets
     ]
     noise = np.average(noises, weights=counts)
-    return Openness(over_noise / noise, motions, metric)
+    return Observability(signal_to_noise / noise, motions, metric)
 
 
 def score(registration: Registration) -> float:
-    """How convincing a registration is: 1.25 at most, 1 without intensity."""
+    """The score of a registration: 1.25 at most, 1 without intensity."""
     return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
 
 
 def better(best: Registration | None, other: Registration) -> Registration:
-    """The more convincing one; the first if they are equal."""
+    """The registration with the higher score; the first if they are equal."""
     return other if best is None or score(other) > score(best) else best
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
-    """The most convincing registration of a frame to another around `T_start` (4, 4)."""
+    """The registration of a frame to another with the highest score around `T_start` (4, 4)."""
     points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(points, maps, T_start)
-    terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_shares=True)
-    weakest = openness([terms], points, [maps]).motions[:, :3]
+    terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)
+    weakest = observability([terms], points, [maps]).motions[:, :3]
     starts = [np.asarray(T_settled @ rigid_from_twist(weakest @ (SPACING_M * k))) for k in STARTS]
     starts.sort(key=lambda T: -_score_at(linearise(points, maps, T, SEARCH_GATE_M), points))
     settled = [_settle(points, maps, T) for T in [T_settled, *starts[:SETTLED]]]

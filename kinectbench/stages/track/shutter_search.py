@@ -1,7 +1,8 @@
-"""Find how long a camera takes to read a frame, from pairs of frames that move differently.
+"""Estimate the readout time of a rolling shutter from pairs of frames that move differently.
 
-No format says it, and colour may be taken at another time than depth. Frames that move alike are bent alike,
-and fit each other; those that move differently fit once the rolling shutter is undone with the right time.
+No format states the readout time, and colour may be delayed against depth. Frames with the same motion are
+distorted equally, and fit each other. Frames with different motions fit only when the rolling shutter is
+undone with the correct time.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,23 +17,23 @@ from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.odometry import Followed, Odometry
 from kinectbench.stages.track.registration import Registration, measure, register
 
-# Two frames tell if what they see moves past them at speeds that differ by so much: the outermost rows of a
-# Kinect are 4.5 mrad off then, a pixel of the working resolution. No pair of simulated orbits at an easy pace
-# (0.4 to 0.8 m/s) tells, and one of 150 of a room that is looked over.
-TELLING_RAD_PER_S = 0.3
-# So many frames tell, and such a share of all: a knock alone is not worth following all frames again.
-MIN_TELLING, MIN_TELLING_SHARE, PAIRS = 16, 0.05, 12
-# Where in the view its flow is taken: x and y at z = 1.
+# A pair of frames is informative if the image flow differs by this much: the outermost rows of a Kinect are
+# then 4.5 mrad off, one pixel of the working resolution. No pair of simulated slow orbits (0.4 to 0.8 m/s) is
+# informative, and one of 150 in a recording that pans over a room.
+INFORMATIVE_RAD_PER_S = 0.3
+# Least number and ratio of informative frames: for a single jolt the odometry is not run again.
+MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO, PAIRS = 16, 0.05, 12
+# Image positions at which the flow is evaluated: x and y at z = 1.
 FLOW_AT = np.array([(x, y, 1.0) for x in (-0.3, 0.0, 0.3) for y in (-0.25, 0.0, 0.25)])
-FRAMES_ASKED = 8
-# Tried first, then in steps; a frame takes no longer than the next one lets it, 1/30 s.
+DEPTH_FRAMES = 8
+# The first trial, then the step. A readout is at most the frame interval, 1/30 s.
 FIRST_TRIED_S, STEP_S, MOST_STEPS = 0.03, 0.01, 4
-# Images of at least twice this width are halved: pairs of a simulated Kinect still tell the readout within
-# 4 ms and the delay within 2.5 ms.
+# Images of at least twice this width are halved: on pairs of a simulated Kinect the readout is still within 4
+# ms and the delay within 2.5 ms.
 ENOUGH_PX = 140
-# A shutter is undone if it leaves so much less of the misfit than none does, or the opposite one, which
-# smoothes depth as much: 3 % less in a real room that is looked over slowly, 18 % in TUM fr1_xyz, 60 to 75 %
-# in simulated turns of 150 degrees a second.
+# A shutter is undone if it lowers the misfit by this ratio, compared with no shutter and with the opposite
+# one, which smooths depth equally. Measured: 3 % for a slow pan over a real room, 18 % for TUM fr1_xyz, 60 to
+# 75 % for simulated turns of 150 degrees a second.
 MIN_GAIN = 0.1
 # Misfit of a point that disagrees: inliers are within three standard deviations.
 OUTLIER = 9.0
@@ -49,11 +50,11 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
     """The rolling shutter of a recording of fast motions, and the colour's delay; None if there is neither.
 
     Args:
-        maps: of the frames, nothing undone as yet.
+        maps: of the frames, without any shutter undone.
         odometry: of all frames.
     """
     motion = motions_of(odometry.frames, maps.sequence.stamps_ns / 1e9)
-    pairs = _telling_pairs(maps, odometry, motion)
+    pairs = _informative_pairs(maps, odometry, motion)
     if not pairs:
         return None
     search = _Search(maps, pairs, motion)
@@ -63,45 +64,45 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
         readout_s = _least(search.misfit, FIRST_TRIED_S if forward < backward else -FIRST_TRIED_S)
     delay_s = 0.0
     if maps[pairs[0].source].has_intensity:
-        delay_s = _least(lambda tried_s: search.unlikeness(readout_s, tried_s), 0.0)
-        if search.unlikeness(readout_s, delay_s) > (1 - MIN_GAIN) * search.unlikeness(readout_s, 0.0):
+        delay_s = _least(lambda tried_s: search.dissimilarity(readout_s, tried_s), 0.0)
+        if search.dissimilarity(readout_s, delay_s) > (1 - MIN_GAIN) * search.dissimilarity(readout_s, 0.0):
             delay_s = 0.0
     return RollingShutter(readout_s, delay_s, motion) if readout_s or delay_s else None
 
 
 def motions_of(frames: Sequence[Followed | None], stamps_s: Float64) -> Float64:
-    """How the camera moves at each frame, (n, 12): `motions` of frames as they were followed."""
+    """The camera's motion at each frame, (n, 12): `motions` of the odometry's frames."""
     T = np.array([np.full((4, 4), np.nan) if each is None else each.T_segment_camera for each in frames])
     segment = np.array([-1 if each is None else each.segment for each in frames], np.int64)
     return motions(T.reshape(-1, 4, 4), segment, stamps_s)
 
 
 def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
-    """How fast what is seen moves through the view, on average over it: (n,) of twists a second (n, 6).
+    """Image flow, averaged over the view: (n,) of twists a second (n, 6).
 
     Args:
         rates: (n, 6) twists a second, rad/s and m/s, camera axes.
-        depth_m: of what is seen.
+        depth_m: typical depth of the scene, metres.
     """
     moved = -np.cross(rates[:, None, :3], FLOW_AT) - rates[:, None, 3:6] / depth_m
     through = moved[..., :2] - FLOW_AT[:, :2] * moved[..., 2:]
     return np.asarray(np.linalg.norm(through, axis=2).mean(axis=1))
 
 
-def _telling_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """Frames and their keyframes, where one moves otherwise than the other: the more telling half of them."""
+def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
+    """Frames and keyframes that move differently: the more informative half of them."""
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
-    asked = np.linspace(0, len(frames) - 1, min(FRAMES_ASKED, len(frames))).astype(int).tolist()
-    depths_m = [float(np.median(maps[k][0].points[:, 2])) for k in asked if frames[k] is not None]
+    chosen_frames = np.linspace(0, len(frames) - 1, min(DEPTH_FRAMES, len(frames))).astype(int).tolist()
+    depths_m = [float(np.median(maps[k][0].points[:, 2])) for k in chosen_frames if frames[k] is not None]
     if not depths_m:
         return []
     differ = flow_rad_per_s(motion[:, :6] - motion[homes, :6], float(np.median(depths_m)))
-    telling = np.flatnonzero(differ > TELLING_RAD_PER_S)
-    if len(telling) < max(MIN_TELLING, MIN_TELLING_SHARE * len(frames)):
+    informative = np.flatnonzero(differ > INFORMATIVE_RAD_PER_S)
+    if len(informative) < max(MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO * len(frames)):
         return []
-    telling = telling[differ[telling] >= np.median(differ[telling])]
-    chosen = telling[np.linspace(0, len(telling) - 1, min(PAIRS, len(telling))).astype(int)]
+    informative = informative[differ[informative] >= np.median(differ[informative])]
+    chosen = informative[np.linspace(0, len(informative) - 1, min(PAIRS, len(informative))).astype(int)]
     pairs = []
     for index in chosen.tolist():
         frame, home = frames[index], frames[homes[index]]
@@ -112,22 +113,22 @@ def _telling_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[
 
 
 class _Search:
-    """How well pairs of frames fit; half of the pixels each way tell well enough, where there are many."""
+    """Measures how well pairs of frames fit; large images are halved in both directions."""
 
     def __init__(self, maps: MapCache, pairs: Sequence[_Pair], motion: Float64) -> None:
         self.maps, self.pairs, self.motion = maps, pairs, motion
         self.found: dict[float, list[Registration]] = {}
 
     def misfit(self, readout_s: float) -> float:
-        """Mean square of the depth's residuals over their noise, where each pair fits best."""
+        """Mean square of the depth's residuals over their noise, at each pair's best pose."""
         found = self._registered(readout_s)
         squares = [
             r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in found
         ]
         return float(np.mean(squares))
 
-    def unlikeness(self, readout_s: float, delay_s: float) -> float:
-        """1 less the correlation of the colours where the depth fits; 1 if it is not known."""
+    def dissimilarity(self, readout_s: float, delay_s: float) -> float:
+        """1 minus the correlation of the colours at the pose that fits the depth; 1 if unknown."""
         correlations = [
             measure(
                 *self._maps(pair, readout_s, delay_s, with_intensity=True), [r.T_target_source]
@@ -148,7 +149,7 @@ class _Search:
     def _maps(
         self, pair: _Pair, readout_s: float, delay_s: float, *, with_intensity: bool
     ) -> tuple[FrameMaps, list[FrameMaps]]:
-        """The pair's source and its one target, with this shutter undone."""
+        """The pair's source and its target, with this shutter undone."""
         shutter = RollingShutter(readout_s, delay_s, self.motion)
         source, target = (
             self.maps.upright(k, shutter).reduced(ENOUGH_PX, with_intensity=with_intensity)
@@ -158,7 +159,7 @@ class _Search:
 
 
 def _least(value_at: Callable[[float], float], start_s: float) -> float:
-    """The time at which a value is least, gone to in steps from a start; between steps by a parabola."""
+    """The time of the least value: descent in steps from a start, then a parabola between steps."""
     values: dict[int, float] = {}
 
     def at(step: int) -> float:

@@ -1,8 +1,8 @@
-"""Smooth the trajectory as far as its frames are uncertain: a hand cannot jerk the camera at will.
+"""Smooth the trajectory as far as its poses are uncertain.
 
-Frames are registered one by one; along what a frame's depth hardly fixes, its neighbours know better. The
-prior is white noise on acceleration (Anderson & Barfoot, "Full STEAM ahead", IROS 2015). How much of it there
-is is estimated from the trajectory itself, and a jolt loses its weight by a Geman-McClure kernel.
+Frames are registered one by one. In directions that a frame's depth hardly constrains, its neighbours give a
+better estimate. The prior is white noise on acceleration (Anderson & Barfoot, "Full STEAM ahead", IROS 2015).
+Its variance is estimated from the trajectory itself. A Geman-McClure kernel lowers the weight of a jolt.
 """
 
 import numpy as np
@@ -17,17 +17,18 @@ from kinectbench.core.types import Float64
 ITERATIONS = 6
 # Median of the mean of three squared standard normal variables.
 MEDIAN_OF_THREE = 0.789
-# Of the measured accelerations no more than this share is noise. The rest is doubled: motion is uneven.
+# At most this ratio of the measured acceleration variance is noise. The rest is doubled, because motion is
+# uneven.
 MAX_NOISE, ROUGHER = 0.5, 2.0
-# Mean squared acceleration, in its own sigmas, at which a moment loses three quarters of its weight.
+# Mean squared acceleration, in standard deviations, at which a frame loses three quarters of its weight.
 KERNEL = 9.0
-# Keeps a frame of which nothing is known where it is: radians and metres.
+# Regularises a frame without information: radians and metres.
 LOOSE = 1e-3
 MIN_FRAMES = 5
 
 
 def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information: Float64) -> Float64:
-    """The trajectory that fits both the frames and a hand that holds the camera best.
+    """The trajectory that best fits both the registrations and the motion prior.
 
     Args:
         T_world_camera: (n, 4, 4), all finite.
@@ -43,14 +44,14 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
     poses, known = T_world_camera[order], information[order] + LOOSE * np.eye(6)
     weights = second_differences(stamps_ns[order] / 1e9)
     rough = _accelerations(poses, stamps_ns[order] / 1e9)
-    variance, noise_scale = _shares(rough, weights, known)
+    variance, noise_scale = _variances(rough, weights, known)
     operator = kron(diags_array(weights, offsets=[0, 1, 2], shape=(len(rough), len(poses))), eye_array(6))
     measured = block_diag(known / noise_scale).tocsc()
     twists = np.zeros(6 * len(poses))
     for _ in range(ITERATIONS):
         squares = ((rough + (operator @ twists).reshape(-1, 6)) ** 2 / variance).mean(axis=1)
-        believed = ((KERNEL / (KERNEL + squares)) ** 2)[:, None] / variance
-        weighted = operator.T @ diags_array(believed.ravel())
+        accepted = ((KERNEL / (KERNEL + squares)) ** 2)[:, None] / variance
+        weighted = operator.T @ diags_array(accepted.ravel())
         twists = spsolve((measured + weighted @ operator).tocsc(), -(weighted @ rough.ravel()))
     result = np.empty_like(T_world_camera)
     result[order] = [T @ rigid_from_twist(x) for T, x in zip(poses, twists.reshape(-1, 6), strict=True)]
@@ -58,31 +59,32 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
 
 
 def second_differences(times_s: Float64) -> list[Float64]:
-    """Weights of three consecutive values that make their second derivative, 1/s^2: three times (n - 2,)."""
+    """Weights of three consecutive values for their second derivative, 1/s^2: three times (n - 2,)."""
     before, behind, span = _spans(times_s)
     first, last = 1 / (before * span), 1 / (behind * span)
     return [first, -(first + last), last]
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Seconds before and after each inner moment, and their mean; frames of one time are told apart."""
+    """Seconds before and after each inner frame, and their mean; equal stamps get a minimum step."""
     steps = np.diff(times_s)
     steps = np.maximum(steps, 0.1 * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2
 
 
 def _accelerations(poses: Float64, times_s: Float64) -> Float64:
-    """(n - 2, 6) of the inner frames: change of the velocity, a twist per second in the camera's axes."""
+    """(n - 2, 6) accelerations of the inner frames: change of the twist per second, camera axes."""
     before, behind, span = _spans(times_s)
     moves = np.array([twist_from_rigid(T) for T in invert_rigid(poses[:-1]) @ poses[1:]])
     return np.asarray((moves[1:] / behind[:, None] - moves[:-1] / before[:, None]) / span[:, None])
 
 
-def _shares(accelerations: Float64, weights: list[Float64], information: Float64) -> tuple[Float64, float]:
-    """How much of the measured accelerations is the camera's own, and how much is noise of its poses.
+def _variances(accelerations: Float64, weights: list[Float64], information: Float64) -> tuple[Float64, float]:
+    """Split the measured accelerations into the camera's own and the noise of its poses.
 
     Returns:
-        (6,) variance of the camera's own accelerations; and what of their stated covariance is real.
+        (6,) variance of the camera's own accelerations; and the factor by which the poses' covariance is
+        scaled.
     """
     uncertain = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
     inner = len(accelerations)
@@ -95,7 +97,7 @@ def _shares(accelerations: Float64, weights: list[Float64], information: Float64
         )
         for part in (rotation, translation)
     ]
-    # Poses that hardly shake are better known than their registrations say.
+    # A smooth path means that the poses are better than their stated covariance.
     noise_scale = min(1.0, *(MAX_NOISE * measured / added for measured, added in parts))
     own = [ROUGHER * (measured - noise_scale * added) for measured, added in parts]
     return np.maximum(np.repeat(own, 3), 1e-12), max(noise_scale, 1e-6)

@@ -1,8 +1,8 @@
-"""The stage `track`: a pose for every frame that can be had, and how far it can be trusted.
+"""The stage `track`: a pose for every frame that can be tracked, and the trajectory's health.
 
-Where poses come from: a trajectory that is trusted is checked against the depth and kept as it is, but for
-the frames that disagree (`check_given`); without one, or to refine it, `tracker.track_frames` decides
-every pose. Then the whole is judged (`health`).
+A trusted trajectory is checked against the depth (`check_given`). Its poses are kept, except for frames that
+disagree. Without a given trajectory, or to refine one, `tracker.track_frames` estimates every pose. Then the
+trajectory is graded (`health`).
 """
 
 import numpy as np
@@ -37,12 +37,12 @@ def track(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Find the camera's pose for every frame; frames whose pose cannot be known are left out.
+    """Estimate the camera's pose of every frame; frames without a reliable pose are left out.
 
     Args:
         sequence: the recording.
-        mode: of a given trajectory: trust it (frames that disagree with it are left out), refine it, or
-            ignore it. None: trust it if there is one, and if the depth agrees with any of it.
+        mode: for a given trajectory: trust it (frames that disagree with it are left out), refine it, or
+            ignore it. None: trust it if there is one and the depth agrees with part of it.
         settings: what counts as disagreement.
         progress: called with (done, total).
 
@@ -100,7 +100,7 @@ def _finished(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
         source=source,
-        # As it is stored, so that a trajectory that is read back does not differ from this one.
+        # Rounded as it is stored, so that a trajectory that is read back is equal to this one.
         pose_sigma_m=figures.pose_sigma_m(),
         health=figures,
         depth_calibration=tracked.calibration,

@@ -1,4 +1,4 @@
-"""What the tracker found: a state and a pose for every frame, and what ties the keyframes to each other."""
+"""The tracker's result: a state and a pose for every frame, and constraints between keyframes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,30 +12,30 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.registration import Registration
 
 State = Literal["tracked", "relocalised", "lost"]
-TieKind = Literal["odometry", "covisible", "loop"]
+ConstraintKind = Literal["odometry", "covisible", "loop"]
 
 
 @dataclass(frozen=True)
-class Tie:
-    """Two keyframes registered to each other.
+class Constraint:
+    """A constraint of the pose graph: two keyframes registered to each other.
 
     Attributes:
         a: index of the one frame, in the sequence.
         b: index of the other.
         registration: of b to a.
         kind: odometry: consecutive; covisible: near in time; loop: a place seen again.
-        weight: 0 to 1, what the robust kernel of the pose graph left of it.
+        weight: 0 to 1, the weight that the robust kernel of the pose graph assigned.
     """
 
     a: int
     b: int
     registration: Registration
-    kind: TieKind
+    kind: ConstraintKind
     weight: float = 1.0
 
     @property
     def T_a_b(self) -> Float64:
-        """(4, 4), as it was measured."""
+        """(4, 4), the measured relative pose."""
         return self.registration.T_target_source
 
 
@@ -48,24 +48,24 @@ class Tracked:
         states: (n,) tracked: followed from the frame before; relocalised: joined again after a gap; lost.
         reasons: per lost frame, why.
         keyframes: (k,) int64 frame indices, ascending.
-        ties: what was kept.
-        refused: ties of keyframes that were tried and not believed, with a weight of 0.
+        constraints: the accepted constraints.
+        refused: constraints that were tried and rejected, with a weight of 0.
         residual_m: (n,) rms point-to-plane residual of each frame to other keyframes; NaN where unknown.
-        noise_m: (n,) what the noise of a Kinect's depth alone would make of that residual; NaN where unknown.
-        inlier_share: (n,) share of its points that agree with them; NaN where unknown.
-        degenerate: (n,) bool, its depth alone leaves a motion open (as one plane in view does).
-        sharpness: of the colour, by frame, where it was read (`image_sharpness`).
-        calibration: of the depth, as the poses were found with it.
-        readout_s: of the rolling shutter that was undone in all frames; 0: none.
-        color_delay_s: by how much colour was found to be taken later than depth, likewise.
+        noise_m: (n,) that residual as expected from a Kinect's depth noise alone; NaN where unknown.
+        inlier_share: (n,) inlier ratio of its points; NaN where unknown.
+        degenerate: (n,) bool, its depth has an unobservable direction (as with one plane in view).
+        sharpness: of the colour, by frame index, where colour was read (`image_sharpness`).
+        calibration: the depth calibration that was used for the poses.
+        readout_s: readout time of the rolling shutter that was undone in all frames; 0: none.
+        color_delay_s: estimated delay of colour against depth; 0: none.
     """
 
     T_world_camera: Float64
     states: tuple[State, ...]
     reasons: dict[int, str]
     keyframes: NDArray[np.int64]
-    ties: tuple[Tie, ...]
-    refused: tuple[Tie, ...]
+    constraints: tuple[Constraint, ...]
+    refused: tuple[Constraint, ...]
     residual_m: Float64
     noise_m: Float64
     inlier_share: Float64

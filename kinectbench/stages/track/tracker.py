@@ -1,12 +1,12 @@
-"""Camera tracking: where the pose of every frame is decided, in four steps.
+"""Camera tracking: the pose of every frame is estimated in four steps.
 
-1. Odometry proposes (`odometry.follow`): each frame is registered to a keyframe before it. A frame that fits
-   none begins a new segment, with a world of its own.
-2. The graph joins (`keyframe_graph.build_graph`): keyframes that see the same places are registered to each
-   other, segments are joined, and the keyframes' poses are optimised (`pose_graph.optimise`).
-3. The placer decides (`_Placer.place`): each frame is registered to several keyframes at once where the graph
-   put them. What does not agree with them has no pose, and a reason.
-4. The smoother (`smoothing.smoothed`) moves each pose as far as its registration leaves it uncertain.
+1. Odometry (`odometry.follow`) registers each frame to a keyframe before it. A frame that fits none begins a
+   new segment in a separate world.
+2. The keyframe graph (`keyframe_graph.build_graph`) registers keyframes that see the same places, joins
+   segments, and optimises the keyframes' poses (`pose_graph.optimise`).
+3. The placer (`_Placer.place`) registers each frame to several optimised keyframes at once. A frame that does
+   not agree with them has no pose, and a reason.
+4. The smoother (`smoothing.smoothed`) moves each pose within the uncertainty of its registration.
 """
 
 from collections.abc import Callable
@@ -19,18 +19,18 @@ from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Float64, Progress
-from kinectbench.stages.track.covisibility import glimpse, shared_view
+from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import (
-    OPEN_MOTION,
+    UNOBSERVABLE,
     Followed,
     Odometry,
-    every_of,
     follow,
-    is_believable,
-    usual_of,
+    is_accepted,
+    median_quality,
+    point_stride,
 )
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.shutter_search import find_shutter
@@ -38,10 +38,10 @@ from kinectbench.stages.track.smoothing import smoothed
 from kinectbench.stages.track.standing_out import STANDS_OUT, stand_out
 from kinectbench.stages.track.tracked import State, Tracked
 
-# Keyframes each frame is placed among: its own, and the others that see most of it.
+# Number of keyframes that each frame is registered to: its own, and those with the largest shared view.
 NEIGHBOURS = 2
 NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
-# Information of a frame that no other is around: it stays where it is.
+# Information of a frame without neighbours: smoothing leaves it in place.
 HELD = 1e8 * np.eye(6)
 DISAGREES = "its depth does not agree with the keyframes around it"
 
@@ -55,8 +55,8 @@ def track_frames(
 
     Args:
         sequence: the recording.
-        T_given: (n, 4, 4) poses to start from and to believe loosely, NaN where there is none; or None: the
-            world is then the first camera's that is tracked.
+        T_given: (n, 4, 4) initial poses and weak priors, NaN where there is none. None: the first tracked
+            camera defines the world.
         progress: called with (done, total).
     """
     n = len(sequence)
@@ -76,7 +76,7 @@ def track_frames(
 def _place(
     maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
 ) -> Tracked:
-    """Register every frame to several keyframes at once where the graph put them."""
+    """Register every frame to several optimised keyframes at once."""
     placer, placed = _Placer(maps, odometry, graph), []
     for index in range(len(maps.sequence)):
         progress(index + 1)
@@ -86,10 +86,10 @@ def _place(
     residual_m, noise_m, inlier_share = np.array(measured).T
     information = np.array([r.information if r else HELD for r in found])
     poses = np.array([each.T_world_camera for each in placed])
-    believed = np.array([each.reason is None for each in placed])
-    odd = believed & stand_out(residual_m / noise_m, believed)
+    accepted = np.array([each.reason is None for each in placed])
+    odd = accepted & stand_out(residual_m / noise_m, accepted)
     placed = [replace(each, reason=STANDS_OUT) if odd[k] else each for k, each in enumerate(placed)]
-    posed = believed & ~odd
+    posed = accepted & ~odd
     poses[~posed] = np.nan
     poses[posed] = smoothed(poses[posed], maps.sequence.stamps_ns[posed], information[posed])
     return Tracked(
@@ -97,12 +97,12 @@ def _place(
         states=tuple(each.state if each.reason is None else "lost" for each in placed),
         reasons={index: each.reason for index, each in enumerate(placed) if each.reason is not None},
         keyframes=np.array(graph.keyframes, np.int64)[has_pose(graph.T_world)],
-        ties=graph.ties,
+        constraints=graph.constraints,
         refused=graph.refused,
         residual_m=residual_m,
         noise_m=noise_m,
         inlier_share=inlier_share,
-        degenerate=np.array([each.reason == OPEN_MOTION for each in placed]),
+        degenerate=np.array([each.reason == UNOBSERVABLE for each in placed]),
         sharpness=maps.sharpness,
         calibration=graph.calibration,
         readout_s=maps.shutter.readout_s if maps.shutter else 0.0,
@@ -112,7 +112,7 @@ def _place(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A frame's pose, or the reason why it has none; and how it lies to the keyframes around it."""
+    """A frame's pose, or the reason why it has none; and its registration to the keyframes around it."""
 
     state: State
     reason: str | None = None
@@ -126,11 +126,11 @@ class _Placer:
     def __init__(self, maps: MapCache, odometry: Odometry, graph: KeyframeGraph) -> None:
         self.maps, self.odometry, self.graph = maps, odometry, graph
         self.row = {frame: row for row, frame in enumerate(graph.keyframes)}
-        self.tied = _tied(graph, self.row)
+        self.neighbours = _neighbours(graph, self.row)
         joined = (f.segment for f in odometry.frames if f is not None and f.segment in graph.joined)
         self.first_segment = min(joined, default=0)
         followed = [f.registration for f in odometry.frames if f is not None and f.registration is not None]
-        self.usual = usual_of(followed)
+        self.reference = median_quality(followed)
 
     def place(self, index: int) -> _Placed:
         """Register one frame to the keyframes that see most of what it sees."""
@@ -147,30 +147,30 @@ class _Placer:
         found = self._registered(index, around, T_world)
         if frame.keyframe != index:
             T_world = on_so3(self.graph.T_world[around[0]] @ found.T_target_source)
-        reason = None if is_believable(found) else OPEN_MOTION if found.degenerate else DISAGREES
+        reason = None if is_accepted(found) else UNOBSERVABLE if found.degenerate else DISAGREES
         return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=found)
 
     def _predicted(self, frame: Followed) -> Float64:
-        """Where the odometry saw a frame from its keyframe, which the graph has moved."""
+        """The frame's pose by the odometry, relative to its optimised keyframe."""
         home = self.odometry.frames[frame.keyframe]
         assert home is not None
         T_home_camera = invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """The frame's own keyframe, then those tied to it that share most of its view."""
+        """The frame's own keyframe, then those neighbours to it that share most of its view."""
         home = self.row[frame.keyframe]
-        view = glimpse(self.maps[index])
+        view = keyframe_thumbnail(self.maps[index])
         shared = [
-            (-shared_view(self.graph.glimpses[k], view, invert_rigid(self.graph.T_world[k]) @ T_world), k)
-            for k in self.tied[home]
+            (-shared_view(self.graph.thumbnails[k], view, invert_rigid(self.graph.T_world[k]) @ T_world), k)
+            for k in self.neighbours[home]
             if self.graph.keyframes[k] != index
         ]
         own = [home] if frame.keyframe != index else []
         return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
 
     def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
-        """A keyframe stays where it is; another frame moves, and is searched for if it does not convince."""
+        """Measure a keyframe in place; register any other frame, with a search if it is not good enough."""
         source = self.maps[index]
         targets = [self.maps[self.graph.keyframes[k]] for k in around]
         T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
@@ -182,24 +182,24 @@ class _Placer:
             [T @ T_world for T in T_around],
             coarsest=0,
             prior=PLACED,
-            every=every_of(source),
+            every=point_stride(source),
         )
-        if self.usual.is_sure(found):
-            self.usual = self.usual.after(found)
+        if self.reference.meets_reference(found):
+            self.reference = self.reference.after(found)
             return found
         for T_around_k, target in zip(T_around, targets, strict=True):
             elsewhere = search(source, target, T_around_k @ T_world).T_target_source
             T_there = invert_rigid(T_around_k) @ elsewhere
             other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
             found = better(found, other)
-        self.usual = self.usual.after(found)
+        self.reference = self.reference.after(found)
         return found
 
 
-def _tied(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
-    """For each keyframe the ones tied to it, the strongest first."""
-    tied: list[list[int]] = [[] for _ in graph.keyframes]
-    for each in sorted(graph.ties, key=lambda t: -t.weight * t.registration.overlap):
-        tied[row[each.a]].append(row[each.b])
-        tied[row[each.b]].append(row[each.a])
-    return tied
+def _neighbours(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
+    """For each keyframe the ones neighbours to it, the strongest first."""
+    neighbours: list[list[int]] = [[] for _ in graph.keyframes]
+    for each in sorted(graph.constraints, key=lambda t: -t.weight * t.registration.overlap):
+        neighbours[row[each.a]].append(row[each.b])
+        neighbours[row[each.b]].append(row[each.a])
+    return neighbours

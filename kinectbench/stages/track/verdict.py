@@ -1,7 +1,8 @@
-"""One sentence about a trajectory: what ground truth it is good for, and why. All limits are own rules.
+"""A grade of a trajectory as a basis for ground truth, and one sentence with the reasons.
 
-No figure here is the error of the poses, which nobody knows without a truth: each is a sign of it. So a grade
-promises no millimetres: recordings whose frames agree within 5 mm were 10 mm off along their path, and more.
+Without ground truth the error of the poses is unknown. Each figure is only an indication of it, and a grade
+promises no accuracy in millimetres: recordings whose frames agree within 5 mm were 10 mm off along their
+path, and more. All limits were chosen by hand.
 """
 
 import math
@@ -11,35 +12,35 @@ from kinectbench.core.artefacts.trajectory import GivenFigures, Grade, Recommend
 
 GRADES: tuple[Grade, ...] = ("good", "fair", "not good")
 MIN_POSES = 3
-# What is good, and what is fair. Shares are of the frames.
+# Limits of good and of fair. Ratios are of the frames.
 TRACKED_SHARE = (0.9, 0.7)
 UNCHECKED_SHARE = (0.5, 1.0)
 REJECTED_SHARE = (0.1, 0.5)
 DEGENERATE_SHARE = (0.05, 0.3)
 SHIFT_M = (0.005, 0.010)
-# Between distant frames: each of the two may be off by half of it.
+# Between distant frames: either of the two may contribute half of it.
 DISTANT_SHIFT_M = (0.010, 0.020)
-# A correction holds the errors of two poses and of the measurement between them.
+# A correction contains the errors of two poses and of the measurement between them.
 LOOP_CORRECTION_M = (0.005, 0.010)
-BELIEVED_LOOP_SHARE = (0.8, 0.5)
-# Where no loop closes the path it may drift by 3 mm a metre, and nobody would know.
+ACCEPTED_LOOP_RATIO = (0.8, 0.5)
+# Without loop closures a path may drift by 3 mm a metre, and no figure would show it.
 OPEN_PATH_M = (1.5, 4.0)
-# Real sensors are warped as well: right poses leave 0.55 times the noise of a simulated Kinect, 0.9 to 1.2
-# times that of real ones.
+# Real sensors have depth distortion as well: with correct poses the residual is 0.55 times the noise of a
+# simulated Kinect, and 0.9 to 1.2 times that of real ones.
 TIMES_NOISE = (2.0, 3.0)
-# Of the distant frames that ought to see the same place some are too plain, or hardly see it.
+# Some distant frames that should see the same place have too little structure, or hardly overlap.
 UNMATCHED_SHARE = (0.4, 0.5)
-# Refining moves motion capture by its own noise, and drift by more.
+# Refinement moves motion-capture poses by their own noise, and drifting poses by more.
 REFINED_APART_M = 0.025
-# Given poses drift if distant frames disagree by this many times what near ones do, and by 5 mm more.
+# Given poses drift if distant frames disagree by this many times as much as near ones, plus 5 mm.
 TIMES_NEAR = 2.0
 
 
 def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
-    """The grade, and the verdict: the grade in words, a colon, and the figures that it is due to.
+    """The grade, and the verdict: the grade in words, a colon, and the figures that caused it.
 
     Args:
-        health: its own grade and verdict do not count.
+        health: the figures; the grade and verdict in it are not read.
     """
     if health.tracked < MIN_POSES:
         reasons = [(2, f"{health.tracked} of {health.frames} frames have a pose")]
@@ -55,10 +56,10 @@ def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
 def recommend(given: GivenFigures, checked_share: float, rejected_share: float) -> Recommendation:
     """What to do with a given trajectory.
 
-    Ignore it if most frames disagree, or most cannot be compared. Refine it if frames agree so badly that
-    its poses are not good for ground truth as they are, if a tenth of the frames disagrees, if it jumps, if
-    it drifts (distant frames disagree by more than twice what near ones do, and 5 mm; where that is not
-    known: near ones by more than 5 mm), if many of these fit nowhere, or if refining moves it far.
+    Ignore it if most frames disagree, or most cannot be compared. Refine it if near frames disagree by more
+    than 10 mm, if a tenth of the frames disagrees, if it jumps, if it drifts, if many distant frames do not
+    fit, or if refinement moves it far. It drifts if distant frames disagree by more than twice as much as
+    near ones plus 5 mm. Where that is unknown, it drifts if near frames disagree by more than 5 mm.
 
     Args:
         given: its figures.
@@ -68,7 +69,7 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     if rejected_share > REJECTED_SHARE[1] or checked_share < 1 - UNCHECKED_SHARE[0]:
         return "ignore"
     near_m, distant_m = given.median_shift_m, given.distant_shift_m
-    # Where near frames could not be compared, nothing speaks against a distant shift: all of it is drift.
+    # If near frames could not be compared, the whole distant shift counts as drift.
     drift_m = near_m if distant_m is None else distant_m - TIMES_NEAR * (near_m or 0.0)
     signs = (
         (near_m, SHIFT_M[1]),
@@ -144,29 +145,29 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     if health.loop_correction_m is not None:
         level = _at_most(health.loop_correction_m, LOOP_CORRECTION_M)
         yield level, f"loops close within {_mm(health.loop_correction_m)}"
-    loops, believed = len(health.loops), sum(row.believed for row in health.loops)
-    if believed < loops:
-        level = _at_least(believed / loops, BELIEVED_LOOP_SHARE)
-        yield level, f"{loops - believed} of {loops} loops contradict the rest"
-    # A given trajectory that is refined holds the path together by itself.
+    loops, accepted = len(health.loops), sum(row.believed for row in health.loops)
+    if accepted < loops:
+        level = _at_least(accepted / loops, ACCEPTED_LOOP_RATIO)
+        yield level, f"{loops - accepted} of {loops} loops contradict the rest"
+    # A given trajectory that is refined constrains the path by itself.
     if health.source == "tracked" and health.open_path_m is not None:
         level = _at_most(health.open_path_m, OPEN_PATH_M)
         arc = ""
-        if health.arc_rad is not None and not believed:
+        if health.arc_rad is not None and not accepted:
             arc = f" (arc of {round(math.degrees(health.arc_rad), 2):.0f} degrees)"
         path = f"{health.open_path_m:.1f} m of path lie outside any loop{arc}"
         yield level, f"{path}, their drift is not known" if level else f"only {path}"
 
 
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
-    """How many frames with a pose have depth that leaves a motion open, if any."""
+    """The ratio of posed frames whose depth has an unobservable direction, if any."""
     if degenerate := len(set(health.degenerate) - set(health.lost)):
         share = f"{_percent(degenerate, health.tracked)} of the frames"
         yield _at_most(degenerate / health.tracked, DEGENERATE_SHARE), share
 
 
 def _mm(value_m: float) -> str:
-    """Millimetres to a tenth, of what the file holds to a hundredth."""
+    """Millimetres with one decimal; the file has two."""
     return f"{round(1000 * value_m, 2):.1f} mm"
 
 
@@ -179,6 +180,6 @@ def _at_least(value: float, limits: tuple[float, float]) -> int:
 
 
 def _percent(part: int, whole: int) -> str:
-    """Rounded towards the middle: nothing short of all is called 100 %."""
+    """Never rounded to 0 % or 100 % unless none or all count."""
     percent = 100 * part / whole
     return f"{min(max(percent, 0.1), 99.9):.1f} %" if 0 < part < whole else f"{percent:.0f} %"

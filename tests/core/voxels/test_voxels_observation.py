@@ -29,7 +29,7 @@ def test_a_ray_is_as_wide_as_its_pixel_and_what_its_pose_is_off() -> None:
     poses = np.tile(np.eye(4), (3, 1, 1))
     trajectory = Trajectory(np.arange(3), poses, "tracked", np.array([0.001, 0.009, np.nan]))
     # 2 m / 500 px = 4 mm, and three times the median of 1 and 9 mm; a pose that nobody checked has no part.
-    assert ray_width_m(camera, trajectory.usual_pose_sigma_m, 2.0) == pytest.approx(np.hypot(0.004, 0.015))
+    assert ray_width_m(camera, trajectory.median_pose_sigma_m, 2.0) == pytest.approx(np.hypot(0.004, 0.015))
     assert ray_width_m(camera, None, 2.0) == pytest.approx(0.004)
 
 

@@ -242,9 +242,9 @@ def test_usual_pose_error_is_of_checked_poses(ball):
     """Poses without a figure neither lower nor raise the median; without any figure there is none."""
     sequence, trajectory = ball
     sigma_m = np.where(np.arange(20) < 3, 0.004, np.nan)
-    assert replace(trajectory, pose_sigma_m=sigma_m).usual_pose_sigma_m == pytest.approx(0.004)
+    assert replace(trajectory, pose_sigma_m=sigma_m).median_pose_sigma_m == pytest.approx(0.004)
     unchecked = replace(trajectory, pose_sigma_m=np.full(20, np.nan))
-    assert unchecked.usual_pose_sigma_m is None
+    assert unchecked.median_pose_sigma_m is None
     # No frame is better than another: their depth alone weighs, and the truncation stays four voxels.
     exact = replace(trajectory, pose_sigma_m=np.zeros(20))
     seen, of_exact = (observe(sequence, each, [1], GRID, SETTINGS) for each in (unchecked, exact))

@@ -1,4 +1,4 @@
-"""A known depth distortion is found from ties with known motion, and undone."""
+"""A known depth distortion is found from constraints with known motion, and undone."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_a_known_distortion_is_found():
     true = DepthCalibration(bent()).correction_per_m(64, 48)
     found = calibrate(views(distorted(bent()), PAIRS)).correction_per_m(64, 48)
     assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.8
-    # Its prior keeps it small where few ties speak: it takes off a part. No constant is told.
+    # Its prior keeps it small where few constraints speak: it takes off a part. No constant is told.
     left = (found - true) - (found - true).mean()
     assert left.std() < 0.8 * true.std()
 

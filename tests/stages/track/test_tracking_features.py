@@ -10,10 +10,10 @@ from kinectbench.stages.track.features import (
     FeatureCache,
     Features,
     find_features,
-    likeness,
     match,
     pose_from_features,
     shading,
+    similarity,
 )
 from kinectbench.stages.track.frame_maps import MapCache
 
@@ -91,7 +91,7 @@ def test_keyframes_that_look_alike():
     """Frames of one walk: itself seen again is likest, a neighbour is liker than the far end."""
     order = [0, 6, 23, 0]
     cache = FeatureCache(MapCache(with_frames(couch().sequence, order)))
-    alike = likeness([cache[i] for i in range(4)])
+    alike = similarity([cache[i] for i in range(4)])
     assert alike.shape == (4, 4) and (np.diag(alike) == 0).all()
     np.testing.assert_allclose(alike, alike.T)
     assert alike[0, 3] == pytest.approx(1) and alike.max() <= 1 + 1e-9
@@ -99,10 +99,10 @@ def test_keyframes_that_look_alike():
 
 
 def test_likeness_of_little():
-    assert likeness([]).shape == (0, 0)
-    np.testing.assert_array_equal(likeness([NOTHING, NOTHING]), np.zeros((2, 2)))
+    assert similarity([]).shape == (0, 0)
+    np.testing.assert_array_equal(similarity([NOTHING, NOTHING]), np.zeros((2, 2)))
     found = find_features(frame_maps(couch().sequence, 0))
-    alike = likeness([found, NOTHING, found])
+    alike = similarity([found, NOTHING, found])
     assert np.isfinite(alike).all() and alike[0, 1] == 0
 
 

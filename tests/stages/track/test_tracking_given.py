@@ -27,7 +27,7 @@ from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
 from kinectbench.stages.track.check_given import NO_DEPTH, GivenCheck, check_given, warnings_of
-from kinectbench.stages.track.disagreement import ask, residuals_m
+from kinectbench.stages.track.disagreement import check_pose, residuals_m
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.pictures import write_pictures
 
@@ -75,7 +75,7 @@ def test_a_known_shift_is_measured(off: tuple[float, float, float, float]) -> No
     """A frame compared with itself, as if it stood elsewhere."""
     maps = corner()
     T_off = displaced(np.eye(4), off[:3], off[3])
-    found = ask(maps, [maps], [T_off], 2, 1)
+    found = check_pose(maps, [maps], [T_off], 2, 1)
     points = maps[0].points[:, :3].astype(float)
     expected_m = np.median(np.linalg.norm(transform_points(T_off, points) - points, axis=1))
     assert found is not None
@@ -89,7 +89,7 @@ def test_along_a_plane_nothing_is_certain() -> None:
     down = look_at(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.01, 0.0]))
     maps = MapCache(painted([FLOOR], down[None]))[0]
     along, across = (
-        ask(maps, [maps], [displaced(np.eye(4), s, 0.0)], 2, 1) for s in ((0.05, 0, 0), (0, 0, 0.05))
+        check_pose(maps, [maps], [displaced(np.eye(4), s, 0.0)], 2, 1) for s in ((0.05, 0, 0), (0, 0, 0.05))
     )
     assert along is not None and along.certain_shift_m < 0.005
     assert across is not None and across.certain_shift_m == pytest.approx(0.05, rel=0.05)
@@ -97,7 +97,7 @@ def test_along_a_plane_nothing_is_certain() -> None:
 
 def test_frames_that_see_nothing_in_common() -> None:
     maps = corner()
-    assert ask(maps, [maps], [displaced(np.eye(4), (50.0, 0.0, 0.0), 0.0)], 2, 1) is None
+    assert check_pose(maps, [maps], [displaced(np.eye(4), (50.0, 0.0, 0.0), 0.0)], 2, 1) is None
 
 
 def test_residuals_are_the_distances_to_the_plane() -> None:

@@ -19,13 +19,13 @@ from tracking_scenes import (
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.stages.track.covisibility import covisible, glimpse, shared_view
+from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import Odometry, follow
 from kinectbench.stages.track.pose_graph import optimise, softened
-from kinectbench.stages.track.tracked import Tie, TieKind
+from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
 pytestmark = pytest.mark.xdist_group("tracking")
 
@@ -35,7 +35,7 @@ INFORMATION = np.diag([1e6] * 3 + [1e6] * 3)  # 1 mrad, 1 mm
 # --- pose graphs with known answers
 
 
-def tie_of(a: int, b: int, T_a_b: np.ndarray, kind: TieKind = "odometry") -> Tie:
+def constraint_of(a: int, b: int, T_a_b: np.ndarray, kind: ConstraintKind = "odometry") -> Constraint:
     return tie_at(a, b, T_a_b, INFORMATION, kind)
 
 
@@ -44,25 +44,27 @@ def between(poses: np.ndarray, a: int, b: int, twist: np.ndarray | None = None) 
     return T if twist is None else T @ rigid_from_twist(twist)
 
 
-def chained(poses: np.ndarray, ties: list[Tie]) -> np.ndarray:
+def chained(poses: np.ndarray, constraints: list[Constraint]) -> np.ndarray:
     """Poses by the odometry alone: where the optimisation starts."""
     out = [poses[0]]
-    for tie in ties:
-        out.append(out[-1] @ tie.T_a_b)
+    for constraint in constraints:
+        out.append(out[-1] @ constraint.T_a_b)
     return np.stack(out)
 
 
-def circle_of_ties(noise: np.random.Generator | None, n: int = 20) -> tuple[np.ndarray, list[Tie]]:
-    """True poses of a circle, and ties between consecutive ones with errors of about 2 mrad and 2 mm."""
+def circle_of_constraints(
+    noise: np.random.Generator | None, n: int = 20
+) -> tuple[np.ndarray, list[Constraint]]:
+    """True poses of a circle, and constraints between neighbours with errors of about 2 mrad, 2 mm."""
     poses = ring(n, 1.5)
     twists = np.zeros((n, 6)) if noise is None else noise.normal(0, 0.002, (n, 6))
     if noise is not None:
         twists[:, 1] += 0.003  # a turn that is always overestimated: drift
-    return poses, [tie_of(k, k + 1, between(poses, k, k + 1, twists[k])) for k in range(n - 1)]
+    return poses, [constraint_of(k, k + 1, between(poses, k, k + 1, twists[k])) for k in range(n - 1)]
 
 
-def ends(ties: list[Tie]) -> list[tuple[int, int]]:
-    return [(tie.a, tie.b) for tie in ties]
+def ends(constraints: list[Constraint]) -> list[tuple[int, int]]:
+    return [(constraint.a, constraint.b) for constraint in constraints]
 
 
 def off_mm(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -71,21 +73,24 @@ def off_mm(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 def test_ties_without_errors_give_the_true_poses():
     """From a start that is off by centimetres and degrees; the first pose stays."""
-    poses, ties = circle_of_ties(None)
-    ties += [tie_of(0, 19, between(poses, 0, 19), "loop"), tie_of(3, 12, between(poses, 3, 12), "loop")]
+    poses, constraints = circle_of_constraints(None)
+    constraints += [
+        constraint_of(0, 19, between(poses, 0, 19), "loop"),
+        constraint_of(3, 12, between(poses, 3, 12), "loop"),
+    ]
     rng = np.random.default_rng(0)
     start = np.stack([T @ rigid_from_twist(rng.normal(0, 0.05, 6) * (k > 0)) for k, T in enumerate(poses)])
-    found, weights = optimise(start, ties, ends(ties))
+    found, weights = optimise(start, constraints, ends(constraints))
     assert off_mm(found, poses).max() < 0.01
     assert np.degrees(rotation_angle_rad((invert_rigid(found) @ poses)[:, :3, :3])).max() < 0.001
     np.testing.assert_allclose(weights, 1, atol=1e-6)
 
 
 def test_a_loop_takes_the_drift_away():
-    poses, ties = circle_of_ties(np.random.default_rng(1))
-    start = chained(poses, ties)
-    loop = tie_of(0, 19, between(poses, 0, 19), "loop")
-    found, weights = optimise(start, [*ties, loop], ends([*ties, loop]))
+    poses, constraints = circle_of_constraints(np.random.default_rng(1))
+    start = chained(poses, constraints)
+    loop = constraint_of(0, 19, between(poses, 0, 19), "loop")
+    found, weights = optimise(start, [*constraints, loop], ends([*constraints, loop]))
     assert off_mm(start, poses)[-1] > 40
     assert off_mm(found, poses)[-1] < 0.1 * off_mm(start, poses)[-1]
     assert off_mm(found, poses).max() < 0.5 * off_mm(start, poses).max()
@@ -94,71 +99,71 @@ def test_a_loop_takes_the_drift_away():
 
 def test_a_wrong_loop_is_switched_off_and_moves_nothing():
     """Three loops are right, one claims that the far side of the circle is its beginning."""
-    poses, ties = circle_of_ties(np.random.default_rng(2))
-    loops = [tie_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18), (2, 16))]
-    wrong = tie_of(0, 10, displaced(np.eye(4), (0.05, 0.0, 0.0), 2.0), "loop")
-    start = chained(poses, ties)
-    without, _ = optimise(start, [*ties, *loops], ends([*ties, *loops]))
-    found, weights = optimise(start, [*ties, *loops, wrong], ends([*ties, *loops, wrong]))
+    poses, constraints = circle_of_constraints(np.random.default_rng(2))
+    loops = [constraint_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18), (2, 16))]
+    wrong = constraint_of(0, 10, displaced(np.eye(4), (0.05, 0.0, 0.0), 2.0), "loop")
+    start = chained(poses, constraints)
+    without, _ = optimise(start, [*constraints, *loops], ends([*constraints, *loops]))
+    found, weights = optimise(start, [*constraints, *loops, wrong], ends([*constraints, *loops, wrong]))
     assert weights[-1] < 0.01 and weights[-4:-1].min() > 0.3
     assert off_mm(found, without).max() < 1.0
 
 
 @pytest.mark.parametrize("by_m", [0.1, 0.3])
 def test_a_loop_that_is_wrong_by_little_is_switched_off_too(by_m):
-    poses, ties = circle_of_ties(None)
-    loops = [tie_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18))]
-    wrong = tie_of(5, 14, displaced(between(poses, 5, 14), (by_m, 0.0, 0.0), 0.0), "loop")
-    found, weights = optimise(poses, [*ties, *loops, wrong], ends([*ties, *loops, wrong]))
+    poses, constraints = circle_of_constraints(None)
+    loops = [constraint_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18))]
+    wrong = constraint_of(5, 14, displaced(between(poses, 5, 14), (by_m, 0.0, 0.0), 0.0), "loop")
+    found, weights = optimise(poses, [*constraints, *loops, wrong], ends([*constraints, *loops, wrong]))
     assert weights[-1] < 0.05 and off_mm(found, poses).max() < 2.0
 
 
 def test_a_prior_pulls_but_ties_are_stronger():
     """Poses believed to 50 mm that are all 20 mm to the right: the world moves there, its shape stays."""
-    poses, ties = circle_of_ties(None)
+    poses, constraints = circle_of_constraints(None)
     shifted = poses.copy()
     shifted[:, 0, 3] += 0.02
     shifted[7, :3, 3] += [0.3, 0.0, 0.1]  # and one that is plainly wrong
-    found, _ = optimise(poses, ties, ends(ties), shifted)
+    found, _ = optimise(poses, constraints, ends(constraints), shifted)
     expected = poses.copy()
     expected[:, 0, 3] += 0.02
     assert off_mm(found, expected).max() < 5.0
     relative = [between(found, k, k + 1) for k in range(19)]
-    np.testing.assert_allclose(relative, [tie.T_a_b for tie in ties], atol=0.001)
+    np.testing.assert_allclose(relative, [constraint.T_a_b for constraint in constraints], atol=0.001)
     # Priors may be missing.
     shifted[3:9] = np.nan
-    found, _ = optimise(poses, ties, ends(ties), shifted)
+    found, _ = optimise(poses, constraints, ends(constraints), shifted)
     assert off_mm(found, expected).max() < 1.0
 
 
 def test_little_to_optimise():
     poses = ring(3, 1.0)
-    for few, ties in ((poses[:1], []), (poses, [])):
-        found, weights = optimise(few, ties, [])
+    for few, constraints in ((poses[:1], []), (poses, [])):
+        found, weights = optimise(few, constraints, [])
         np.testing.assert_array_equal(found, few)
         assert len(weights) == 0
-    # A pose that nothing ties stays where it is.
-    tie = tie_of(0, 1, between(poses, 0, 1))
-    found, _ = optimise(poses, [tie], [(0, 1)])
+    # A pose without constraints stays where it is.
+    constraint = constraint_of(0, 1, between(poses, 0, 1))
+    found, _ = optimise(poses, [constraint], [(0, 1)])
     assert off_mm(found, poses).max() < 1e-3
 
 
 def test_what_a_tie_leaves_open_stays_open():
-    """A tie that knows nothing along x: a second one that knows it decides."""
+    """A constraint that knows nothing along x: a second one that knows it decides."""
     loose = INFORMATION.copy()
     loose[3, 3] = 0
     poses = np.stack([np.eye(4), displaced(np.eye(4), (0.1, 0.0, 0.0), 0.0)])
     wrong_in_x = displaced(poses[1], (0.03, 0.0, 0.0), 0.0)
-    ties = [
+    constraints = [
         tie_at(0, 1, wrong_in_x, loose, "odometry"),
         tie_at(0, 1, poses[1], 1e-2 * INFORMATION, "covisible"),
     ]
-    found, _ = optimise(np.stack([np.eye(4), wrong_in_x]), ties, [(0, 1), (0, 1)])
+    found, _ = optimise(np.stack([np.eye(4), wrong_in_x]), constraints, [(0, 1), (0, 1)])
     assert off_mm(found, poses).max() < 1.0
 
 
 def test_information_is_softened_by_what_is_systematic():
-    """No tie is better than tenths of a millimetre, a poor overlap is worse, unknown stays unknown."""
+    """No constraint is better than tenths of a millimetre, a poor overlap is worse, unknown stays unknown."""
     sure = tie_at(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 1.0, 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(softened(sure))))
     assert (sigma > 1e-4).all() and (sigma < 5e-3).all()
@@ -178,7 +183,7 @@ def test_shared_views_of_a_room():
     turned = displaced(CORNER_VIEW, (0.0, 0.0, 0.0), np.degrees(np.arctan(79.5 / 131.25)))
     back = displaced(CORNER_VIEW, (0.0, 0.0, 0.0), 180.0)
     sequence = painted(ROOM, np.stack([CORNER_VIEW, turned]))
-    views = [glimpse(frame_maps(sequence, i)) for i in range(2)]
+    views = [keyframe_thumbnail(frame_maps(sequence, i)) for i in range(2)]
     assert shared_view(views[0], views[0], np.eye(4)) > 0.97
     assert 0.3 < shared_view(views[0], views[1], invert_rigid(CORNER_VIEW) @ turned) < 0.7
     assert shared_view(views[0], views[0], invert_rigid(CORNER_VIEW) @ back) == 0
@@ -188,7 +193,7 @@ def test_covisible_pairs_of_a_circle():
     """Cameras around a ball: the nearer on the circle, the more they share; opposite ones nothing."""
     poses = ring(12, 1.2, (0.0, 0.0, 0.3))
     sequence = painted([sphere((0.0, 0.0, 0.3), 0.3)], poses)
-    views = [glimpse(frame_maps(sequence, i)) for i in range(12)]
+    views = [keyframe_thumbnail(frame_maps(sequence, i)) for i in range(12)]
     shares = {(i, j): share for share, i, j in covisible(views, poses)}
     assert all(i < j for i, j in shares)
     pairs = {k: [sorted((i, (i + k) % 12)) for i in range(12)] for k in (1, 3, 6)}
@@ -213,7 +218,7 @@ def circle() -> tuple[Odometry, KeyframeGraph]:
 
 
 def test_a_circle_is_closed(circle):
-    """More than 360 degrees: its last keyframes are tied to its first, and the drift is gone."""
+    """More than 360 degrees: constraints connect its last keyframes to its first, and the drift is gone."""
     odometry, graph = circle
     keyframes = list(graph.keyframes)
     truth = noisy_circle().simulation.T_world_camera[keyframes]
@@ -226,21 +231,28 @@ def test_a_circle_is_closed(circle):
         for T in (before, graph.T_world)
     )
     assert opened_m > 0.01 and closed_m < 0.5 * opened_m and closed_m < 0.01
-    loops = [tie for tie in graph.ties if tie.kind == "loop"]
+    loops = [constraint for constraint in graph.constraints if constraint.kind == "loop"]
     n = len(keyframes)
-    assert any(keyframes.index(tie.a) < n / 5 and keyframes.index(tie.b) > 4 * n / 5 for tie in loops)
+    assert any(
+        keyframes.index(constraint.a) < n / 5 and keyframes.index(constraint.b) > 4 * n / 5
+        for constraint in loops
+    )
 
 
 def test_ties_that_are_kept_are_right(circle):
     _, graph = circle
     poses = noisy_circle().simulation.T_world_camera
-    assert len(graph.ties) > len(graph.keyframes)
-    for tie in graph.ties:
-        error = invert_rigid(between(poses, tie.a, tie.b)) @ tie.T_a_b
-        assert tie.weight < 0.5 or np.linalg.norm(error[:3, 3]) < 0.04
-        assert tie.a < tie.b and tie.a in graph.keyframes and tie.b in graph.keyframes
-    assert all(tie.weight <= 0.05 for tie in graph.refused)
-    pairs = [(tie.a, tie.b) for tie in (*graph.ties, *graph.refused)]
+    assert len(graph.constraints) > len(graph.keyframes)
+    for constraint in graph.constraints:
+        error = invert_rigid(between(poses, constraint.a, constraint.b)) @ constraint.T_a_b
+        assert constraint.weight < 0.5 or np.linalg.norm(error[:3, 3]) < 0.04
+        assert (
+            constraint.a < constraint.b
+            and constraint.a in graph.keyframes
+            and constraint.b in graph.keyframes
+        )
+    assert all(constraint.weight <= 0.05 for constraint in graph.refused)
+    pairs = [(constraint.a, constraint.b) for constraint in (*graph.constraints, *graph.refused)]
     assert len(set(pairs)) == len(pairs)
     # What is tried is bounded: so many pairs per keyframe and round.
     assert len(pairs) < 12 * len(graph.keyframes)
@@ -268,17 +280,21 @@ def test_two_places_that_look_alike_are_not_one():
     graph = build_graph(maps, features, odometry)
     keyframes = np.array(graph.keyframes)
     assert errors_m(graph.T_world, poses[keyframes]).max() < 0.01
-    assert all(abs(poses[tie.a, 0, 3] - poses[tie.b, 0, 3]) < 1.5 for tie in graph.ties)
+    assert all(
+        abs(poses[constraint.a, 0, 3] - poses[constraint.b, 0, 3]) < 1.5 for constraint in graph.constraints
+    )
     # Told that they are one place, it does not believe it.
     a, b = int(keyframes[0]), int(keyframes[-1])
-    false = tie_of(a, b, displaced(between(poses, a, b), (2.8, 0.0, 0.0), 0.0), "loop")
+    false = constraint_of(a, b, displaced(between(poses, a, b), (2.8, 0.0, 0.0), 0.0), "loop")
     row = {frame: i for i, frame in enumerate(graph.keyframes)}
-    ties = [*graph.ties, false]
-    found, weights = optimise(graph.T_world, ties, [(row[tie.a], row[tie.b]) for tie in ties])
+    constraints = [*graph.constraints, false]
+    found, weights = optimise(
+        graph.T_world, constraints, [(row[constraint.a], row[constraint.b]) for constraint in constraints]
+    )
     assert weights[-1] < 0.01 and off_mm(found, graph.T_world).max() < 2.0
 
 
 def test_an_empty_graph():
     maps = MapCache(painted(ROOM, walk(2, 0.1)))
     graph = build_graph(maps, FeatureCache(maps), Odometry((None, None), {}, (), ()))
-    assert graph.keyframes == () and graph.ties == () and graph.T_world.shape == (0, 4, 4)
+    assert graph.keyframes == () and graph.constraints == () and graph.T_world.shape == (0, 4, 4)

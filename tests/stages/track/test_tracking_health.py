@@ -1,4 +1,4 @@
-"""The health of hand-made trajectories, whose figures are known: circles of cameras, ties that are off."""
+"""The health of hand-made trajectories with known figures: circles of cameras, wrong constraints."""
 
 import json
 from dataclasses import replace
@@ -14,9 +14,9 @@ from health_scenes import (
     SMALL,
     check_of,
     closed,
+    constraint,
     figures_of,
     sequence_at,
-    tie,
     tracked_of,
 )
 
@@ -25,7 +25,7 @@ from kinectbench.core.geometry import invert_rigid, rigid
 from kinectbench.core.images import image_sharpness, relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import pretty_json
-from kinectbench.stages.track.health_figures import median_depths_m, sharpness, tie_correction
+from kinectbench.stages.track.health_figures import constraint_correction, median_depths_m, sharpness
 
 
 @pytest.fixture(scope="module")
@@ -38,16 +38,16 @@ def orbit(circle: np.ndarray) -> Sequence:
     return sequence_at(circle)
 
 
-# --- ties
+# --- constraints
 
 
 def test_correction_of_a_shift_and_of_a_turn(circle: np.ndarray) -> None:
-    shifted = tie(circle, 0, 2, off=rigid(np.eye(3), [0.003, 0, 0.004]))
-    found = tie_correction(shifted, circle, SMALL, 1.2)
+    shifted = constraint(circle, 0, 2, off=rigid(np.eye(3), [0.003, 0, 0.004]))
+    found = constraint_correction(shifted, circle, SMALL, 1.2)
     assert found.shift_m == pytest.approx(0.005, rel=1e-9) and found.turn_rad == pytest.approx(0, abs=1e-9)
     # About the optical axis the centre of the image stands still, but not the rest of it.
     turn = cv2.Rodrigues(np.array([0, 0, 0.01]))[0]
-    found = tie_correction(tie(circle, 0, 2, off=rigid(turn, [0, 0, 0])), circle, SMALL, 1.2)
+    found = constraint_correction(constraint(circle, 0, 2, off=rigid(turn, [0, 0, 0])), circle, SMALL, 1.2)
     u, v = np.meshgrid(np.linspace(0, 79, 5) - 39.5, np.linspace(0, 59, 5) - 29.5)
     expected = 2 * np.sin(0.005) * 1.2 * np.sqrt(np.mean((u**2 + v**2) / 65.625**2))
     assert found.turn_rad == pytest.approx(0.01, rel=1e-9)
@@ -57,7 +57,7 @@ def test_correction_of_a_shift_and_of_a_turn(circle: np.ndarray) -> None:
 def test_a_tie_of_a_lost_frame_has_no_correction(circle: np.ndarray) -> None:
     lost = circle.copy()
     lost[2] = np.nan
-    assert np.isnan(tie_correction(tie(circle, 0, 2), lost, SMALL, 1.0).shift_m)
+    assert np.isnan(constraint_correction(constraint(circle, 0, 2), lost, SMALL, 1.0).shift_m)
 
 
 def test_median_depth_counts_measurements_only() -> None:
@@ -69,18 +69,18 @@ def test_median_depth_counts_measurements_only() -> None:
 
 
 def test_pose_uncertainty_is_that_of_the_ties(circle: np.ndarray, orbit: Sequence) -> None:
-    """Keyframes 0, 2, 4, ...; the ties of 10 are off by 6 and 8 mm, others by nothing."""
+    """Keyframes 0, 2, 4, ...; the constraints of 10 are off by 6 and 8 mm, others by nothing."""
     tracked = tracked_of(circle)
-    kept = [each for each in tracked.ties if 10 not in (each.a, each.b)]
+    kept = [each for each in tracked.constraints if 10 not in (each.a, each.b)]
     for a, b, off_m in ((8, 10, 0.006), (10, 12, 0.008)):
-        kept.append(tie(circle, a, b, off=rigid(np.eye(3), [off_m, 0, 0])))
-    kept.append(tie(circle, 4, 16, "loop", off=rigid(np.eye(3), [9, 0, 0]), weight=0.0))
-    figures = figures_of(orbit, "tracked", replace(tracked, ties=tuple(kept)), [])
+        kept.append(constraint(circle, a, b, off=rigid(np.eye(3), [off_m, 0, 0])))
+    kept.append(constraint(circle, 4, 16, "loop", off=rigid(np.eye(3), [9, 0, 0]), weight=0.0))
+    figures = figures_of(orbit, "tracked", replace(tracked, constraints=tuple(kept)), [])
     shifts = {row["frame"]: row["shift_mm"] for row in figures["per_frame"]}
     rms_mm = np.sqrt((6**2 + 8**2) / 2 / 2)
     assert shifts[10] == pytest.approx(rms_mm, abs=ROUNDED_MM)
     assert shifts[8] == pytest.approx(np.sqrt(6**2 / 2 / 2), abs=ROUNDED_MM)
-    assert shifts[4] == 0 and shifts[16] == 0  # a tie without weight says nothing
+    assert shifts[4] == 0 and shifts[16] == 0  # a constraint without weight says nothing
     # A frame has the uncertainty of the keyframe nearest in time, the earlier of two.
     assert shifts[11] == shifts[10] and shifts[9] == shifts[8]
     stored = TrajectoryHealth.parse(pretty_json(figures), "here")
@@ -188,7 +188,7 @@ def test_lost_stretches_and_frames_found_again(circle: np.ndarray, orbit: Sequen
         {"first_frame": 7, "last_frame": 9, "from_s": 0.7, "to_s": 0.9, "reason": "no depth"},
         {"first_frame": 23, "last_frame": 23, "from_s": 2.3, "to_s": 2.3, "reason": "cut off"},
     ]
-    looped = replace(tracked, ties=(*tracked.ties, tie(circle, 1, 22, "loop")))
+    looped = replace(tracked, constraints=(*tracked.constraints, constraint(circle, 1, 22, "loop")))
     figures = figures_of(orbit, "tracked", looped, [])
     assert figures["verdict"] == "fair for ground truth: 79.2 % of the frames have a pose"
 
@@ -218,10 +218,10 @@ def test_frames_whose_depth_leaves_a_motion_open(circle: np.ndarray, orbit: Sequ
 
 def test_loops_refused_and_in_doubt(circle: np.ndarray, orbit: Sequence) -> None:
     tracked = closed(circle, off=rigid(np.eye(3), [0, 0.007, 0]))
-    doubted = tie(circle, 4, 20, "loop", off=rigid(np.eye(3), [0.3, 0, 0]), weight=0.01)
-    wrong = tie(circle, 2, 14, "loop", off=rigid(np.eye(3), [0, 0, 1.0]), weight=0.0, inlier_share=0.2)
-    other = tie(circle, 2, 8, "covisible", weight=0.0)
-    tracked = replace(tracked, ties=(*tracked.ties, doubted), refused=(wrong, other))
+    doubted = constraint(circle, 4, 20, "loop", off=rigid(np.eye(3), [0.3, 0, 0]), weight=0.01)
+    wrong = constraint(circle, 2, 14, "loop", off=rigid(np.eye(3), [0, 0, 1.0]), weight=0.0, inlier_share=0.2)
+    other = constraint(circle, 2, 8, "covisible", weight=0.0)
+    tracked = replace(tracked, constraints=(*tracked.constraints, doubted), refused=(wrong, other))
     figures = figures_of(orbit, "tracked", tracked, [])
     assert [(row["a"], row["b"], row["correction_mm"], row["believed"]) for row in figures["loops"]] == [
         (0, 22, 7.0, True),
@@ -242,7 +242,7 @@ def test_loops_refused_and_in_doubt(circle: np.ndarray, orbit: Sequence) -> None
 
 def test_covisibility_is_over_some_keyframes(circle: np.ndarray, orbit: Sequence) -> None:
     many = ring(150, DISTANCE_M)
-    tracked = tracked_of(many, keyframes=np.arange(0, 150), ties=())
+    tracked = tracked_of(many, keyframes=np.arange(0, 150), constraints=())
     table = figures_of(sequence_at(many), "tracked", tracked, [])["covisibility"]
     assert len(table["keyframes"]) == 60 and table["keyframes"][0] == 0 and table["keyframes"][-1] == 149
     assert max(np.diff(table["keyframes"])) <= 3 and np.shape(table["share"]) == (60, 60)
@@ -291,7 +291,7 @@ def test_everything_lost() -> None:
 def test_a_pause_and_figures_that_are_not_known() -> None:
     poses = np.repeat(ring(8, DISTANCE_M)[:1], 6, axis=0)
     unknown = np.full(6, np.nan)
-    tracked = tracked_of(poses, residual_m=unknown, inlier_share=unknown, ties=())
+    tracked = tracked_of(poses, residual_m=unknown, inlier_share=unknown, constraints=())
     figures = figures_of(sequence_at(poses), "tracked", tracked, [])
     assert figures["path_length_m"] == 0 and figures["arc_deg"] == 0 and figures["unchecked"] == 6
     assert figures["grade"] == "not good" and "no frame could be predicted" in figures["verdict"]
@@ -310,7 +310,7 @@ def test_drift_is_seen_in_the_loop(circle: np.ndarray, orbit: Sequence) -> None:
     """A chain that drifts by a millimetre a frame; the loop measured right: off by what has come together."""
     drifting = np.stack([displaced(T, (0.001 * i, 0, 0), 0.0) for i, T in enumerate(circle)])
     tracked = tracked_of(drifting)
-    loop = tie(circle, 0, 22, "loop")
-    figures = figures_of(orbit, "tracked", replace(tracked, ties=(*tracked.ties, loop)), [])
+    loop = constraint(circle, 0, 22, "loop")
+    figures = figures_of(orbit, "tracked", replace(tracked, constraints=(*tracked.constraints, loop)), [])
     assert figures["loop_correction_mm"] == pytest.approx(22, abs=ROUNDED_MM)
     assert figures["grade"] == "not good" and "loops close within 22.0 mm" in figures["verdict"]

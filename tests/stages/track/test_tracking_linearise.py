@@ -35,7 +35,7 @@ class Correspondences:
     n: np.ndarray
     sigma: np.ndarray
     own: np.ndarray  # the source's intensity
-    over_noise: np.ndarray  # (m,) one over what the noise of the source's normals goes with
+    normal_weights: np.ndarray  # (m,) one over what the noise of the source's normals goes with
     photometric: np.ndarray  # (m,) bool
     violations: int
 
@@ -74,7 +74,7 @@ def corresponding(source: Level, target: Level, T: np.ndarray, gate_m: float) ->
         n=mean,
         sigma=sigma,
         own=p[:, 7],
-        over_noise=p[:, 2] / p[:, 6] / np.maximum(slant_cosine(p), constants.MIN_COSINE),
+        normal_weights=p[:, 2] / p[:, 6] / np.maximum(slant_cosine(p), constants.MIN_COSINE),
         photometric=np.abs(depth[same] - moved[same, 2]) <= 3 * sigma + 0.01,
         violations=int(behind.sum() + (near & ~same).sum() + outlying.sum()),
     )
@@ -125,10 +125,12 @@ def test_geometric_sums_equal_a_plain_reference(pair, level):
     r, J = found.residuals(T), geometric_jacobian(found, T)
     w, inlier = huber_weights(r, found.sigma), np.abs(r) <= 3 * found.sigma + 0.003
     assert len(r) > 300 and (~inlier).sum() > 0 and (w < 0.99 / found.sigma**2).any()  # all branches
-    terms = linearise(without_intensity(source), without_intensity(target), T, GATE_M, with_shares=True)
+    terms = linearise(
+        without_intensity(source), without_intensity(target), T, GATE_M, with_observability=True
+    )
     assert close(terms.geometric, (J * w[:, None]).T @ J) and close(terms.gradient, J.T @ (w * r))
-    over_noise = (J * found.over_noise[:, None])[inlier]
-    assert close(terms.shares, over_noise.T @ over_noise)
+    normal_weights = (J * found.normal_weights[:, None])[inlier]
+    assert close(terms.normal_information, normal_weights.T @ normal_weights)
     homogeneous = np.column_stack([found.p, np.ones(len(r))])[inlier]
     assert close(terms.moments, homogeneous.T @ homogeneous)
     assert terms.residual_m == pytest.approx(np.sqrt(np.mean(r[inlier] ** 2)), rel=1e-9)

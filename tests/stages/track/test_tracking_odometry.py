@@ -28,7 +28,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
-from kinectbench.stages.track.odometry import NO_DEPTH, Odometry, follow, is_believable
+from kinectbench.stages.track.odometry import NO_DEPTH, Odometry, follow, is_accepted
 from kinectbench.stages.track.registration import measure
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -75,7 +75,7 @@ def test_a_walk_around_furniture_with_noise(color):
 
 
 def test_keyframes_and_their_ties():
-    """Keyframes are their own; each tie is right, and joins consecutive keyframes."""
+    """Keyframes are their own; each constraint is right, and joins consecutive keyframes."""
     odometry = followed(couch().sequence)
     poses = couch().simulation.T_world_camera
     keyframes = odometry.keyframes
@@ -83,13 +83,15 @@ def test_keyframes_and_their_ties():
     for index, frame in enumerate(odometry.frames):
         assert frame is not None and (frame.keyframe == index) == (index in keyframes)
         assert frame.keyframe in keyframes and frame.keyframe <= index
-    assert [(tie.a, tie.b) for tie in odometry.ties] == list(itertools.pairwise(keyframes))
-    for tie in odometry.ties:
-        error = invert_rigid(invert_rigid(poses[tie.a]) @ poses[tie.b]) @ tie.T_a_b
+    assert [(constraint.a, constraint.b) for constraint in odometry.constraints] == list(
+        itertools.pairwise(keyframes)
+    )
+    for constraint in odometry.constraints:
+        error = invert_rigid(invert_rigid(poses[constraint.a]) @ poses[constraint.b]) @ constraint.T_a_b
         assert np.linalg.norm(error[:3, 3]) < 0.01
-        assert tie.kind == "odometry" and tie.registration.inlier_share > 0.9
-        assert tie.registration.overlap > 0.25
-        assert np.linalg.eigvalsh(tie.registration.information).min() > 0
+        assert constraint.kind == "odometry" and constraint.registration.inlier_share > 0.9
+        assert constraint.registration.overlap > 0.25
+        assert np.linalg.eigvalsh(constraint.registration.information).min() > 0
 
 
 def test_a_pause_moves_nothing():
@@ -97,7 +99,7 @@ def test_a_pause_moves_nothing():
     odometry = followed(with_frames(couch().sequence, [5] * 10))
     found = poses_of(odometry)
     assert np.linalg.norm(found[:, :3, 3], axis=1).max() < 0.0005
-    assert odometry.keyframes == (0,) and odometry.ties == ()
+    assert odometry.keyframes == (0,) and odometry.constraints == ()
 
 
 def test_a_pause_with_noise_moves_nothing():
@@ -157,14 +159,14 @@ def test_nothing_is_believed_that_does_not_fit():
         painted(ROOM, np.stack([CORNER_VIEW, displaced(CORNER_VIEW, (0.05, 0.0, 0.0), 0.0)]), texture=waves)
     )
     right = invert_rigid(CORNER_VIEW) @ displaced(CORNER_VIEW, (0.05, 0.0, 0.0), 0.0)
-    assert is_believable(measure(maps[1], [maps[0]], [right]))
+    assert is_accepted(measure(maps[1], [maps[0]], [right]))
     for shift_m in ((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1)):
-        assert not is_believable(measure(maps[1], [maps[0]], [displaced(right, shift_m, 0.0)]))
-    assert not is_believable(measure(maps[1], [maps[0]], [displaced(right, (0.0, 0.0, 0.0), 6.0)]))
+        assert not is_accepted(measure(maps[1], [maps[0]], [displaced(right, shift_m, 0.0)]))
+    assert not is_accepted(measure(maps[1], [maps[0]], [displaced(right, (0.0, 0.0, 0.0), 6.0)]))
     # Same shapes, another picture on them: another place.
     other = MapCache(painted(ROOM, CORNER_VIEW[None], texture=lambda p: 255 - waves(p)))
     registration = measure(maps[1], [other[0]], [right])
-    assert registration.inlier_share > 0.95 and not is_believable(registration)
+    assert registration.inlier_share > 0.95 and not is_accepted(registration)
 
 
 def test_progress_and_the_same_bytes():

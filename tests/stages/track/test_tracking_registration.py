@@ -197,7 +197,7 @@ def test_what_is_hidden_is_no_contradiction_and_what_is_seen_through_is():
 def test_nothing_in_common_is_told_as_such(pair):
     away = rigid(np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 0.0])  # looks backwards
     found = measure(pair[1], [pair[0]], [away])
-    assert found.overlap < 0.02 and found.degenerate and found.over_noise == 0
+    assert found.overlap < 0.02 and found.degenerate and found.signal_to_noise == 0
     found = register(pair[1], [pair[0]], [away])
     assert np.isfinite(found.T_target_source).all()
 

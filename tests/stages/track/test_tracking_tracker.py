@@ -62,8 +62,10 @@ def check_consistent(tracked: Tracked, n: int) -> None:
     np.testing.assert_allclose(
         rotations @ np.swapaxes(rotations, 1, 2), np.eye(3)[None] + 0 * rotations, atol=1e-9
     )
-    ties = (*tracked.ties, *tracked.refused)
-    assert {tie.a for tie in ties} | {tie.b for tie in ties} <= set(range(n))
+    constraints = (*tracked.constraints, *tracked.refused)
+    assert {constraint.a for constraint in constraints} | {constraint.b for constraint in constraints} <= set(
+        range(n)
+    )
 
 
 # --- right
@@ -95,7 +97,7 @@ def test_the_same_bytes_again():
     for name in ("T_world_camera", "residual_m", "inlier_share", "degenerate", "keyframes"):
         assert getattr(again, name).tobytes() == getattr(first, name).tobytes()
     assert (again.states, again.reasons) == (first.states, first.reasons)
-    for kind in ("ties", "refused"):
+    for kind in ("constraints", "refused"):
         for a, b in zip(getattr(first, kind), getattr(again, kind), strict=True):
             assert (a.a, a.b, a.kind, a.weight) == (b.a, b.b, b.kind, b.weight)
             assert a.T_a_b.tobytes() == b.T_a_b.tobytes()

@@ -62,7 +62,7 @@ class WholeFrame:
 
 
 @dataclass(frozen=True)
-class Look:
+class Probe:
     """What the checks judge.
 
     Attributes:
@@ -113,7 +113,7 @@ class Look:
         return max(self.runs(), key=len, default=())
 
 
-class Gathering:
+class ProbeBuilder:
     """A look in the making: it is given frames as they are read, and keeps of them what the checks need."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
@@ -145,22 +145,22 @@ class Gathering:
         if whole:
             self._whole.append(WholeFrame(index, raw.depth, bgr))
 
-    def look(
+    def probe(
         self, damaged: Sequence[str] = (), refused: Sequence[str] = (), without: Collection[int] = ()
-    ) -> Look:
+    ) -> Probe:
         """What was gathered, `without` frames of these indices."""
         frames = tuple(frame for frame in self._frames if frame.index not in without)
         whole = tuple(frame for frame in self._whole if frame.index not in without)
-        return Look(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
+        return Probe(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
 
 
-def take_look(recording: Recording, few: bool = False) -> Look:
+def probe_recording(recording: Recording, few: bool = False) -> Probe:
     """Read some frames of a recording: all of up to 250, or else runs of frames; or only eight."""
     count = len(recording)
     indices = (
         np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
     )
-    gathering = Gathering(recording, indices)
+    gathering = ProbeBuilder(recording, indices)
     damaged: list[str] = []
     refused: list[str] = []
     odd: dict[int, str] = {}
@@ -176,8 +176,8 @@ def take_look(recording: Recording, few: bool = False) -> Look:
             whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
             (refused if whole else damaged).append(str(error))
     if len(odd) < MAX_DAMAGED * len(indices):  # a build leaves so few out; of more the sizes are named
-        return gathering.look(damaged, [*refused, *odd.values()], odd)
-    return gathering.look(damaged, refused)
+        return gathering.probe(damaged, [*refused, *odd.values()], odd)
+    return gathering.probe(damaged, refused)
 
 
 def frames_to_read(count: int) -> NDArray[np.int64]:
