@@ -1,4 +1,4 @@
-"""Whether a camera stands still while something moves before it, by how each pixel changes over time."""
+"""Detect a still camera in front of a moving object, by the change of each pixel over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,46 +11,47 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.types import Bools, Float32
 
-# Frames that are compared, and how few say nothing.
+# Number of frames that are compared, and the least number.
 FRAMES, MIN_FRAMES = 24, 6
-# Of the images that are compared: enough for things of 4 % of their width (own choice).
+# Width of the compared images: enough for objects of 4 % of the width.
 COLUMNS = 160
-# A pixel with depth in this share of the frames has one over time; else it says nothing.
+# A pixel needs depth in this ratio of the frames to be judged.
 SEEN_SHARE = 0.6
-# Noise alone spreads four fifths of a pixel's values over 2.6 of its standard deviations.
+# With noise alone, four fifths of a pixel's values lie within 2.6 standard deviations.
 STILL_SIGMAS, MOVED_SIGMAS = 4.0, 6.0
-# What moves reaches this much before what is behind it, or more: quantised depth steps by less at 2 m.
+# Least depth change of a moving object; the quantisation of depth is smaller at 2 m.
 MOVED_M = 0.012
-# Of grey levels, as far as exposure does not explain it (own choices; measured on the shared recordings).
+# Grey levels, after exposure is removed; measured on real recordings.
 STILL_GRAY = 8.0
-# Where nothing is around, most of the image has no depth, or hardly ever.
+# Without surroundings, this ratio of the image has depth in fewer than RARELY of the frames.
 EMPTY_SHARE, RARELY = 0.3, 0.15
-# The camera stands still if so much of what does not move is still in depth and, if there is colour, in
-# colour (a turntable's plate may turn its pattern), and if this much of the image is that; then something
-# moves if it fills so much of the image.
+# The camera stands still if these ratios of the static pixels are constant in depth and, with colour, in grey
+# (the pattern of a turntable's plate may turn), and if they fill this ratio of the image. Something moves if
+# it fills the last ratio of the image.
 STILL_SHARE, STILL_GRAY_SHARE, AROUND_SHARE, MOVING_SHARE = 0.9, 0.5, 0.1, 0.004
-# Edges along which depth wanders are thinner, pixels (own choice).
+# Unstable depth along edges is thinner than this, pixels.
 OPENED_PX = 3
-# Quarters of the frames that differ by noise alone have depth equally often, but for this.
+# Between quarters of the frames, noise alone changes the ratio of valid depth by less than this.
 QUARTERS, OFTEN = 4, 0.7
-# What is no farther from what moves says nothing of whether the camera stands still (own choice).
+# Pixels this close to a moving object are not used to judge the camera. Chosen by hand.
 NEAR_PX = 4
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What a camera saw over time.
+    """The change of a camera's images over time.
 
     Attributes:
-        still_m: (height, width) float32, the depth of what stands still, 0 where nothing does.
-        behind_m: (height, width) float32, the farthest that was seen, but for noise; infinite where there was
-            no depth for long.
+        still_m: (height, width) float32, the depth of static pixels, 0 elsewhere.
+        behind_m: (height, width) float32, the farthest depth (90 % quantile); infinite where depth is mostly
+            missing.
         moving: (height, width) bool, pixels in which something moves.
-        moving_share: of the image, where quarters of the recording differ, too: along edges depth wanders.
-        still_share: of the pixels away from what moves, what is still in depth.
-        still_gray_share: of these, what is still in grey, too; None without colour.
-        around_share: of the image, what is still in depth.
-        empty_share: of the image, what hardly ever has depth.
+        moving_share: ratio of the image that moves and also differs between quarters of the recording, which
+            excludes unstable edges.
+        still_share: ratio of pixels with constant depth, away from moving pixels.
+        still_gray_share: ratio of these that are constant in grey as well; None without colour.
+        around_share: ratio of the image with constant depth.
+        empty_share: ratio of the image that hardly ever has depth.
     """
 
     still_m: Float32
@@ -64,23 +65,23 @@ class Watched:
 
     @property
     def camera_still(self) -> bool:
-        """Whether the camera stands still, and something is around that shows it."""
+        """Whether the camera stands still, as shown by static surroundings."""
         still_gray = self.still_gray_share is None or self.still_gray_share >= STILL_GRAY_SHARE
         return self.around_share >= AROUND_SHARE and self.still_share >= STILL_SHARE and still_gray
 
     @property
     def plain(self) -> bool:
-        """Whether nothing is around what moves, or what the camera moves about: both look the same."""
+        """Whether the object has no surroundings: a moving object and a moving camera then look the same."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property
     def something_moves(self) -> bool:
-        """Whether something moves, if the camera does not."""
+        """Whether something moves, given that the camera does not."""
         return self.moving_share >= MOVING_SHARE
 
 
 def some_of(count: int) -> list[int]:
-    """At most 24 of so many frames, evenly spread."""
+    """At most 24 of `count` frames, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist() if count else []
 
 
@@ -89,10 +90,10 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
 
     Args:
         depths_m: k frames, (height, width) metres each, 0 = none, from all over the recording.
-        grays: of each, grey of about the same view, of any size; None: without colour.
+        grays: for each frame a grey image of about the same view, of any size; None: without colour.
 
     Returns:
-        None where there are fewer than six frames.
+        None if there are fewer than six frames.
     """
     if len(depths_m) < MIN_FRAMES:
         return None
@@ -141,7 +142,7 @@ def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
 
 
 class SomeWatched(NamedTuple):
-    """Frames of a sequence that were compared: their depth, every how many pixels, and what came of it."""
+    """Frames of a sequence that were compared: their depth, the pixel stride, and the result."""
 
     depths_m: list[Float32]
     step_px: int
@@ -149,7 +150,7 @@ class SomeWatched(NamedTuple):
 
 
 def watch_some(sequence: Recorded) -> SomeWatched:
-    """`watch` some frames of a sequence, about 160 pixels wide; grey as `inspect` has it of its images."""
+    """Run `watch` on some frames of a sequence, about 160 pixels wide, with grey as in `inspect`."""
     import cv2
 
     step = max(1, round(sequence.camera.width / COLUMNS))
@@ -161,15 +162,15 @@ def watch_some(sequence: Recorded) -> SomeWatched:
 
 
 def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
-    """Pixels whose median depth, or whether there is depth, differs between quarters of the frames.
+    """Pixels whose median depth, or ratio of valid depth, differs between quarters of the frames.
 
     Args:
         values: (k, height, width) metres, NaN without depth, 0 where too little is known.
-        seen: alike, whether there is depth.
+        seen: (k, height, width) bool, whether there is depth.
         sigma_m: (height, width) metres, of the depth.
     """
     parts = np.array_split(np.arange(len(values)), QUARTERS)
-    # A quarter without depth has that of all.
+    # A quarter without depth takes the median of all frames.
     whole = np.nanmedian(values, axis=0)
     medians = [np.nanmedian(np.concatenate([values[part], whole[None]]), axis=0) for part in parts]
     often = [seen[part].mean(axis=0) for part in parts]
@@ -179,14 +180,14 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
 
 
 def _comes_and_goes(seen: Bools) -> Bools:
-    """Pixels that have depth in some frames only, as where something passes before nothing."""
+    """Pixels with depth in some frames only, as when an object passes in front of empty space."""
     share = seen.mean(axis=0)
     between: Bools = (share > RARELY) & (share < SEEN_SHARE)
     return between
 
 
 def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> float | None:
-    """Of the pixels that are still in depth, the share whose grey changes little; None without colour."""
+    """Ratio of the pixels with constant depth whose grey changes little; None without colour."""
     import cv2
 
     there = [gray for gray in grays if gray is not None]
@@ -202,7 +203,7 @@ def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> f
 
 
 def _opened(mask: Bools) -> Bools:
-    """Without what is thinner than three pixels: edges, along which depth wanders."""
+    """Morphological opening by three pixels, which removes unstable depth along edges."""
     import cv2
 
     kernel = np.ones((OPENED_PX, OPENED_PX), np.uint8)

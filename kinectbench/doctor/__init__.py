@@ -1,4 +1,4 @@
-"""The doctor: what is wrong with a recording, said in seconds, before anything is built."""
+"""The doctor: finds faults of a recording within seconds, before anything is built."""
 
 from kinectbench.doctor.examine import inspect
 from kinectbench.doctor.finding import Diagnosis, Finding

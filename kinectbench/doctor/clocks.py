@@ -16,20 +16,20 @@ from kinectbench.core.trajectory.stamps import (
 from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.probe import Probe
 
-# Steps this far from whole periods are uneven, not frames that are missing in between.
+# Steps farther than this from whole periods are uneven; whole multiples are missing frames.
 OFF_PERIOD = 0.2
 EVEN_SHARE = 0.8
 DROPPED_SHARE = 0.02
 DOUBLED_SHARE = 0.01
 MIN_FRAMES = 3
 PAIRED_SHARE = 0.9
-# With so many pairs the clocks agree, and what is missing was lost.
+# With this ratio of pairs the clocks agree, and the other images were lost.
 MOSTLY_PAIRED_SHARE = 0.5
 REGROUP = "record again at a rate that the computer keeps up with; gaps make tracking harder"
 
 
 def check_clock(probe: Probe) -> Iterator[Finding]:
-    """Judge the stamps of depth and of colour, in the order in which they were recorded."""
+    """Judge the stamps of depth and of colour, in the order of recording."""
     recording = probe.recording
     if len(recording) < MIN_FRAMES:
         yield Finding(
@@ -79,7 +79,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """After how many frames one is missing, where that is always the same; else 0."""
+    """The period at which frames are missing, if it is regular; else 0."""
     gaps = np.diff(np.flatnonzero(periods == 2))
     return int(gaps[0]) if len(gaps) > 3 and (gaps == gaps[0]).mean() > 0.9 else 0
 
@@ -93,7 +93,7 @@ def _order(faults: StampFaults, stream: str, where: str) -> Iterator[Finding]:
         advice = "frames are put in the order of their stamps; check that this is how they were taken"
         yield Finding("time_backwards", "warning", what, where, advice)
     if faults.resets:
-        what = f"the clock of {stream} begins anew before frame {faults.resets[0]}"
+        what = f"the clock of {stream} restarts before frame {faults.resets[0]}"
         advice = (
             "cut the recording there: both parts are mixed when they are put in the order of their stamps"
         )

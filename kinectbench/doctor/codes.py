@@ -1,4 +1,4 @@
-"""Other scales and codes of depth, offered only where the given poses fit the depth by them."""
+"""Other scales and encodings of depth, reported only if the given poses then fit the depth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,13 +18,13 @@ from kinectbench.stages.ingest.recording import FileRecording
 from kinectbench.stages.ingest.rotated_depth import unrotated
 
 UInt16 = NDArray[np.uint16]
-# Renderers' usual near and far planes, metres (own choice); and the value of the far plane, of 16 bits.
+# Common near and far planes of renderers, metres, chosen by hand; and the 16-bit value of the far plane.
 NEAR_FAR_M = ((0.1, 10.0), (0.1, 100.0), (0.01, 10.0), (0.01, 100.0), (0.05, 20.0), (0.02, 5.0), (0.5, 20.0))
 DEEPEST = 65535
-# Another code leaves less than this share of the residual. Measured: distances along the ray leave .25 to .6
-# of it where they are read as such (5 recordings), plain depth twice and more (2).
+# Another encoding must lower the residual to this ratio. Measured: decoding distances along the ray lowers it
+# to 0.25 to 0.6 (5 recordings); decoding plain depth so at least doubles it (2 recordings).
 BETTER = 0.75
-# What another code explains, all of it judged by depth that is wrong.
+# Findings that another encoding explains, because they were judged with wrong depth.
 EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
 
 
@@ -33,10 +33,10 @@ class Code:
     """One way to read 16-bit depth.
 
     Attributes:
-        name: of the finding.
-        words: what the values are.
-        advice: what to write, or how to export them.
-        metres: of the values (height, width) uint16, 0 = none, and their camera.
+        name: the name of the finding.
+        words: what the values mean.
+        advice: the setting to write, or how to export the values.
+        metres: converts values (height, width) uint16, 0 = none, and their camera to metres.
     """
 
     name: str
@@ -46,22 +46,22 @@ class Code:
 
 
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
-    """Name the scale or the code by which the given poses fit, where they do not fit as it is.
+    """Report the scale or encoding under which the given poses fit, if they do not fit as it is.
 
-    Nothing is tried where there are no poses, or where depth has been read by a code already. Of depth that
-    is float only the ray is: its values are no longer those of the files.
+    Nothing is tried without poses, or if a depth code is set already. For float depth only the distance along
+    the ray is tried, because its values are no longer those of the files.
 
     Args:
         probe: at the recording.
-        poses: how the given poses fit depth as it is; None: there are none, or they fit in no way.
+        poses: the fit of the given poses to depth as it is; None: no poses, or no fit.
     """
     recording = probe.recording
     if recording.given_trajectory is None:
         return
     if isinstance(recording, FileRecording) and recording.depth_code != "plain":
         return
-    # Poses that fit as they are settle the scale, but along the ray depth differs by little.
-    as_given = poses is not None and poses.fits and poses.reading.changes == 0
+    # Poses that fit as they are determine the scale, but distance along the ray differs by little.
+    as_given = poses is not None and poses.fits and poses.convention.changes == 0
     codes = _along_the_ray(probe) if as_given or not _is_stored(probe) else _codes(probe)
     found = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
@@ -76,7 +76,7 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
 
 
 def _is_stored(probe: Probe) -> bool:
-    """Whether depth has the values that it is stored with."""
+    """Whether depth has the integer values of the files."""
     recording = probe.recording
     return not isinstance(recording, FileRecording) or recording.float_scale is None
 
@@ -141,7 +141,7 @@ def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray
 
 
 def _fit(probe: Probe, code: Code) -> PoseFit | None:
-    """How the given poses fit depth that is read so, if they prove it and it is that of a room."""
+    """The fit of the given poses to depth in this encoding, if it is proven and the depth is plausible."""
     scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)
     frames = []

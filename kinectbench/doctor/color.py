@@ -1,4 +1,4 @@
-"""Checks of colour: whether it lies on depth, exposure, blur, and frames that belong to another scene."""
+"""Checks of colour: registration to depth, exposure, blur, and frames of another scene."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ JUMP_SHARE = 0.06
 REACH_PX = 24
 # Shifts are in pixels of images 320 wide.
 OFF_PX = 4.0
-# The best place must stand out of all places by so many of their standard deviations.
+# The best shift must exceed the others by this many of their standard deviations.
 CLEAR = 5.0
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 WHITE, BLACK = 254, 8
@@ -27,11 +27,11 @@ BLURRED, MANY_BLURRED = 2.5, 0.1
 THUMB_PX = (40, 30)
 # Depths that agree this closely, as a ratio, show the same place.
 SAME_DEPTH = 1.15
-# A frame is of another scene where those beside it agree this much more with each other than with it.
+# A frame is of another scene if its neighbours agree this much more with each other than with it.
 ODD_BY, BESIDE_AGREE = 0.4, 0.55
-# Of seven recordings in order, real and simulated, frames beside each other agree in .90 to 1.00 of their
-# pixels, and by .24 or more better than those half the recording apart; of a shuffled one in .63, by -.03.
-# Where nothing moves all agree. In few frames chance decides.
+# In seven ordered recordings, real and simulated, neighbouring frames agree in 0.90 to 1.00 of their pixels,
+# which is at least 0.24 more than frames half the recording apart. In a shuffled one they agree in 0.63,
+# which is 0.03 less. In a static recording all frames agree. A few frames are not judged.
 MORE_ALIKE, STILL_ALIKE, FEWEST_IN_ORDER = 0.1, 0.9, 20
 
 
@@ -40,9 +40,9 @@ class EdgeFit:
     """How well edges agree.
 
     Attributes:
-        here: at no shift; `best` at `shift_px`; `mirrored`: the best with colour mirrored left to right. All
-            in standard deviations over every shift of the image.
-        shift_px: (2,) by which colour lies right of and below depth, pixels of the depth image.
+        here: the score without a shift. `best`: the score at `shift_px`. `mirrored`: the best score with
+            colour mirrored left to right. All are in standard deviations over every shift of the image.
+        shift_px: (2,) offset of colour to the right of and below depth, pixels of the depth image.
     """
 
     here: float
@@ -52,12 +52,12 @@ class EdgeFit:
 
     @property
     def clear(self) -> bool:
-        """Whether edges say anything."""
+        """Whether the edges give a significant result."""
         return self.best > CLEAR
 
 
 def fit_edges(probe: Probe) -> EdgeFit | None:
-    """Correlate edges of depth with those of colour, over all frames that were read whole (own rule).
+    """Correlate edges of depth with edges of colour, over all frames that were read whole.
 
     None if colour is missing or of another shape than depth.
     """
@@ -84,7 +84,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Judge what the edges say against what the recording says of its colour."""
+    """Compare the result of the edges with what the recording states about its colour."""
     if fit is None:
         if probe.recording.color_registered and any(f.bgr is not None for f in probe.whole):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
@@ -134,18 +134,18 @@ def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.fl
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
     steep = cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
-    usual = float(steep.mean()) + 1e-3
-    return np.asarray(np.minimum(steep / usual, 4.0), np.float64)
+    mean = float(steep.mean()) + 1e-3
+    return np.asarray(np.minimum(steep / mean, 4.0), np.float64)
 
 
 def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """For every cyclic shift of colour (down, right) how well it fits; 0 on average."""
+    """The correlation at every cyclic shift of colour (down, right); 0 on average."""
     spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
     return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scores of shifts up to REACH_PX each way, in standard deviations over shifts up to four times that."""
+    """Scores of shifts up to REACH_PX each way, in standard deviations over shifts four times as wide."""
 
     def window(reach: int) -> NDArray[np.float64]:
         rolled = np.roll(scores, (reach, reach), axis=(0, 1))
@@ -156,7 +156,7 @@ def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def check_light(probe: Probe) -> Iterator[Finding]:
-    """Judge the colour images, and whether each frame looks like those beside it."""
+    """Judge the colour images, and whether each frame is similar to its neighbours."""
     yield from _exposure(probe)
     yield from _blur(probe)
     yield from _odd_frames(probe)
@@ -227,7 +227,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 
 
 def _shuffled(probe: Probe) -> bool:
-    """Whether frames that follow each other are no more alike than those half a run apart (own rule)."""
+    """Whether consecutive frames are no more similar than frames half a run apart."""
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
@@ -245,7 +245,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _alike(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Share of the pixels measured in both whose depths agree; 1 where none is."""
+    """Ratio of the pixels measured in both images whose depths agree; 1 if there are none."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

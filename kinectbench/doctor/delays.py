@@ -1,4 +1,4 @@
-"""Offsets of colour's clock against that of depth, by the motion that both show."""
+"""Clock offset of colour against depth, from the motion in both image streams."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +16,7 @@ from kinectbench.doctor.probe import END_RUN, Probe, SmallFrame
 
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
-# Less agreement is no agreement; a lag that is the best of its neighbours only by chance agrees less.
+# Least correlation of a valid lag; a maximum by chance is lower.
 LEAST_CORRELATION = 0.6
 LEAST_SAMPLES = 20
 SMALL_PX = (80, 60)
@@ -53,21 +53,21 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
         last = small
     stamps = np.asarray(stamps_ns, np.int64)
     steps_s = np.diff(stamps) / 1e9
-    # A frame that was dropped makes a longer step, which says less about when it moved.
-    usual = steps_s < 2.5 * np.median(steps_s) if len(steps_s) else np.zeros(0, bool)
+    # A dropped frame makes a longer step, which gives less precise timing.
+    regular = steps_s < 2.5 * np.median(steps_s) if len(steps_s) else np.zeros(0, bool)
     middle = stamps[:-1] + np.diff(stamps) // 2
     shifts_px = np.array(shifts, np.float64).reshape(-1, 2)
-    return Motion(middle[usual], shifts_px[usual] / steps_s[usual, None])
+    return Motion(middle[regular], shifts_px[regular] / steps_s[regular, None])
 
 
 def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
-    """The delay of the second stream's stamps at which both motions agree best, nanoseconds (own rule).
+    """The delay of the second stream's stamps at which both motions agree best, nanoseconds.
 
-    Every lag up to half a second is tried on the samples of the first stream, the second interpolated, by the
-    correlation of both components together; the best is refined by a parabola.
+    Every lag up to half a second is scored by the correlation of both motion components, at the samples of
+    the first stream, with the second stream interpolated. A parabola refines the best lag.
 
     Returns:
-        None if there is too little motion in common to tell.
+        None if the streams have too little common motion.
     """
     lags_ns = np.arange(-LONGEST_NS, LONGEST_NS + 1, STEP_NS)
     scores = np.array([_agreement(first, second, int(lag)) for lag in lags_ns])
@@ -78,14 +78,14 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Correlation of the first motion with the second at stamps that are later by a lag."""
+    """Correlation of the first motion with the second one at stamps later by a lag."""
     if len(second.times_ns) < 2:
         return -1.0
     times = first.times_ns + lag_ns
     common = (times >= second.times_ns[0]) & (times <= second.times_ns[-1])
     if common.sum() < LEAST_SAMPLES:
         return -1.0
-    # Relative times, as nanoseconds since 1970 have more digits than a float.
+    # Relative times, because nanoseconds since 1970 exceed the precision of a float.
     at, known = (times[common] - second.times_ns[0]) / 1e9, (second.times_ns - second.times_ns[0]) / 1e9
     there = np.stack([np.interp(at, known, second.shift_px_s[:, axis]) for axis in (0, 1)], axis=1)
     a, b = (values - values.mean(axis=0) for values in (first.shift_px_s[common], there))
@@ -93,18 +93,18 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
     return float((a * b).sum()) / size if size > 0 else -1.0
 
 
-# Recordings that count their frames in seconds are taken to have this rate.
+# Assumed frame rate of recordings whose stamps only count frames.
 ASSUMED_HZ = 30
-# Less is told apart badly, and hardly matters: 60 ms, and of colour so many frames.
+# Smaller delays are hard to measure and hardly matter: 60 ms, and this many frames of colour.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
 EDGE_LAGS, EDGE_SIZE = 12, (160, 120)
-# The best lag must fit by so many standard errors, and so much better than none.
+# The best lag must score this many standard errors, and this many times the score without a lag.
 EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
 PAIRED_SHARE = 0.8
 
 
 def check_color_delay(probe: Probe) -> Iterator[Finding]:
-    """Whether colour shows another time than the depth that it is paired with."""
+    """Report a delay between colour and the depth it is paired with."""
     run = tuple(frame for frame in probe.longest_run() if frame.gray is not None)
     if len(run) < 3:
         return
@@ -120,16 +120,15 @@ def check_color_delay(probe: Probe) -> Iterator[Finding]:
     what = (
         f"colour is {offset_in_words(late)} against depth (about {abs(frames):.1f} frames), by what both show"
     )
-    advice = line if own_clock else "pair the images anew: they have no stamps of their own"
+    advice = line if own_clock else "pair the images again: they have no stamps of their own"
     yield Finding("color_delay", "warning", what, probe.where, advice)
 
 
 def check_color_drift(probe: Probe) -> Iterator[Finding]:
-    """Whether the delay of colour grows over the recording: its clock runs at another speed than depth's.
+    """Report a drift between the clocks of colour and depth: the delay grows over the recording.
 
-    By the motion in runs of frames at the beginning, in the middle and at the end, or in the thirds of one
-    long run; that in the middle must lie between the two others, so that none of the three is chance (own
-    rule).
+    The delay is measured in runs of frames at the beginning, in the middle and at the end, or in the thirds
+    of one long run. The middle delay must lie between the two others, which excludes a result by chance.
     """
     runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
@@ -138,7 +137,7 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
         if third < END_RUN:
             return
         runs = [longest[:third], longest[third : 2 * third], longest[2 * third :]]
-    told: list[tuple[float, int]] = []
+    delays: list[tuple[float, int]] = []
     for run in (runs[0], max(runs[1:-1], key=len), runs[-1]):
         stamps_ns = clock_ns(probe, run)
         depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
@@ -146,8 +145,8 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
         delay_ns = estimate_delay_ns(depth, color)
         if delay_ns is None:
             return
-        told.append((float(stamps_ns.mean()), delay_ns))
-    (first_at, first_ns), (middle_at, middle_ns), (last_at, last_ns) = told
+        delays.append((float(stamps_ns.mean()), delay_ns))
+    (first_at, first_ns), (middle_at, middle_ns), (last_at, last_ns) = delays
     grown_ns = last_ns - first_ns
     expected_ns = first_ns + grown_ns * (middle_at - first_at) / (last_at - first_at)
     if abs(grown_ns) < LEAST_NS or abs(middle_ns - expected_ns) > max(LEAST_NS / 2, abs(grown_ns) / 4):
@@ -167,13 +166,13 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
 
 
 def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
-    """(n,) stamps of frames; at 30 a second where the recording only counts them."""
+    """(n,) stamps of frames, nanoseconds; at 30 Hz if the recording only counts frames."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     return stamps_ns // ASSUMED_HZ if probe.counts_frames else stamps_ns
 
 
 def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """By motion, or where depth shows too little of it, by edges that coincide."""
+    """The delay by motion, or, if depth shows too little motion, by coincident edges."""
     delay_ns = _motion_delay_ns(run, stamps_ns)
     if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)
@@ -181,7 +180,7 @@ def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArra
 
 
 def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The delay at which depth and colour move alike; None unless either half of the run alone tells it."""
+    """The delay at which the motions of depth and colour agree; None unless both halves confirm it."""
     depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
     color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
     middle = len(depth.times_ns) // 2
@@ -196,7 +195,7 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """The delay, moved to where images have partners again, if it is not told well enough for that."""
+    """The delay; if it leaves images without partners, it is moved to the median nearest partner."""
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
         return delay_ns
@@ -210,9 +209,9 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The lag in frames at which edges of colour coincide best with jumps of depth; for registered colour.
+    """The lag in frames at which colour edges coincide best with depth jumps; for registered colour.
 
-    None where that may be chance: unless the fit is clear, and either half of the run alone fits there best.
+    None if the maximum is not significant, or if either half of the run has its maximum elsewhere.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None
@@ -226,16 +225,16 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
     agreed = all(abs(int(np.argmax([pairs.mean() for pairs in half])) - best) <= 1 for half in halves)
     if best in (0, 2 * EDGE_LAGS) or not clear or not agreed:
         return None
-    # Colour that fits the depth of an earlier frame is late.
+    # Colour that matches the depth of an earlier frame is late.
     return round((best - EDGE_LAGS) * float(np.median(np.diff(stamps_ns))))
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """(n, n) how well jumps of depth i lie on edges of colour j, less what either has with all frames."""
+    """(n, n) overlap of the jumps of depth i with the edges of colour j, minus row and column means."""
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
     fits = (jumps @ edges.T).astype(np.float64)
-    # The middle of most images has many jumps and many edges, whichever frames they are.
+    # Jumps and edges concentrate in the middle of all images, so the means are subtracted.
     return np.asarray(fits - fits.mean(axis=0) - fits.mean(axis=1, keepdims=True) + fits.mean())
 
 

@@ -1,4 +1,4 @@
-"""Checks of depth (unit, byte order, codes for none, what is measured), and of intrinsics."""
+"""Checks of depth (unit, byte order, invalid codes, coverage), and of intrinsics."""
 
 import math
 from collections.abc import Iterator
@@ -13,27 +13,28 @@ from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
 from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, scale_problem, suggested_scale
 
-# Of cameras that people hold: horizontal field of view, degrees.
+# Range of horizontal fields of view of hand-held cameras, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
-# A principal point farther from the middle, as a share of width or height, is not that of a whole image.
+# A principal point farther from the centre (ratio of width or height) is not that of a full image.
 OFF_CENTRE = 0.15
 SAME_RATIO = 0.08
 COMMON_SIZE_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
 NEARLY = 0.04
 MAX_ASPECT = 1.1
-# In between lies the depth of most rooms and of most cameras that record them, metres.
+# Plausible range of the median depth, and limit of the 95 % quantile, for rooms, metres.
 LIKELY_MEDIAN_M = (0.45, 6.0)
 LIKELY_FAR_M = 12.0
-# In native units, neighbours in a picture with swapped bytes differ by this much more.
+# With swapped bytes, neighbouring pixels differ by this factor more.
 SMOOTHER = 5.0
-# A highest value this frequent, and this far beyond all others, is a code.
+# A maximum value this frequent, and this far beyond all others, is an invalid code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
-# Levels of 8 bits, evenly spaced: a Kinect has as few in a small room, but they lie wider with distance.
+# Levels of 8-bit depth, evenly spaced. A Kinect has as few in a small room, but with spacing that grows with
+# distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
 # Of 16 bits.
 HIGHEST = 65535
-# What poses that fit settle: by another scale or other intrinsics they would not.
+# Findings that a proven fit of the poses rules out: with another scale or intrinsics they would not fit.
 SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
 VALID_SHARE = 0.35
 
@@ -47,7 +48,7 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
     advice = "give those of the depth images under `camera:`"
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
     if off > OFF_CENTRE and abs(across / down - 1) < SAME_RATIO:
-        ratio = min(COMMON_SIZE_RATIOS, key=lambda usual: abs(usual / across - 1))
+        ratio = min(COMMON_SIZE_RATIOS, key=lambda ratio: abs(ratio / across - 1))
         ratio = ratio if abs(ratio / across - 1) < NEARLY else across
         what = (
             f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
@@ -97,19 +98,19 @@ def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
 
 
 def _measured(probe: Probe) -> NDArray[np.uint16]:
-    """Native values of some of the measured pixels of the whole frames."""
+    """Native values of a sample of the measured pixels of the whole frames."""
     samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in probe.whole]
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
 def is_likely(median_m: float, far_m: float) -> bool:
-    """Whether depth of this median and 95 % quantile, metres, may be that of a room."""
+    """Whether depth with this median and 95 % quantile, metres, is plausible for a room."""
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
 
 
 def _readable(probe: Probe) -> Iterator[Finding]:
     count = len(probe.frames) + len(probe.damaged) + len(probe.refused)
-    # Of fewer a build leaves out what is damaged and what is of another kind, together.
+    # If there are few, a build leaves out damaged frames and frames of another kind.
     few = len(probe.refused) + len(probe.damaged) < MAX_DAMAGED * count
     severity: Severity = "warning" if few else "stops"
     if probe.refused:
@@ -129,7 +130,7 @@ def _readable(probe: Probe) -> Iterator[Finding]:
 
 
 def _byte_order(probe: Probe) -> list[Finding]:
-    """Surfaces are smooth: with its two bytes exchanged, a right image is rougher."""
+    """Detect swapped bytes: surfaces are smooth, and swapping the bytes of a correct image roughens it."""
     as_is = np.mean([_roughness(frame.depth[::4]) for frame in probe.whole])
     exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in probe.whole])
     if not as_is > SMOOTHER * exchanged:
@@ -140,9 +141,9 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """The mean step between measured neighbours in a row, as a share of the median depth."""
+    """The mean step between measured neighbours in a row, as a ratio of the median depth."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
-    # The highest value often stands for none.
+    # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
     if not both.any():
         return 0.0
@@ -161,7 +162,7 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    """A value that stands for no measurement: the highest one, frequent, and far beyond all others."""
+    """Detect an invalid code: the highest value, frequent, and far beyond all others."""
     highest = int(measured.max())
     rest = measured[measured < highest]
     share = 1 - len(rest) / len(measured)
@@ -184,7 +185,7 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
         f"at {scale:g} units per metre, which is unlikely"
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
-    # Things on a table are recorded from as near as this by cameras that can.
+    # Some cameras record objects on a table from this near.
     stored = getattr(probe.recording, "float_scale", None) is None
     if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
@@ -205,12 +206,12 @@ def _valid(probe: Probe) -> Iterator[Finding]:
 def range_by_look(
     probe: Probe, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
 ) -> DepthRangePart:
-    """How far depth would make surface, and what would lie beyond, as `build` chooses it.
+    """The depth range that `build` would fuse, and the ratio of depth beyond it.
 
     Args:
         probe: at the recording.
-        T_world_camera: (n, 4, 4) of frames that have a pose; None: depth alone tells.
-        fusion: what a person says of it.
+        T_world_camera: (n, 4, 4) of frames that have a pose; None: use depth alone.
+        fusion: the settings of benchmark.yaml; None: the defaults.
     """
     poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera
     sampled = sample_depth(frame.depth_m[::2, ::2] for frame in probe.frames)
@@ -218,7 +219,7 @@ def range_by_look(
 
 
 def check_range(probe: Probe, chosen: DepthRangePart) -> Iterator[Finding]:
-    """Judge whether depth that may be of the object is too far to make surface."""
+    """Report depth that may belong to the object but is too far to be fused."""
     for line in range_warnings(chosen):
         what, _, advice = line.rpartition("; ")
         yield Finding("far_depth", "warning", what, probe.where, advice)

@@ -1,4 +1,4 @@
-"""What the doctor says during a build: what none should begin with, offsets of clocks, why one failed."""
+"""The doctor during a build: refuses unusable recordings, reports clock offsets, explains failures."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -15,15 +15,15 @@ from kinectbench.doctor.probe import ProbeBuilder, frames_to_read, probe_recordi
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# Where the poses are meant otherwise, or fit in no way, all that is made with them is wrong.
+# With these findings everything that is built with the poses is wrong.
 POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
-# What ingest itself does not notice; the poses are judged by `track`, on all frames.
+# Findings that ingest itself does not detect; `track` judges the poses, on all frames.
 CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
-    """Refuse a recording of which every frame is wrong in a way that a build can only end badly.
+    """Refuse a recording whose frames are all wrong in a way that makes a build fail.
 
     Raises:
         RecordingError: exchanged bytes, a code read as depth, intrinsics of another size.
@@ -37,18 +37,18 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> str:
-    """What `inspect` says against the poses' convention or the depth's scale, one line; "" if nothing.
+    """One line by `inspect` about a wrong pose convention or depth scale; "" if there is none.
 
-    Depth of a small thing is as near as depth with a wrong scale: this is no reason to refuse a recording,
-    but the likely one if nothing can be made of it.
+    Depth of a small object looks like depth with a wrong scale. This is no reason to refuse a recording, but
+    it is the likely cause if a build fails.
     """
     probe = probe_recording(recording)
     by_depth = [found for found in check_depth(probe) if found.name == "depth_scale"]
-    # Poses tell the scale, the depth alone only that it is unlikely.
+    # Poses determine the scale; depth alone only shows that it is unlikely.
     fit = fit_trajectory(probe)
     for found in check_codes(probe, fit):
-        doubt = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
-        return f"{found.where}: {doubt}: {found.what}; {found.advice}{IN_CAMERA}"
+        suspicion = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
+        return f"{found.where}: {suspicion}: {found.what}; {found.advice}{IN_CAMERA}"
     of_poses = list(check_trajectory(probe, fit))
     for found in of_poses:
         if found.name in POSES:
@@ -62,28 +62,28 @@ def likely_cause(recording: Recording) -> str:
 
 
 class OffsetWatch:
-    """Looks on while frames are written, so that none is read twice for it."""
+    """Collects frames while they are written, so that none is read twice."""
 
     def __init__(self, recording: Recording) -> None:
-        """Probe at the frames that `inspect` would read."""
+        """Collect the frames that `inspect` would read."""
         self._recording = recording
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def see(self, index: int, frame: RawFrame) -> None:
-        """Take a frame as it was recorded."""
+        """Take a frame as recorded."""
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """A line for each offset, with what to write into benchmark.yaml or to do."""
-        told = (found for found in self._findings if found.severity == "warning")
+        """One line for each offset, with the setting for benchmark.yaml or other advice."""
+        reported = (found for found in self._findings if found.severity == "warning")
         return [
             _line(found)
-            for found in told
+            for found in reported
             if found.name in ("color_drift", LENGTHS) or "delay_s" in found.advice
         ]
 
     def doubts(self) -> list[str]:
-        """What speaks against depth_scale and intrinsics, a line each, without a path: releases hold them."""
+        """Evidence against depth_scale and intrinsics, one line each, without a path, for releases."""
         return [f"{found.what}; {found.advice}" for found in self._findings if found.name == LENGTHS]
 
     @cached_property
@@ -96,9 +96,9 @@ class OffsetWatch:
         yield from check_partners(probe)
         yield from list(check_color_drift(probe)) or check_color_delay(probe)
         fit = fit_trajectory(probe)
-        # Poses that are meant otherwise fit at no time; `track` says so, on all frames.
-        if fit is not None and given is not None and not fit.reading.changes:
-            late = list(check_trajectory_delay(probe, given, fit.reading, fit.pairs))
+        # Poses of another convention fit at no delay; `track` reports that, on all frames.
+        if fit is not None and given is not None and not fit.convention.changes:
+            late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
             yield from late or check_lengths(probe, fit.lengths)
 
 

@@ -1,4 +1,4 @@
-"""Looking a recording over, without building anything; one that cannot be opened as it is, too."""
+"""Inspect a recording without building anything, even if it cannot be opened as it is."""
 
 import math
 from collections.abc import Iterator
@@ -38,21 +38,21 @@ from kinectbench.settings.models import (
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 
-# Focal length of a Kinect, as a share of the width.
+# Focal length of a Kinect, as a ratio of the image width.
 KINECT_FOCAL_RATIO = 525 / 640
 UNKNOWN = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
 SAME_UNIT = (
     "the given poses fit by this unit, so that it is theirs, too: give `depth_scale` (units a metre), and "
     "write the poses in metres"
 )
-# Depth that is no depth: nothing that is computed from it says anything.
+# Findings that make depth meaningless: no further check is useful.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 
 
 def open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
-    """Open a recording; where only its intrinsics stand in the way, with those of a Kinect in their place.
+    """Open a recording; if only its intrinsics are missing or wrong, use those of a Kinect.
 
     Returns:
         The recording, or None; and what was found.
@@ -66,18 +66,18 @@ def open_anyhow(
     except RecordingError:
         return None, [Finding("unreadable", "stops", complaint, str(path))]
     focal = KINECT_FOCAL_RATIO * size.width
-    usual = {"fx": focal, "fy": focal, "cx": (size.width - 1) / 2, "cy": (size.height - 1) / 2}
+    assumed = {"fx": focal, "fy": focal, "cx": (size.width - 1) / 2, "cy": (size.height - 1) / 2}
     found = Finding(
         "intrinsics", "stops", complaint, str(path), "all else is judged with intrinsics like a Kinect's"
     )
-    return open_recording(path, _with(settings, usual), follow_links=follow_links), [found]
+    return open_recording(path, _with(settings, assumed), follow_links=follow_links), [found]
 
 
 def _with(settings: CameraSettings | None, values: dict[str, float]) -> CameraSettings:
-    said = settings.model_dump(exclude_none=True) if settings else {}
+    values_given = settings.model_dump(exclude_none=True) if settings else {}
     for key in ("width", "height"):
-        said.pop(key, None)
-    return CameraSettings(**{**said, **values})
+        values_given.pop(key, None)
+    return CameraSettings(**{**values_given, **values})
 
 
 def inspect(
@@ -92,21 +92,21 @@ def inspect(
     boxed: bool = False,
     tracking: TrackingSettings | None = None,
 ) -> tuple[Diagnosis, Probe | None]:
-    """Probe a recording over.
+    """Inspect a recording.
 
     Args:
         path: folder or file.
         settings: of its camera, as under `camera:` in benchmark.yaml.
-        mode: what benchmark.yaml says of a given trajectory; "ignore": no notice is taken of it.
-        fusion: how far depth is to make surface; None: by the recording.
-        own_pixels: benchmark.yaml says `segment_by`: no floor is needed, and the camera may stand still.
-        follow_links: links in it are followed, as benchmark.yaml may say.
-        plane_world: it gives the plane that the object stands on.
-        boxed: it gives a box around the object: no floor is needed.
-        tracking: by which a given trajectory is graded as a build will; None: it is not graded.
+        mode: the trajectory mode of benchmark.yaml; "ignore": the given trajectory is not used.
+        fusion: settings of the depth range; None: by the recording.
+        own_pixels: benchmark.yaml has `segment_by`: no floor is needed, and the camera may stand still.
+        follow_links: links in it are followed, by the setting of benchmark.yaml.
+        plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: none.
+        boxed: benchmark.yaml has a box around the object: no floor is needed.
+        tracking: settings to grade a given trajectory as a build does; None: it is not graded.
 
     Returns:
-        What was found; and what was looked at, None if it cannot be opened.
+        The diagnosis; and the probe, None if the recording cannot be opened.
     """
     recording, found = open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
@@ -124,7 +124,7 @@ def inspect(
     if probe.frames and not HOPELESS & {finding.name for finding in early}:
         more, found = _examined(probe, ground, found, fusion, own_pixels=own_pixels)
         facts |= more
-        # Of poses that cannot be used, or that do not move what moves, no more is to be said.
+        # Unusable poses, or poses of a still camera, are not graded.
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in found)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             found += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
@@ -139,14 +139,14 @@ def _by_own_pixels(probe: Probe) -> Finding:
 def _examined(
     probe: Probe, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
-    """What depth that is depth tells: further facts, and all findings, less those that poses settle."""
-    # Poses of a camera that stands still fit alike however they are read: they tell nothing.
+    """Checks that need valid depth: further facts, and all findings that poses do not rule out."""
+    # Poses of a still camera fit equally well by every convention, so they prove nothing.
     still = [*check_still(probe)]
     stands = any(finding.name in NO_MOTION for finding in still)
     edges, poses = fit_edges(probe), None if stands else fit_trajectory(probe)
     code = [] if stands else list(check_codes(probe, poses))
     if code:
-        # All else would be judged by depth that is wrong.
+        # All other checks would use wrong depth.
         kept = [finding for finding in found if finding.name not in EXPLAINED]
         return {}, [*kept, *code]
     depth_range = range_by_look(probe, None if poses is None else poses.T_world_camera, fusion)
@@ -155,13 +155,13 @@ def _examined(
     if not own_pixels:
         late += [*check_floor(probe, floor, ground), *still]
     if poses is not None and poses.proven:
-        # A build refuses depth that no room has, also where poses are in the same unit.
+        # A build refuses implausible depth, even if the poses are in the same unit.
         found, late = (
             [f for f in each if f.name not in SETTLED_BY_POSES or f.severity == "stops"]
             for each in (found, late)
         )
         found = [replace(f, advice=SAME_UNIT) if f.name == "depth_scale" else f for f in found]
-    # Poses do not fit depth that is wrong, nor one that does not move what moves: only the cause is said.
+    # Poses cannot fit wrong depth or a moving object, so only the cause is reported.
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
     if any(f.name == "depth_scale" for f in found):
         late = [f for f in late if f.name != "far_depth"]
@@ -178,10 +178,10 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """What only depth that is depth can tell."""
+    """Findings that need valid depth."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
-    # Edges that lie elsewhere say nothing of when they were seen.
+    # Colour that is not registered to depth gives no delay by edges.
     if not any(finding.severity == "warning" for finding in of_color):
         drift = list(check_color_drift(probe))
         yield from drift or check_color_delay(probe)
@@ -229,7 +229,7 @@ def _late_facts(
     }
     if poses is not None:
         facts |= {
-            "poses_read_as": poses.reading.text(),
+            "poses_read_as": poses.convention.text(),
             "pose_residual_mm": _rounded(1000 * poses.residual_m, 2),
             "pose_disagreement": _rounded(poses.best, 3),
             "arc_deg": None if poses.arc_rad is None else round(math.degrees(poses.arc_rad)),

@@ -1,4 +1,4 @@
-"""What the doctor says: findings, facts, the verdict that follows from them, and facts in words."""
+"""The doctor's report: findings, facts, the verdict that follows from them, and facts in words."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ Severity = Literal["stops", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("stops", "warning", "note")
 # Suffix of a fact's name → the unit behind its value.
 UNITS = {"_hz": " Hz", "_px": " px", "_mm": " mm", "_deg": "°", "_m": " m", "_s": " s"}
-# Of a fact without a unit, what its value means.
+# Meaning of the value of a fact without a unit.
 NOTES = {"pose_disagreement": " (0: the depth fits the poses, 1: nowhere)"}
 SIZE = ("width", "height")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found.
+    """One finding.
 
     Attributes:
-        name: of the kind of finding, a word for machines.
-        severity: "stops": a build can only end badly; "warning": it may; "note": good to know.
-        what: what is found, one line.
+        name: the kind of finding, a word for machines.
+        severity: "stops": a build would fail or be wrong; "warning": it may; "note": information.
+        what: the finding, one line.
         where: the file, topic or frames.
         advice: what to do; "" where there is nothing to do.
     """
@@ -34,11 +34,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that is said of a recording.
+    """The diagnosis of a recording.
 
     Attributes:
         facts: figures by name, plain JSON values.
-        findings: the gravest first.
+        findings: most severe first.
     """
 
     facts: dict[str, object]
@@ -46,7 +46,7 @@ class Diagnosis:
 
     @property
     def stops(self) -> bool:
-        """Whether a build can only end badly."""
+        """Whether a build would fail or be wrong."""
         return any(found.severity == "stops" for found in self.findings)
 
     @property
@@ -63,17 +63,17 @@ class Diagnosis:
 
 
 def camera_line(key: str, value: float) -> str:
-    """What to write into benchmark.yaml for a setting of the camera."""
+    """Advice to write a setting of the camera into benchmark.yaml."""
     return f"put `camera: {{{key}: {value:.3f}}}` into benchmark.yaml"
 
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings by severity, otherwise in their order, none twice."""
+    """The findings by severity, otherwise in their order, without duplicates."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda found: SEVERITIES.index(found.severity)))
 
 
 def figures(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Each fact that is known as (name, value), in their order, for people to read.
+    """Each known fact as (name, value), in their order, for people to read.
 
     Args:
         facts: of a `Diagnosis`: plain JSON values by name; a name ends in its unit.

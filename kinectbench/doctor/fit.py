@@ -1,4 +1,4 @@
-"""How a given trajectory can be meant, and how well its poses fit the depth that was recorded."""
+"""Conventions of a given trajectory, and how well its poses fit the recorded depth."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -19,13 +19,13 @@ from kinectbench.core.trajectory.order import in_order_of_time
 from kinectbench.core.types import Float64
 from kinectbench.doctor.probe import Probe
 
-# What the axes of a camera are called, and R_camera_optical for each.
+# Names of camera axes, and R_camera_optical for each.
 AXES: dict[str, Float64] = {
     "optical": np.eye(3),
     "opengl": np.diag([1.0, -1.0, -1.0]),
     "robot": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
 }
-SAID_AXES = {
+AXES_IN_WORDS = {
     "optical": "",
     "opengl": "OpenGL axes (y up, z backward)",
     "robot": "robot axes (x forward, z up)",
@@ -33,30 +33,30 @@ SAID_AXES = {
 IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
 OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
-# A frame is held against the frames so many places after it, if they are among those looked at.
+# A frame is compared with the frames this many places after it, if they were read.
 AHEAD = (1, 4, 12, 40)
-# Of views in no order of time, the so many nearest by the angle between them.
+# Views in no order of time are compared with their n-th nearest views by angle.
 NEAREST = (1, 2, 4, 8)
 POINT_STEP = 7
-# Farther off than this share of the distance is as wrong as can be.
+# A depth error of this ratio of the distance, or more, counts as entirely wrong.
 WRONG_SHARE = 0.1
 NEAREST_M = 1e-3
-# Poses fit if they leave no more than so many times what the noise of a Kinect's depth makes of two frames at
-# that distance (own choice: right poses leave .6 to 1.2 times of it), and never more than 50 mm: at 3 m the
-# noise alone says little.
+# Poses fit if the residual is at most this many times a Kinect's depth noise of two frames at that distance,
+# and at most 50 mm, because the noise at 3 m is large. Measured: correct poses leave 0.6 to 1.2 times the
+# noise.
 FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 
 @dataclass(frozen=True)
-class Reading:
-    """One way to read poses.
+class PoseConvention:
+    """One convention of poses.
 
     Attributes:
-        inverse: they map the world to the camera.
+        inverse: the poses map the world to the camera.
         axes: a key of AXES.
-        wxyz: what was read as x, y, z, w of the quaternion is w, x, y, z.
+        wxyz: the quaternions are stored as w, x, y, z, not x, y, z, w.
         images: a key of IMAGES.
-        unit_m: their unit of length is so many metres, if depth is in metres.
+        unit_m: their unit of length in metres, if depth is in metres.
     """
 
     inverse: bool = False
@@ -67,14 +67,14 @@ class Reading:
 
     @property
     def changes(self) -> int:
-        """How many things are other than said."""
+        """The number of differences from the stated convention."""
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:
-        """What is other than said, in words."""
+        """The differences from the stated convention, in words."""
         parts = [
             "world to camera (inverse)" if self.inverse else "",
-            SAID_AXES[self.axes],
+            AXES_IN_WORDS[self.axes],
             "quaternions in the order w x y z" if self.wxyz else "",
             "images mirrored left to right" if self.images == "mirrored" else "",
             f"lengths {self.unit_m:g} times as long" if self.unit_m != 1 else "",
@@ -98,24 +98,24 @@ class Reading:
         return read
 
 
-def likely_readings() -> Iterator[Reading]:
-    """The readings that are tried first, "as given" before all."""
+def likely_conventions() -> Iterator[PoseConvention]:
+    """The conventions that are tried first; "as given" is the first of all."""
     yield from _of_unit(1.0)
-    yield from (Reading(unit_m=unit_m) for unit_m in OTHER_UNITS)
-    yield from (Reading(inverse, images="mirrored") for inverse in (False, True))
+    yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
+    yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))
 
 
-def further_readings() -> Iterator[Reading]:
-    """The readings that are tried where none of the likely ones fits."""
+def further_conventions() -> Iterator[PoseConvention]:
+    """The conventions that are tried if none of the likely ones fits."""
     for unit_m in OTHER_UNITS:
-        yield from (reading for reading in _of_unit(unit_m) if reading.changes > 1)
+        yield from (convention for convention in _of_unit(unit_m) if convention.changes > 1)
 
 
-def _of_unit(unit_m: float) -> Iterator[Reading]:
+def _of_unit(unit_m: float) -> Iterator[PoseConvention]:
     for inverse in (False, True):
         for wxyz in (False, True):
             for axes in AXES:
-                yield Reading(inverse, axes, wxyz, "upright", unit_m)
+                yield PoseConvention(inverse, axes, wxyz, "upright", unit_m)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class Pair:
     """Two frames that should show the same surface.
 
     Attributes:
-        first: index among the frames looked at; `second` likewise.
+        first: index into the probe's frames; `second` as well.
         points: (n, 3) of the first frame, its camera's axes, metres.
         depth_m: of the second frame.
         camera: of that small image.
@@ -137,10 +137,10 @@ class Pair:
 
 
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
-    """Pairs of frames that have poses, evenly over the recording, near and farther apart.
+    """Choose pairs of frames with poses, evenly over the recording, near and distant.
 
-    In time; or by the angle between the views where the poses (n, 4, 4) have no order in time: it is the same
-    whichever way the poses are meant.
+    Near means near in time. If the poses (n, 4, 4) are in no order of time, it is the angle between views,
+    which is the same for every convention.
     """
     camera, count = probe.small_camera, len(probe.frames)
     has_pose = np.isfinite(poses[:, 0, 0])
@@ -163,23 +163,23 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Frames some places after one, or before it at the end of so many; negative where there is none."""
+    """Frames after a frame, or before it at the end of the recording; negative if there is none."""
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
 
 def _beside(first: int, poses: Float64) -> list[int]:
-    """The frames whose views are least turned against one's."""
+    """The frames with the smallest angle to a frame's view."""
     cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
     order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
 
 
 def fits(residual_m: float, pairs: Sequence[Pair]) -> bool:
-    """Whether so large a residual, metres, is a fit: no more than the noise of depth makes of it, some times.
+    """Whether a residual, metres, is small enough to be a fit, compared with the depth noise.
 
     Args:
-        residual_m: as `residual_m` has it.
-        pairs: that it is of.
+        residual_m: the result of `residual_m`.
+        pairs: the pairs that it was computed from.
     """
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
@@ -192,23 +192,24 @@ def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:
 
 
 def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
-    """How badly poses fit pairs of frames: 0 to 1, the mean over points of how far off each is (own rule).
+    """Disagreement of poses and depth: 0 to 1, the mean error over the points of pairs of frames.
 
-    A point is off by the difference of its distance and the one measured at its pixel, as a share of a tenth
-    of the distance, at most 1. Points without a partner count as 1: wrong poses often leave none.
+    The error of a point is the difference of its distance and the measurement at its pixel, divided by a
+    tenth of the distance, at most 1. Points outside the image count as 1, because wrong poses often leave no
+    overlap.
 
     Args:
-        pairs: what is compared.
-        T_world_camera: (k, n, 4, 4), k sets of poses of the frames looked at; those of the pairs are finite.
+        pairs: the pairs of frames to compare.
+        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's frames; those of the pairs are finite.
 
     Returns:
         (k, pairs).
     """
     found = np.empty((len(T_world_camera), len(pairs)))
     for column, pair in enumerate(pairs):
-        points, rows, columns, inside = _fall(pair, T_world_camera)
+        points, rows, columns, inside = _project(pair, T_world_camera)
         expected_m, measured_m = points[..., 2], pair.depth_m[rows, columns]
-        # A point that falls where nothing was measured says nothing.
+        # A point at a pixel without a measurement is not counted.
         known, silent = inside & (measured_m > 0), inside & (measured_m == 0)
         off = np.abs(measured_m - expected_m)[known] / (WRONG_SHARE * expected_m[known])
         wrong = np.where(inside, 0.0, 1.0)
@@ -218,10 +219,10 @@ def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
 
 
 def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
-    """Median distance of points to the planes of the surface that they fall on, metres; NaN if none does."""
+    """Median point-to-plane distance of points to the surface, metres; NaN if no point overlaps."""
     found = [np.zeros(0)]
     for pair in pairs:
-        points, rows, columns, inside = _fall(pair, T_world_camera)
+        points, rows, columns, inside = _project(pair, T_world_camera)
         surface = pair.camera.rays() * pair.depth_m[..., None]
         normals = image_normals(surface, pair.depth_m)
         rows, columns = rows[inside], columns[inside]
@@ -232,13 +233,13 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
     return float(np.median(distances_m)) if len(distances_m) else float("nan")
 
 
-def _fall(
+def _project(
     pair: Pair, T_world_camera: Float64
 ) -> tuple[Float64, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Points (..., m, 3) of the first frame in the second's axes by poses (..., n, 4, 4).
+    """Project points (..., m, 3) of the first frame into the second by poses (..., n, 4, 4).
 
     Returns:
-        These; their rows and columns in its image, 0 where they are outside; which are inside it.
+        The points in the second camera's axes; their rows and columns, 0 outside the image; which are inside.
     """
     first, second = (T_world_camera[..., index, :, :] for index in (pair.first, pair.second))
     T_second_first = invert_rigid(second) @ first

@@ -1,4 +1,4 @@
-"""Whether there is a floor, by the same function as the build's, and how high the camera is above it."""
+"""Find the floor with the build's own function, and the camera's height above it."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,27 +23,27 @@ from kinectbench.stages.ingest.recording import Recording
 if TYPE_CHECKING:
     from kinectbench.stages.segment.floor import Floor
 
-# Frames that are looked at alone, or together by their poses, for the sake of time (own choices).
+# Number of frames that are searched singly, or jointly by their poses; limited to save time.
 FRAMES, POSED_FRAMES = 6, 40
-# Poses with a larger share of the depth against them make no scene to find a floor in.
+# With a larger disagreement of poses and depth, frames are not combined to find a floor.
 FITTING = 0.5
-# What a frame without a pose looks at, camera frame: as far as furniture is recorded, metres (own choice).
+# Assumed focus of a frame without a pose, camera frame, metres: the typical distance of furniture.
 FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
-# Of a person's camera above the floor, or above the table that the object stands on, metres.
+# Plausible heights of a hand-held camera above the floor or the table, metres.
 LOWEST_M, HIGHEST_M = 0.25, 2.5
-# A floor in fewer of the frames is told (own choice).
+# A floor seen in a smaller ratio of the frames is reported. Chosen by hand.
 SEEN_SHARE = 0.3
-# A frame sees the scene's floor if this share of its points lies within so many metres of it.
+# A frame sees the scene's floor if this ratio of its points lies within this distance of it, metres.
 MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 
-# Frames put together by their poses scatter about a floor by so many times what one Kinect's depth does at
-# that distance, or their poses, the intrinsics or the plane are reported as doubtful. Measured: .4 to 2.4
-# times for right ones (50 recordings of the simulator, 5 real ones), 5.3 to 6.6 for wrong ones (3).
+# Largest scatter of combined frames about a floor, in multiples of a Kinect's depth noise at that distance.
+# Above it the poses, the intrinsics or the plane are reported as doubtful. Measured: 0.4 to 2.4 if they are
+# correct (50 simulated recordings, 5 real ones), 5.3 to 6.6 if they are wrong (3).
 SCATTER_TIMES = 4.0
 SCATTERS = (
     "the frames scatter by {seen_mm:.0f} mm about the floor, a Kinect's depth at {far_m:.1f} m by "
-    "{expected_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try `trajectory: refine` "
-    "or `track`, record with more of the floor in view, or give a box"
+    "{expected_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try "
+    "`trajectory: refine` or `track`, record with more of the floor in view, or give a box"
 )
 BY_FRAMES = "{why}; that is what {count} frames show by themselves: a build fuses all, and may still find it"
 
@@ -52,12 +52,12 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ground:
-    """What is known of what the object stands on before anything is looked at.
+    """Prior knowledge of the surface that the object stands on.
 
     Attributes:
-        recording: with all that it says of gravity, a trajectory that is ignored, too.
-        plane_world: (4,) a person's plane, in the world of the given poses; None: nobody gives one.
-        is_needed: no build without a floor: neither a plane nor a box nor masks are given.
+        recording: with its gravity and its trajectory, even if the trajectory is ignored.
+        plane_world: (4,) a plane from the settings, in the world of the given poses; None: not set.
+        is_needed: a build needs a floor: the settings have no plane, box or masks.
     """
 
     recording: Recording
@@ -70,44 +70,45 @@ class SeenFloor:
     """The floor in some frames.
 
     Attributes:
-        heights_m: (k,) of the camera above it in each, metres; NaN where no floor is found.
-        doubts: what speaks against it where it is one floor of all frames, one line each, as a build says it.
-        why: why all frames together show none, as a build says it; None: they do, or were looked at alone.
+        heights_m: (k,) height of the camera above it in each frame, metres; NaN where no floor is found.
+        warnings: reasons why the floor of all frames may be wrong, one line each, as in a build.
+        why: why no floor was found in all frames together, as in a build; None: it was found, or frames were
+            searched singly.
     """
 
     heights_m: Points
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     why: str | None = None
 
 
 def seen_floor(
     probe: Probe, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
 ) -> SeenFloor:
-    """Probe for the floor in some frames.
+    """Search for the floor in some frames.
 
-    With given poses that fit, the floor is looked for once, in all the frames together and with all that the
-    build knows; else in each frame alone, as if it were a recording. A person's plane is in the world of the
-    given poses, and means nothing without them.
+    With given poses that fit, the floor is searched once, in all frames together and with the inputs of the
+    build. Otherwise each frame is searched singly, as if it were a recording. A plane from the settings is in
+    the world of the given poses, and is not used without them.
 
     Args:
         probe: at the recording.
-        ground: what is known of it.
-        poses: how the given poses fit; None: there are none.
-        max_depth_m: depth beyond makes no surface.
+        ground: prior knowledge of the floor.
+        poses: the fit of the given poses; None: there are none.
+        max_depth_m: depth beyond this is not fused, metres.
     """
     posed = None if poses is None or poses.best > FITTING else _posed(probe, poses)
     if poses is not None and posed is not None and len(posed[0]) > 1:
-        # Gravity in the frame of poses that are meant otherwise is meant otherwise, too.
+        # Gravity in the frame of poses with another convention has another convention, too.
         recording = ground.recording if poses.given == poses.best else _without_poses(ground.recording)
         return _heights_together(probe, *posed, max_depth_m, replace(ground, recording=recording))
     count = len(probe.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
     alone = [_floor_alone(probe.frames[i], probe.small_camera, ground.recording) for i in indices]
     heights_m = [np.nan if each is None else each.plane_world[3] for each in alone]
-    # What speaks against the floor of most frames does against that of the recording.
-    told = Counter(line for each in alone if each is not None for line in each.against)
-    doubts = tuple(line for line, count in told.items() if 2 * count > len(alone))
-    return SeenFloor(np.array(heights_m), doubts)
+    # A warning of most single frames counts for the recording.
+    counts = Counter(line for each in alone if each is not None for line in each.against)
+    warnings = tuple(line for line, count in counts.items() if 2 * count > len(alone))
+    return SeenFloor(np.array(heights_m), warnings)
 
 
 def _without_poses(recording: Recording) -> Recording:
@@ -115,7 +116,7 @@ def _without_poses(recording: Recording) -> Recording:
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Judge whether there is a floor, and whether it is where floors are."""
+    """Report a missing floor, and a floor at an implausible height."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
@@ -130,8 +131,8 @@ def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Find
             what, advice = BY_FRAMES.format(why=floor.why, count=len(seen)).split("; ", 1)
         yield Finding("no_floor", "warning" if not seen.any() else "note", what, probe.where, advice)
         return
-    for doubt in floor.doubts:
-        what, advice = doubt.split("; ", 1)
+    for warning in floor.warnings:
+        what, advice = warning.split("; ", 1)
         yield Finding("floor_doubtful", "warning", what, probe.where, advice)
     height_m = float(np.nanmedian(heights_m))
     if height_m <= 0:
@@ -144,12 +145,14 @@ def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Find
 
 
 def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
-    """Some of the frames that have a pose, and their poses (n, 4, 4) by the reading that fits."""
+    """Some of the frames that have a pose, and their poses (n, 4, 4) in the convention that fits."""
     given = probe.recording.given_trajectory
     if given is None:
         return None
     moved = on_clock(probe, given)
-    T_world_camera = poses.reading.apply(poses_at(moved, clock_ns(probe, probe.frames), longest_gap_s(moved)))
+    T_world_camera = poses.convention.apply(
+        poses_at(moved, clock_ns(probe, probe.frames), longest_gap_s(moved))
+    )
     known = np.flatnonzero(np.isfinite(T_world_camera[:, 0, 0]))
     shape = probe.small_camera.height, probe.small_camera.width
     known = np.array([i for i in known if probe.frames[i].depth_m.shape == shape], np.int64)
@@ -160,7 +163,7 @@ def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | No
 def _heights_together(
     probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
-    """Heights (n,) of some of the frames above the one floor of all; of all above a person's plane."""
+    """Heights (n,) of the frames above their common floor, or above the plane of the settings."""
     from kinectbench.stages.segment.seen_floor import floor_of_frames
     from kinectbench.stages.segment.up import hint_of
 
@@ -190,7 +193,7 @@ def _heights_together(
 
 
 def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
-    """A line if frames put together scatter about the floor, by `noise_m`, more than their depth does."""
+    """A warning if combined frames scatter about the floor, by `noise_m`, more than depth noise explains."""
     if not len(depths_m):
         return
     far_m = float(np.median(depths_m))
@@ -200,7 +203,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """The floor in one frame, whose world is the camera's axes, metres; None if it shows none."""
+    """The floor in one frame, in camera axes, metres; None if there is none."""
     from kinectbench.stages.segment.floor import find_floor
     from kinectbench.stages.segment.seen_floor import MIN_POINTS, oriented
     from kinectbench.stages.segment.up import hint_of
@@ -210,7 +213,7 @@ def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Fl
     points, normals = oriented(frame.depth_m, camera)
     if len(points) < MIN_POINTS:
         return None
-    # Lengths are given as if the middle were 1.5 m away: a wrong unit must not hide the floor.
+    # Lengths are scaled so that the median is 1.5 m away: a wrong unit must not hide the floor.
     unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
     alone = np.eye(4)[None]
     hint = hint_of(recording, np.array([frame.stamp_ns], np.int64), alone)

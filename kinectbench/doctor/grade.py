@@ -1,4 +1,4 @@
-"""How good given poses are for ground truth, as a build will find it and say it."""
+"""Grade given poses as a basis for ground truth, with the stage `track` of a build."""
 
 from collections.abc import Iterator
 
@@ -14,23 +14,23 @@ from kinectbench.stages.ingest.in_memory import as_sequence
 from kinectbench.stages.track import track
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES
 
-# So many frames are compared, evenly spread if there are more (own choice): 5.4 CPU seconds of 640 x 480.
+# Largest number of compared frames, evenly spread: 5.4 CPU seconds at 640 x 480.
 MOST_FRAMES = 150
 
 
 def check_grade(
     probe: Probe, tracking: TrackingSettings, mode: TrajectoryMode | None = None
 ) -> Iterator[Finding]:
-    """Grade a given trajectory as the stage `track` does; of up to 150 frames the result is the same.
+    """Grade a given trajectory as the stage `track` does; up to 150 frames the result is the same.
 
     Args:
         probe: at a recording whose given trajectory can be read.
         tracking: what counts as disagreement.
-        mode: what a build does with the trajectory; it grades what becomes of poses that it refines.
+        mode: the trajectory mode of the build. Refined poses are graded only after refinement.
     """
     count = len(probe.recording)
     every = count <= MOST_FRAMES
-    # Of a longer recording not all frames were read; damaged ones of a short one were left out.
+    # Longer recordings are read in part; shorter ones without their damaged frames.
     indices = [frame.index for frame in probe.frames]
     if not every:
         indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
@@ -38,7 +38,7 @@ def check_grade(
     refined, given = mode == "refine", probe.recording.given_trajectory
     assert given is not None
     posed = has_pose(poses_at(given, probe.recording.stamps_ns, tracking.max_stamp_gap_s))
-    # Of a longer recording the frames that are compared lie farther apart; that most have no pose is certain.
+    # In a longer recording the compared frames are farther apart; missing poses are certain all the same.
     certain = every or posed.sum() < MIN_GOOD_FRAMES
     try:
         sequence = as_sequence(probe.recording, indices)
@@ -61,6 +61,6 @@ def check_grade(
     elif health.recommended != "trust":
         advice = f"recommended is `trajectory: {health.recommended}`"
     yield Finding("trajectory_grade", "warning" if bad and not refined else "note", what, probe.where, advice)
-    # Numbers of frames are those of the build only if all of them are there.
+    # Frame indices agree with the build only if all frames were compared.
     for line in health.warnings if every else ():
         yield Finding("trajectory_check", "note", line, probe.where)

@@ -1,4 +1,4 @@
-"""The contact sheet: what was found beside frames to look at, one file that opens from disk."""
+"""The contact sheet: findings beside some frames, as one HTML file that opens from disk."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

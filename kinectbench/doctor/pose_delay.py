@@ -1,4 +1,4 @@
-"""The offset of the given poses' clock against that of depth, by how well poses of other times fit it."""
+"""Clock offset of the given poses against depth, from the fit of poses at other times."""
 
 from collections.abc import Iterator
 
@@ -10,33 +10,33 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, Reading, disagreements, frames_of
+from kinectbench.doctor.fit import Pair, PoseConvention, disagreements, frames_of
 from kinectbench.doctor.probe import Probe
 
-# Half a second either way: clocks that were set to each other by the network (own choice).
+# Up to half a second either way, for clocks that were synchronised by the network.
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
-# Around the best of these in finer steps, more than two coarse ones either way; the parabola is fitted to the
-# least and four steps either way, as a single step is within the noise of the costs (own choices).
+# Fine steps around the best coarse lag, over more than two coarse steps either way. The parabola is fitted to
+# the minimum and four steps either way, because a single step is within the noise of the costs.
 FINE_STEP_NS = 10_000_000
 FINE_NS = np.arange(-12, 13) * FINE_STEP_NS
 ARM = 4
-# Poses that are moved in time must fit this much better before it is said.
+# Moved poses must lower the cost to this ratio to be reported.
 BETTER = 0.93
-# So little is told where it is clear: either half of the pairs alone says the same to 10 ms. Moving the
-# poses of five recordings by 20 and by 30 ms moves what is found by as much, to 2 ms; unmoved they fit at
-# most 1.2 % better elsewhere, but those of freiburg1_xyz, whose depth lags the motion capture, by 21 %.
+# Least offset that is reported, if both halves of the pairs agree to 10 ms. Measured: moving the poses of
+# five recordings by 20 and 30 ms moves the result by as much, to 2 ms. Unmoved poses fit at most 1.2 % better
+# at other times, except freiburg1_xyz with 21 %, whose depth lags the motion capture.
 LEAST_FINE_NS, AGREED_NS = 15_000_000, 10_000_000
-# Of fewer pairs nothing is said, and poses farther apart than this are not bridged (own choices).
+# Fewer pairs are not judged. No pose is interpolated over a longer gap. Chosen by hand.
 LEAST_PAIRS = 4
 MAX_GAP_S = 0.2
 
 
 def check_trajectory_delay(
-    probe: Probe, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[Pair, ...]
 ) -> Iterator[Finding]:
-    """Whether given poses fit the depth better at other times."""
-    delay_ns = trajectory_delay_ns(probe, given, reading, pairs)
-    # Of poses without stamps less than a frame is no offset of clocks.
+    """Report given poses that fit the depth better at other times."""
+    delay_ns = trajectory_delay_ns(probe, given, convention, pairs)
+    # Without stamps, an offset of less than a frame is no clock offset.
     if delay_ns is None or abs(delay_ns) < (LEAST_NS if probe.counts_frames else LEAST_FINE_NS):
         return
     when = offset_in_words(delay_ns / 1e9)
@@ -56,9 +56,9 @@ def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
 
 
 def trajectory_delay_ns(
-    probe: Probe, given: GivenTrajectory, reading: Reading, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[Pair, ...]
 ) -> int | None:
-    """The delay of the poses' stamps at which they fit the depth best (own rule); None: not clear.
+    """The delay of the poses' stamps at which they fit the depth best; None: not clear.
 
     Lags up to half a second are tried in steps of 50 ms, then around the best in steps of 10 ms, each on the
     pairs for which all lags have poses.
@@ -69,7 +69,7 @@ def trajectory_delay_ns(
         poses = np.stack([_poses(probe, given, pairs, int(lag)) for lag in lags_ns])
         posed = np.all(np.isfinite(poses[:, :, 0, 0]), axis=0)
         usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
-        return disagreements(usable, np.stack([reading.apply(each) for each in poses]))
+        return disagreements(usable, np.stack([convention.apply(each) for each in poses]))
 
     coarse_ns = _coarse_ns(costs(LAGS_NS))
     lags_ns = FINE_NS + FINE_STEP_NS * round((coarse_ns or 0) / FINE_STEP_NS)
@@ -78,7 +78,7 @@ def trajectory_delay_ns(
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
-    """The best of LAGS_NS, by a parabola through it and those beside it; None where it is not clear."""
+    """The best of LAGS_NS, refined by a parabola; None if it is not clear."""
     if costs.shape[1] < LEAST_PAIRS:
         return None
     means = costs.mean(axis=1)
@@ -89,7 +89,7 @@ def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
 
 
 def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """The best lag, if it is clear; the last row of the costs is without any."""
+    """The best lag, if it is clear; the last row of the costs has no lag."""
     if costs.shape[1] < 2 * LEAST_PAIRS:
         return None
     whole_ns, *halves_ns = (
@@ -102,7 +102,7 @@ def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | No
 
 
 def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """Where costs (lags,) are least, by the parabola that fits those around best; None at the ends."""
+    """The minimum of costs (lags,) by a least-squares parabola around it; None at the ends."""
     best = int(np.argmin(costs))
     around = slice(max(best - ARM, 0), best + ARM + 1)
     if best in (0, len(costs) - 1):
@@ -115,7 +115,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 
 
 def _poses(probe: Probe, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
-    """Poses of the frames in pairs at stamps that are later by a lag: (n, 4, 4), NaN for all other frames."""
+    """Poses of the frames in pairs at stamps later by a lag: (n, 4, 4), NaN for all other frames."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)
@@ -124,6 +124,6 @@ def _poses(probe: Probe, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """How far apart two poses may be for one in between: coarse, as this is but a look (own rule)."""
+    """Longest gap between poses that is interpolated, seconds; coarse, which suffices for a check."""
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

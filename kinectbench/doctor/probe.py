@@ -1,4 +1,4 @@
-"""A look at a recording: some of its frames, small, and a few whole."""
+"""A probe of a recording: some of its frames in small, and a few whole."""
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
@@ -16,9 +16,8 @@ from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, d
 from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, check_size
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# A recording with more frames is looked at in runs: a long one in its middle, two at its ends, by which
-# clocks that drift apart are seen, and short ones elsewhere: 342 frames in all (own
-# choices).
+# A recording with more frames is read in runs: a long one in the middle, two at the ends to measure clock
+# drift, and short ones elsewhere; 342 frames in all. Chosen by hand.
 ALL_FRAMES = 250
 END_RUN = 60
 LONG_RUN, SHORT_RUN, SHORT_RUNS = 150, 12, 8
@@ -34,9 +33,9 @@ class SmallFrame:
     Attributes:
         index: in the recording.
         stamp_ns: of depth.
-        depth_m: (height, width) float32, every n-th pixel of every n-th row; 0 = none.
+        depth_m: (height, width) float32 metres, every n-th pixel of every n-th row; 0 = none.
         gray: (height, width) uint8, about 320 wide, or None.
-        digest: of all its depth.
+        digest: of the whole depth image.
     """
 
     index: int
@@ -48,7 +47,7 @@ class SmallFrame:
 
 @dataclass(frozen=True)
 class WholeFrame:
-    """A frame as it was recorded.
+    """A frame as recorded.
 
     Attributes:
         index: in the recording.
@@ -63,15 +62,15 @@ class WholeFrame:
 
 @dataclass(frozen=True)
 class Probe:
-    """What the checks judge.
+    """The data that the checks judge.
 
     Attributes:
-        recording: that was opened.
-        frames: small, in order.
-        whole: some of them, evenly spread.
-        damaged: why frames could not be read, a line each.
-        refused: why frames are of the wrong kind, a line each.
-        depth_step_px: n of the small depth images.
+        recording: the opened recording.
+        frames: small frames, in order.
+        whole: some of the frames at full size, evenly spread.
+        damaged: why frames could not be read, one line each.
+        refused: why frames are of the wrong kind, one line each.
+        depth_step_px: the stride n of the small depth images.
     """
 
     recording: Recording
@@ -93,31 +92,31 @@ class Probe:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the recording has no stamps of its own: they count frames in seconds."""
+        """Whether the recording has no stamps of its own, so that its stamps only count frames."""
         return counts_frames(self.recording.stamps_ns)
 
     def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
-        """Every two frames that follow each other in the recording."""
+        """Every two consecutive frames of the recording."""
         for first, second in zip(self.frames, self.frames[1:], strict=False):
             if second.index == first.index + 1:
                 yield first, second
 
     def runs(self) -> list[tuple[SmallFrame, ...]]:
-        """The frames, cut where one does not follow the one before in the recording."""
+        """Runs of consecutive frames."""
         indices = np.array([frame.index for frame in self.frames])
         cuts = [0, *(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
         return [self.frames[start:end] for start, end in pairwise(cuts) if end > start]
 
     def longest_run(self) -> tuple[SmallFrame, ...]:
-        """The most frames that follow each other."""
+        """The longest run of consecutive frames."""
         return max(self.runs(), key=len, default=())
 
 
 class ProbeBuilder:
-    """A look in the making: it is given frames as they are read, and keeps of them what the checks need."""
+    """Builds a probe: takes frames as they are read, and keeps what the checks need."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
-        """Gather these frames (indices, increasing), and as many of them whole, evenly spread."""
+        """Gather the frames with these indices (increasing), and `whole` of them at full size."""
         places = np.linspace(0, len(indices) - 1, min(whole, len(indices))).astype(int)
         self.indices = indices
         self._wanted = frozenset(indices.tolist())
@@ -148,14 +147,14 @@ class ProbeBuilder:
     def probe(
         self, damaged: Sequence[str] = (), refused: Sequence[str] = (), without: Collection[int] = ()
     ) -> Probe:
-        """What was gathered, `without` frames of these indices."""
+        """The probe of the gathered frames, without those whose index is in `without`."""
         frames = tuple(frame for frame in self._frames if frame.index not in without)
         whole = tuple(frame for frame in self._whole if frame.index not in without)
         return Probe(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
 
 
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
-    """Read some frames of a recording: all of up to 250, or else runs of frames; or only eight."""
+    """Read some frames of a recording: all of up to 250, else runs of frames; or only eight."""
     count = len(recording)
     indices = (
         np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
@@ -181,7 +180,7 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
 
 
 def frames_to_read(count: int) -> NDArray[np.int64]:
-    """Indices of the frames that are read of so many, increasing."""
+    """Indices of the frames that are read from a recording of `count` frames, increasing."""
     if count <= ALL_FRAMES:
         return np.arange(count)
     middle = (count - LONG_RUN) // 2
@@ -192,7 +191,7 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
-    """Colour in grey, decoded at a half, a quarter or an eighth of its size."""
+    """Colour as grey, decoded at a half, a quarter or an eighth of its size."""
     import cv2
 
     if raw.color is None:

@@ -1,4 +1,4 @@
-"""Checks of a given trajectory: its clock, how its poses are meant, whether they fit the depth, its arc."""
+"""Checks of a given trajectory: its clock, its pose convention, its fit to the depth, its arc."""
 
 import math
 from collections.abc import Iterator
@@ -16,13 +16,13 @@ from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
     MOST_FITTING_M,
     Pair,
-    Reading,
+    PoseConvention,
     choose_pairs,
     disagreements,
     fits,
     frames_of,
-    further_readings,
-    likely_readings,
+    further_conventions,
+    likely_conventions,
     residual_m,
 )
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
@@ -31,22 +31,22 @@ from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 from kinectbench.stages.ingest.recording import FileRecording, Recording
 
-# Another reading is said to be right only if poses fit so much better by it.
+# Another convention is accepted only if it lowers the disagreement to this ratio.
 BETTER = 0.87
-# A reading that changes more must fit better than a simpler one by this.
+# A convention with more changes must lower the disagreement of a simpler one to this ratio.
 SIMPLER = 0.97
-# Pairs of frames that fit by no reading see different things.
+# Pairs of frames that fit by no convention see different surfaces.
 HOPELESS, LEAST_PAIRS = 0.6, 3
-# If none of the likely readings fits so much better than standing still, further ones are tried.
+# If no likely convention lowers the disagreement of a still camera to this ratio, further ones are tried.
 CLEARLY_BETTER = 0.8
-# Poses that fit no better than if the camera had stood still fit badly, if it did not.
+# Poses that fit no better than a still camera fit badly, if the camera moved.
 MOVED, NO_BETTER = 0.15, 0.9
-# Poses prove the scale of the depth if they fit by no other so well (own choice).
+# Poses prove the depth scale if every other scale fits worse than by this ratio. Chosen by hand.
 OTHER_SCALE = 0.97
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
            1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
            1e-9: "nanoseconds read as seconds"}  # fmt: skip
-# Stamps in another unit span the recording, or so much of it (own choice).
+# Stamps in another unit span at least this ratio of the recording. Chosen by hand.
 LEAST_SPAN = 0.1
 POSED_SHARE = 0.9
 SMALL_ARC_DEG = 270.0
@@ -54,21 +54,21 @@ SMALL_ARC_DEG = 270.0
 
 @dataclass(frozen=True)
 class PoseFit:
-    """What trying the readings showed.
+    """The result of trying pose conventions.
 
     Attributes:
-        reading: the simplest one that fits well.
-        given, best, still: disagreement of the poses as given, by that reading, and if nothing had moved.
-        residual_m: point to plane by that reading, metres.
-        fits: whether that is no more than the noise of depth makes of it.
-        proven: the poses fit as they are, and with depth of no other scale: they settle scale and intrinsics.
-        pairs: of frames, compared.
-        T_world_camera: (m, 4, 4) of the frames looked at that have a pose, by that reading.
-        arc_rad: from which they see what they look at; None if that is not one thing.
-        lengths: the depth scale and focal lengths that they fit best.
+        convention: the simplest one that fits well.
+        given, best, still: disagreement of the poses as given, in that convention, and of a still camera.
+        residual_m: point-to-plane residual in that convention, metres.
+        fits: whether the residual is within the depth noise.
+        proven: the poses fit as they are, and with no other depth scale, so scale and intrinsics are right.
+        pairs: the compared pairs of frames.
+        T_world_camera: (m, 4, 4) of the probe's frames that have a pose, in that convention.
+        arc_rad: the arc from which they see one point; None if they do not look at one point.
+        lengths: factors of depth scale and focal lengths that fit best.
     """
 
-    reading: Reading
+    convention: PoseConvention
     given: float
     best: float
     still: float
@@ -82,7 +82,7 @@ class PoseFit:
 
 
 def fit_trajectory(probe: Probe) -> PoseFit | None:
-    """Try the readings of the given trajectory; None if there is nothing to judge by."""
+    """Try conventions of the given trajectory; None if there is no basis to judge it."""
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
         return None
@@ -94,28 +94,28 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
         return None
     standing = np.tile(np.eye(4), (len(poses), 1, 1))
     (unmoved,) = disagreements(pairs, standing[None])
-    readings = list(likely_readings())
-    table = _disagreements(readings, pairs, poses)
+    conventions = list(likely_conventions())
+    table = _disagreements(conventions, pairs, poses)
     fitting = table.min(axis=0) < HOPELESS
     if not fitting.any() or table[:, fitting].mean(axis=1).min() > CLEARLY_BETTER * unmoved[fitting].mean():
-        further = list(further_readings())
+        further = list(further_conventions())
         table = np.concatenate([table, _disagreements(further, pairs, poses)])
-        readings += further
+        conventions += further
         fitting = table.min(axis=0) < HOPELESS
     if fitting.sum() < LEAST_PAIRS:
         return None
     costs = table[:, fitting].mean(axis=1)
-    chosen = _simplest(readings, costs)
+    chosen = _simplest(conventions, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
-    read = readings[chosen].apply(poses)
+    read = conventions[chosen].apply(poses)
     left_m = residual_m(usable, read)
     still = float(unmoved[fitting].mean())
-    scaled = min(cost for reading, cost in zip(readings, costs, strict=True) if reading.unit_m != 1)
+    scaled = min(cost for convention, cost in zip(conventions, costs, strict=True) if convention.unit_m != 1)
     fit = fits(left_m, usable)
     lengths = fit_lengths(usable, read) if chosen == 0 else Lengths(1.0, 1.0, 1.0)
     better = costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)
     return PoseFit(
-        reading=readings[chosen],
+        convention=conventions[chosen],
         given=float(costs[0]),
         best=float(costs[chosen]),
         still=still,
@@ -130,16 +130,16 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 
 
 def _disagreements(
-    readings: list[Reading], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
+    conventions: list[PoseConvention], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(readings, pairs)."""
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]
-    return disagreements(pairs, np.stack([reading.apply(paired) for reading in readings]))
+    return disagreements(pairs, np.stack([convention.apply(paired) for convention in conventions]))
 
 
 def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
-    """Judge the trajectory that came with a recording."""
+    """Judge the given trajectory of a recording."""
     given = probe.recording.given_trajectory
     if probe.recording.trajectory_error:
         advice = "correct it, or `trajectory: ignore`"
@@ -166,25 +166,25 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
         what = "too few frames with poses see the same surface: the given trajectory could not be checked"
         yield Finding("trajectory_unchecked", "note", what, probe.where)
         return
-    yield from _reading(probe, fit)
+    yield from _convention(probe, fit)
     late = []
-    if not fit.reading.changes or fit.fits:
-        late = list(check_trajectory_delay(probe, given, fit.reading, fit.pairs))
-    # Poses of another time fit better with other lengths, too.
+    if not fit.convention.changes or fit.fits:
+        late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
+    # Poses with a clock offset fit better with other lengths, too.
     yield from late or check_lengths(probe, fit.lengths)
     yield from _arc(probe, fit)
 
 
-def _simplest(readings: list[Reading], costs: NDArray[np.float64]) -> int:
-    """Index of the reading to believe: as given unless another is much better, then the simplest as good."""
+def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
+    """Index of the convention: as given, unless another is much better; then the simplest of those."""
     if costs.min() > BETTER * costs[0]:
         return 0
     good = np.flatnonzero(costs * SIMPLER <= costs.min())
-    return int(min(good, key=lambda i: (readings[i].changes, costs[i])))
+    return int(min(good, key=lambda i: (conventions[i].changes, costs[i])))
 
 
 def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
-    """The key of FACTORS by which poses have the time of the frames; None: by none, or as they are."""
+    """The key of FACTORS that maps the poses' stamps to the frames' time; None: none, or not needed."""
     together = [
         int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
     ]
@@ -193,7 +193,7 @@ def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> flo
     (first, last), (start, end) = ((float(ns[0]), float(ns[-1])) for ns in (poses_ns, frames_ns))
     for factor in FACTORS:
         share = (last - first) * factor / max(end - start, 1.0)
-        # Of poses and frames that begin together most of the time must agree.
+        # If poses and frames begin together, most of their spans must overlap.
         least = LEAST_SPAN if first > end or last < start else POSED_SHARE
         if first * factor <= end and last * factor >= start and least < share < 1 / least:
             return factor
@@ -218,50 +218,50 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
 
 
 def _stated_scale(recording: Recording) -> float:
-    """Units a metre of depth as the files have it, which `depth_scale` counts."""
+    """Units per metre of depth in the files, as `depth_scale` states it."""
     float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
     return recording.depth_scale if float_scale is None else float_scale
 
 
-def _reading(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
-    if fit.reading.changes and not fit.fits:
+def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
+    if fit.convention.changes and not fit.fits:
         left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
         if not math.isfinite(fit.residual_m):
             left = "(even so no surface falls on another)"
         what = (
-            "the given poses fit the depth by no reading that was tried: they come nearest if read as: "
-            f"{fit.reading.text()} {left}"
+            "the given poses fit the depth in no convention that was tried, the nearest being: "
+            f"{fit.convention.text()} {left}"
         )
         advice = "look at the poses' convention, the depth's scale and the intrinsics"
         if fit.residual_m <= MOST_FITTING_M:
             advice = (
-                "if they are meant so, write them anew; else look at the depth's scale and the intrinsics"
+                "if they are meant so, write them again; else look at the depth's scale and the intrinsics"
             )
         advice += "; or `trajectory: ignore`"
         yield Finding("trajectory_wrong", "stops", what, probe.where, advice)
-    elif fit.reading.changes:
+    elif fit.convention.changes:
         what = (
-            f"the given poses do not fit the depth as they are, but do if read as: {fit.reading.text()} "
+            f"the given poses do not fit the depth as they are, but do if read as: {fit.convention.text()} "
             f"(residual {1000 * fit.residual_m:.1f} mm)"
         )
-        name, advice = "trajectory_reading", "write them anew so, or `trajectory: ignore`"
-        if fit.reading.changes == 1 and fit.reading.unit_m != 1:
+        name, advice = "trajectory_reading", "write them again so, or `trajectory: ignore`"
+        if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()
-            scale = _stated_scale(probe.recording) * fit.reading.unit_m
-            at_scale_m = median_m / fit.reading.unit_m
+            scale = _stated_scale(probe.recording) * fit.convention.unit_m
+            at_scale_m = median_m / fit.convention.unit_m
             name = "depth_scale"
             advice = (
                 f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_scale_m:.2f} m"
             )
             if is_likely(median_m, far_m):
                 name, advice = "trajectory_scale", "write the poses in metres"
-        if fit.reading.images == "mirrored":
+        if fit.convention.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
         yield Finding(name, "stops", what, probe.where, advice)
     elif fit.still > MOVED and fit.best > NO_BETTER * fit.still:
         what = (
-            "the given poses fit the depth no better than if the camera had stood still, by any reading that "
-            "was tried"
+            "the given poses fit the depth no better than if the camera had stood still, in any "
+            "convention that was tried"
         )
         advice = "they are of another recording, camera or clock: `trajectory: ignore`"
         yield Finding("trajectory_wrong", "stops", what, probe.where, advice)

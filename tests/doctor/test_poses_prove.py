@@ -10,7 +10,7 @@ import pytest
 
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.doctor.during_build import likely_cause
-from kinectbench.doctor.fit import Reading, fits
+from kinectbench.doctor.fit import PoseConvention, fits
 from kinectbench.doctor.probe import probe_recording
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.lab.simulate.simulate import simulate
@@ -113,10 +113,11 @@ def test_poses_of_another_recording_are_never_called_a_fit(near: Path, tmp_path:
 
 @pytest.mark.parametrize("residual_m", [0.0501, 0.6991, np.nan])
 @pytest.mark.parametrize(
-    "reading", [Reading(inverse=True), Reading(unit_m=1000.0), Reading(images="mirrored")]
+    "convention",
+    [PoseConvention(inverse=True), PoseConvention(unit_m=1000.0), PoseConvention(images="mirrored")],
 )
-def test_no_reading_that_leaves_over_50_mm_is_called_a_fit(
-    near: Path, residual_m: float, reading: Reading
+def test_no_convention_that_leaves_over_50_mm_is_called_a_fit(
+    near: Path, residual_m: float, convention: PoseConvention
 ) -> None:
     look = probe_recording(open_recording(near))
     fit = fit_trajectory(look)
@@ -124,19 +125,19 @@ def test_no_reading_that_leaves_over_50_mm_is_called_a_fit(
     # However far the things are, and so however much noise there is.
     far = [replace(pair, points=1000 * pair.points) for pair in fit.pairs]
     assert not fits(residual_m, far) and fits(0.0499, far)
-    bad = replace(fit, reading=reading, residual_m=residual_m, fits=fits(residual_m, far), proven=False)
+    bad = replace(fit, convention=convention, residual_m=residual_m, fits=fits(residual_m, far), proven=False)
     said = [found for found in check_trajectory(look, bad) if found.severity != "note"]
     assert [found.name for found in said] == ["trajectory_wrong"]
-    assert "come nearest if read as" in said[0].what
-    assert "by no reading" in said[0].what and "nan" not in said[0].what and "do fit" not in said[0].what
+    assert "the nearest being" in said[0].what
+    assert "in no convention" in said[0].what and "nan" not in said[0].what and "do fit" not in said[0].what
 
 
-def test_a_reading_that_nearly_fits_is_told_with_what_is_left(near: Path) -> None:
+def test_a_convention_that_nearly_fits_is_reported_with_its_residual(near: Path) -> None:
     """As of a noisy sensor: below 50 mm, but more than noise."""
     look = probe_recording(open_recording(near))
     fit = fit_trajectory(look)
     assert fit is not None
-    nearly = replace(fit, reading=Reading(inverse=True), residual_m=0.012, fits=False, proven=False)
+    nearly = replace(fit, convention=PoseConvention(inverse=True), residual_m=0.012, fits=False, proven=False)
     (said,) = (found for found in check_trajectory(look, nearly) if found.severity == "stops")
     assert "read as: world to camera (inverse) (12 mm off, more than noise explains)" in said.what
-    assert "write them anew" in said.advice
+    assert "write them again" in said.advice

@@ -1,7 +1,7 @@
-"""Bringing streams to each other's time: colour frames to depth frames, given poses to frames.
+"""Association in time: colour frames with depth frames, given poses with frames.
 
-Depth and colour are paired: as many pairs as possible, then the closest ones, none used twice. A given
-trajectory is interpolated.
+Depth and colour are paired one to one: as many pairs as possible, then the closest ones. A given trajectory
+is interpolated.
 """
 
 from bisect import bisect_left, bisect_right
@@ -14,9 +14,9 @@ from kinectbench.core.geometry import interpolate_rigid
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.types import Float64, Int64
 
-# Of TUM RGB-D's own tool: the most that a pair may be apart.
+# Largest difference of a pair in the association tool of TUM RGB-D.
 TOLERANCE_NS = 20_000_000
-# A longer step than so many usual ones has a frame missing in it.
+# A step longer than this many median steps contains a missing frame.
 MISSING_STEPS = 1.5
 
 
@@ -38,9 +38,9 @@ def associate(
 ) -> list[int | None]:
     """Give each depth frame at most one colour frame, and each colour frame at most one depth frame.
 
-    Of all ways to pair stamps that differ by `tolerance_ns` at most, the one with the most pairs, and of
-    those the one with the least sum of differences. On a line such pairs never need to cross, so dynamic
-    programming over the sorted stamps finds it (own rule; TUM RGB-D's tolerance of 0.02 s).
+    Stamps may be paired if they differ by `tolerance_ns` at most. The result has the largest number of pairs,
+    and among those the least sum of differences. Optimal pairs never need to cross, so dynamic programming
+    over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D.
 
     Args:
         depth_ns: increasing stamps of depth.
@@ -48,7 +48,7 @@ def associate(
         tolerance_ns: largest difference of a pair.
 
     Returns:
-        For each depth frame the index of its colour frame, or None.
+        For each depth frame, the index of its colour frame, or None.
     """
     # best[j]: the best matching of the depth frames so far with the colours before j; known up to `reach`.
     best = [_Matching(0, 0, None, None)] * (len(color_ns) + 1)
@@ -80,14 +80,14 @@ def half_step_ns(stamps_ns: Sequence[int] | Int64) -> int:
 
 
 def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int] | Int64) -> int:
-    """How far the stamps of a depth and a colour image of one frame may be apart (own rule).
+    """Largest difference of the stamps of a depth and a colour image of one frame, nanoseconds.
 
-    Half a frame of the faster stream, and half of what its stamps or the other's stray: the nearest image is
-    never farther, and the one of the next frame mostly is. Never more than `TOLERANCE_NS`.
+    It is half a frame of the faster stream, plus half the jitter of either stream. The nearest image is never
+    farther, and the next frame's image mostly is. It is never more than `TOLERANCE_NS`.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.
-        color_ns: stamps of colour, likewise.
+        color_ns: stamps of colour, nanoseconds, in any order.
     """
     streams = [np.unique(np.asarray(stamps_ns, np.int64)) for stamps_ns in (depth_ns, color_ns)]
     halves_ns = [half_step_ns(stream) for stream in streams]
@@ -105,10 +105,10 @@ def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Floa
     Args:
         given: the trajectory.
         stamps_ns: (n,) int64, the frames.
-        max_gap_s: two poses farther apart than this are not bridged.
+        max_gap_s: no pose is interpolated between two poses farther apart than this.
 
     Returns:
-        (n, 4, 4) float64; NaN where the trajectory says nothing. A stamp met exactly needs no bridge.
+        (n, 4, 4) float64; NaN where no pose is near. A pose at exactly the stamp needs no interpolation.
     """
     poses = np.full((len(stamps_ns), 4, 4), np.nan)
     known_ns = given.stamps_ns

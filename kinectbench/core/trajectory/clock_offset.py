@@ -1,7 +1,7 @@
-"""By how much the clock of a trajectory is late against that of frames whose poses another source tells.
+"""Offset of a trajectory's clock against the clock of frames with poses of another source.
 
-A motion capture and a camera keep clocks of their own: depth stamps of a Kinect lag the motion capture of
-TUM's freiburg1 by 28 ms, which doubles the absolute trajectory error there.
+A motion capture system and a camera have separate clocks. In TUM's freiburg1 the depth stamps of the Kinect
+lag the motion capture by 28 ms, which doubles the absolute trajectory error there.
 """
 
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.compare import align_positions, has_pose
 from kinectbench.core.types import Float64, Int64
 
-# Lags that are tried (own choice): clocks that were set to each other by hand or by the network.
+# Lags that are tried: up to 0.2 s, for clocks that were synchronised by hand or by the network.
 STEP_NS = 10_000_000
 LAGS_NS = np.arange(-20, 21) * STEP_NS
-# Either half of them has six then, and an alignment has six unknowns (own choice).
+# Each half then has six frames, and an alignment has six unknowns.
 LEAST_FRAMES = 12
-# Positions this far apart are bridged, or this many usual steps, as for a look at a recording.
+# Positions are interpolated over gaps of this length, or of this many median steps, as in `inspect`.
 BRIDGED_S, BRIDGED_STEPS = 0.2, 2.5
-# An offset is told if it makes the error so much smaller, and either half of the frames tells it to 20 ms or
-# a fifth of it: of 32 frames of freiburg1_xyz the halves say -34 and -4 ms, and all say -19 ms, where the
-# error falls by 16 %. Less than 3 ms hardly matters: 1 mm at .3 m/s (own choices).
+# An offset is reported if it lowers the error to this ratio, and both halves of the frames agree with it to
+# 20 ms or a fifth. Of 32 frames of freiburg1_xyz the halves give -34 and -4 ms, and all give -19 ms, where
+# the error falls by 16 %. An offset below 3 ms hardly matters: 1 mm at 0.3 m/s.
 BETTER, AGREED_NS, AGREED_SHARE, LEAST_NS = 0.9, 20_000_000, 0.2, 3_000_000
 
 
@@ -42,19 +42,19 @@ class ClockOffset:
 
 
 def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTrajectory) -> ClockOffset | None:
-    """The lag of a reference's stamps at which its positions agree best with those of frames (own rule).
+    """The lag of a reference's stamps at which its positions agree best with those of the frames.
 
-    At each lag the reference is interpolated, and the frames are aligned to it without scale. The mean square
-    of the distances is a parabola in the lag near the best one.
+    At each lag the reference is interpolated, and the frames are aligned to it without scale. Near the best
+    lag the mean squared distance is approximately a parabola.
 
     Args:
         stamps_ns: (n,) int64, of the frames, increasing.
         T_world_camera: (n, 4, 4) their poses by another source; NaN where there is none.
-        reference: the trajectory whose clock is asked for, of any world.
+        reference: the trajectory whose clock offset is estimated, in any world frame.
 
     Returns:
-        None where there is none, or it cannot be told: the frames have no stamps, the camera hardly moved, or
-        something else, such as drift, makes most of the error.
+        None if there is no offset, or it cannot be determined: the frames have no stamps, the camera hardly
+            moved, or another cause, such as drift, dominates the error.
     """
     posed = has_pose(T_world_camera)
     frames_ns, positions = stamps_ns[posed], T_world_camera[posed, :3, 3]
@@ -76,7 +76,7 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
 
 
 def _best_ns(squares: Float64) -> int | None:
-    """The lag of the least mean of squares (lags, frames), by a parabola through it and those beside it."""
+    """The lag of the least mean of squares (lags, frames), refined by a parabola."""
     means = squares.mean(axis=1)
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):
@@ -85,10 +85,10 @@ def _best_ns(squares: Float64) -> int | None:
 
 
 def steps_to_vertex(values: Float64, best: int) -> float:
-    """How many steps from the best of even values the parabola through it and its neighbours has its vertex.
+    """The vertex of the parabola through the best of evenly spaced values and its neighbours, in steps.
 
     Args:
-        values: (n,), least or most at `best`.
+        values: (n,), minimum or maximum at `best`.
         best: neither the first nor the last.
 
     Returns:
@@ -101,7 +101,7 @@ def steps_to_vertex(values: Float64, best: int) -> float:
 
 def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, lags_ns: Int64) -> Float64:
     """(lags, k) square distances, m^2, of the k frames that have a position at every lag."""
-    # Relative times, as nanoseconds since 1970 have more digits than a float.
+    # Relative times, because nanoseconds since 1970 exceed the precision of a float.
     known_ns = reference.stamps_ns - reference.stamps_ns[0]
     wanted_ns = frames_ns - reference.stamps_ns[0] + lags_ns[:, None]
     steps_ns = np.diff(known_ns)

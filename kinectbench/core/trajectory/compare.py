@@ -1,4 +1,4 @@
-"""How far an estimated trajectory is from a reference: absolute and relative errors (Sturm et al. 2012).
+"""Absolute and relative errors of an estimated trajectory against a reference (Sturm et al. 2012).
 
 `T_world_camera` of both may refer to different worlds: the estimate is aligned first, without scale.
 """
@@ -19,16 +19,16 @@ from kinectbench.core.trajectory.association import associate, half_step_ns
 from kinectbench.core.types import Bools, Float64, Int64
 
 MIN_MATCHED = 3
-# Drift is taken over pieces of path of this length, give or take a tenth.
+# Drift is measured over pieces of path of this length, within a tenth.
 PIECE_M = 1.0
 PIECE_TOLERANCE_M = 0.1
-# Camera positions that spread less than this about a line do not say how worlds are turned to each other.
+# Camera positions that spread less than this about a line do not determine a rotation between worlds.
 MIN_SPREAD_M = 0.05
 
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """A set of errors, all >= 0, in the unit that the name of the value says."""
+    """Statistics of errors, all >= 0, in the unit that the field's name states."""
 
     rmse: float
     mean: float
@@ -70,14 +70,14 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
     """Pair stamps, each at most once: equal ones first, then the closest within half a frame.
 
     Half a frame is half the smaller of the two median intervals, so that nothing is paired with the
-    neighbour of its own frame. As many as possible are paired (own rule, see `ingest.association`).
+    neighbour of its own frame. As many as possible are paired, as in `association.associate`.
 
     Args:
         estimate_ns: (k,) int64, any order.
         reference_ns: (m,) int64, any order, same clock.
 
     Returns:
-        Indices into the one and into the other, (n,) int64 each, in the order of the estimate's stamps.
+        Indices into the estimate and into the reference, (n,) int64 each, ordered by the estimate's stamps.
     """
     _, first, second = np.intersect1d(estimate_ns, reference_ns, return_indices=True)
     rest, rest_reference = (
@@ -98,10 +98,10 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
 def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
     """Absolute and relative errors of matched poses.
 
-    ATE: the distances |p_i - S q_i| of the positions, with the rigid S that makes their squares least
-    (Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991
-    without scale). RPE: translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1) for j = i + 1,
-    and for the pose j whose path from i along the reference is closest to 1 m (0.9 to 1.1 m).
+    ATE: the distances |p_i - S q_i| of the positions, with the rigid S of the least squares (Sturm et al., "A
+    benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991 without scale). RPE:
+    translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1) for j = i + 1, and for the pose j whose
+    path from i along the reference is closest to 1 m (0.9 to 1.1 m).
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n >= 3, in the order of time.
@@ -149,10 +149,10 @@ def align_positions(points_b: Float64, points_a: Float64) -> Float64:
 
 
 def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
-    """The transform from the estimate's world to the reference's, also where positions do not tell it.
+    """The transform from the estimate's world to the reference's, also for degenerate positions.
 
-    As for ATE; but with fewer than three poses, or where the cameras stand still or move along a line
-    (less than 5 cm about it, rms), the orientations say how the worlds are turned (own rule).
+    As for ATE. With fewer than three poses, or if the cameras stand still or move along a line (less than 5
+    cm rms about it), the rotation comes from the orientations.
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n > 0.
@@ -189,7 +189,7 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """From each pose the one that is closest to a metre of path ahead, if it is within a tenth."""
+    """For each pose, the pose closest to a metre of path ahead, if it is within a tenth."""
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)

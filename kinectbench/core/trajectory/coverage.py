@@ -1,4 +1,4 @@
-"""What a trajectory looks at: where the optical axes meet, the arc around it, which views share what."""
+"""Coverage of a trajectory: where the optical axes meet, the arc around it, and covisibility."""
 
 from collections.abc import Iterable
 
@@ -9,27 +9,29 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
 TYPICAL_DISTANCE_M = 1.5
-# Upper edges whose mean is shorter than this point anywhere.
+# If the mean of the up vectors is shorter than this, they have no common direction.
 MIN_UPRIGHT = 0.1
-# Enough for a few cameras side by side, whose rows say nothing; little enough to find 119 of 120 degrees.
+# Enough for a few cameras side by side, whose rows do not determine up; little enough to find 119 of 120
+# degrees.
 LEAN_WEIGHT = 0.01
-# Cosine from which on a camera looks straight up or down.
+# Above this cosine a camera looks straight up or down.
 NEARLY_ALONG = 0.95
 # A camera counts as looking at a point that lies within this angle of its axis.
 LOOKING_AT_RAD = np.pi / 4
-# The axes meet by chance if that is more than so many times nearer or farther than what is seen in the middle
-# of the images, and if they turn by less than this share of the arc of the cameras around it: who walks
-# around a thing turns as far, also where the wall is seen beside it (own choices; of three recordings .9 to
-# 1.3 times as far, of a camera that sweeps over a desk a twelfth as far. That one turns by .12 of the arc,
-# the others by .98 and 2.5).
+# The axes meet by chance under two conditions: the meeting point is nearer or farther than the depth in the
+# middle of the images by more than this factor, and the axes turn by less than this ratio of the cameras' arc
+# around it. A camera that walks around an object turns as far as its arc, even if it sees the wall beside it.
+# Measured: the factor is 0.9 to 1.3 in three recordings around an object, and 1/12 for a sweep over a desk.
+# The sweep turns by 0.12 of the arc, the others by 0.98 and 2.5.
 MEETS_BY_CHANCE = 2.0
 LEAST_TURN_SHARE = 0.75
-# So many frames, and every so many of their pixels, tell how far the middles of the images see.
+# Number of frames and pixel stride used for the median depth in the middle of the images.
 MIDDLE_FRAMES, MIDDLE_STEP_PX = 40, 4
-# Depth is kept on a grid of about this many columns; every eighth of its pixels is a point to be found.
+# Depth is reduced to about this many columns; every eighth pixel of it becomes a test point.
 DEPTH_COLUMNS = 160
 POINT_STEP = 8
-# A point is seen where the depth agrees this closely: coarse, as the grid is, and poses may be a little off.
+# A point is seen where the depth agrees within this ratio: coarse, because the grid is coarse and poses have
+# errors.
 SEEN_SHARE_OF_DEPTH = 0.05
 
 
@@ -37,9 +39,9 @@ def convergence_point(T_world_camera: Float64) -> Float64:
     """The point (3,) in the world nearest to all optical axes, in the least-squares sense.
 
     Args:
-        T_world_camera: (n, 4, 4), n > 0. Axes that are nearly parallel leave the distance open: a weak pull
-            towards 1.5 m ahead closes it; the mean of those points is taken where axes that diverge are
-            nearest to each other behind most cameras (own rules).
+        T_world_camera: (n, 4, 4), n > 0. Nearly parallel axes do not determine the distance, so a weak prior
+            pulls the point towards 1.5 m ahead. If diverging axes meet behind most cameras, the result is the
+            mean of the points 1.5 m ahead.
     """
     axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -54,10 +56,10 @@ def convergence_point(T_world_camera: Float64) -> Float64:
 
 
 def from_above(T_world_camera: Float64) -> Float64:
-    """R_above_world (3, 3): z is up, y is where the first camera looks.
+    """R_above_world (3, 3): z is up, y is the viewing direction of the first camera.
 
-    Up is where the cameras' upper edges point, on the whole, and as square to their rows as may be: cameras
-    that look down at something lean forward, but are held level (own rule).
+    Up is the mean up vector of the cameras, made as perpendicular as possible to their image rows. Cameras
+    that look down at an object are pitched forward, but are held level.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -69,7 +71,7 @@ def from_above(T_world_camera: Float64) -> Float64:
     square = rows.T @ rows / len(rows) - LEAN_WEIGHT * np.outer(upper, upper)
     up = np.linalg.eigh(square)[1][:, 0]
     up = up if up @ upper > 0 else -up
-    # A camera that looks straight down has its upper edge ahead.
+    # For a camera that looks straight down, ahead is its up vector.
     ahead = first[:, 2] if abs(first[:, 2] @ up) < NEARLY_ALONG else -first[:, 1]
     right = np.cross(ahead, up)
     right = right / np.linalg.norm(right)
@@ -77,7 +79,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """`middle_depth_m` of some of a recording's frames (n,) that have a pose, the same for whoever asks."""
+    """`middle_depth_m` of a fixed selection of a recording's frames (n,) that have a pose."""
     some = frames[np.unique(np.linspace(0, len(frames) - 1, min(MIDDLE_FRAMES, len(frames))).astype(int))]
     thin = slice(None, None, MIDDLE_STEP_PX)
     return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
@@ -99,12 +101,12 @@ def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
 
 
 def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
-    """The point (3,) that the cameras look at: where their axes meet, unless they meet by chance (own rule).
+    """The point (3,) that the cameras look at: where their axes meet, unless they meet by chance.
 
-    Axes of a camera that hardly turns cross somewhere, also right before it, where nothing is. Then it is the
-    mean of what lies ahead of each camera, as far as is seen in the middle of the images. Axes that turn as
-    far as the cameras go around their meeting point do not meet by chance, however far the images see there:
-    the middle of most shows the wall where a thing is slender or has gaps.
+    The axes of a camera that hardly turns may cross anywhere, even in empty space close to it. Then the
+    result is the mean of the points ahead of each camera, at the median depth in the middle of the images.
+    Axes that turn as far as the cameras' arc around their meeting point do not meet by chance, whatever the
+    depth there: for a slender object or one with gaps the middle of most images shows the wall.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -128,17 +130,18 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
 
 def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | None:
-    """The arc of directions from which the cameras look at one point (own rule).
+    """The arc of directions from which the cameras look at one point.
 
-    The directions are seen from above; the arc is the full circle less the largest gap between two of them.
+    The directions are projected onto the horizontal plane. The arc is the full circle minus the largest gap
+    between two of them.
 
     Args:
         T_world_camera: (n, 4, 4), finite, any n.
-        depth_m: `middle_depth_m` of their images, or None, which tells where they look.
+        depth_m: `middle_depth_m` of their images, or None; it helps to find the point.
 
     Returns:
-        Radians, 0 to 2 pi; None if there is no camera, or if fewer than half of them have the point within 45
-        degrees of their axis, as when someone turns about in a room.
+        Radians, 0 to 2 pi. None if there is no camera, or if fewer than half of them have the point within 45
+        degrees of their axis, as in a panorama of a room.
     """
     if not len(T_world_camera):
         return None
@@ -157,7 +160,7 @@ def _looking_at(point: Float64, T_world_camera: Float64) -> Bools:
 
 
 def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
-    """The full circle less the largest gap between directions (m, 3), m > 0, seen from above the cameras."""
+    """The full circle minus the largest gap between directions (m, 3), m > 0, seen from above."""
     right, forward, _ = from_above(T_world_camera) @ directions_world.T
     angles = np.sort(np.arctan2(forward, right))
     gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
@@ -165,9 +168,9 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """How much of each frame others see, by depth and poses alone (own rule).
+    """How much of each frame others see, by depth and poses alone.
 
-    A point is seen by a frame whose depth, at the pixel that it falls on, agrees with it within 5 %.
+    A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
 
     Args:
         sequence: the recording.
@@ -175,7 +178,7 @@ def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> 
         frames: (k,) indices of frames that have a pose.
 
     Returns:
-        (k, k), [i, j] is the share of the points of frame i that frame j sees; 0 for frames without depth.
+        (k, k), [i, j] is the ratio of the points of frame i that frame j sees; 0 for frames without depth.
     """
     step = max(1, round(sequence.camera.width / DEPTH_COLUMNS))
     depths_m = [sequence.depth_m(int(f))[::step, ::step] for f in frames]

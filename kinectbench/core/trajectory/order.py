@@ -1,25 +1,25 @@
-"""Whether the frames of a recording follow each other, or are views in no order of time."""
+"""Whether the frames of a recording are consecutive, or are views in no order of time."""
 
 import numpy as np
 
 from kinectbench.core.geometry import rotation_angle_rad
 from kinectbench.core.types import Float64
 
-# From one frame to the next the view changes by less than this share of what it does between frames far
-# apart. Own choice: walks have .01 to .15 of it, even with a view every 15 degrees; views in no order 1.
+# Between consecutive frames the view changes by less than this ratio of the change between distant frames.
+# Measured: 0.01 to 0.15 for walks, even with a view every 15 degrees; 1 for views in no order.
 STEP_SHARE = 0.5
-# Views this near each other (1 m apart counts as much as 1 rad turned) follow each other in any case: a
-# camera that stands still has steps as large as its whole way. Own choice.
+# Views closer than this (1 m of distance counts as 1 rad of rotation) always count as consecutive: the steps
+# of a still camera are as large as its whole path. Chosen by hand.
 NEAR = 0.1
-# Fewer steps have no median to rely on (own choice).
+# Fewer poses have no reliable median step.
 FEWEST = 6
 
 
 def in_order_of_time(T_world_camera: Float64) -> bool:
-    """Whether frames show what the frame before them shows, as those of a film do (own rule).
+    """Whether consecutive frames show nearly the same view, as in a video.
 
-    Renderings and sets of views often have exact poses, but no such order: what one frame shows says nothing
-    of the next. Fewer than 6 poses are taken for a film.
+    Renderings and sets of views often have exact poses, but no order: a frame does not predict the next one.
+        Fewer than 6 poses count as a video.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where a frame has no pose.
@@ -33,7 +33,7 @@ def in_order_of_time(T_world_camera: Float64) -> bool:
 
 
 def views_apart(T_a: Float64, T_b: Float64) -> Float64:
-    """(n,) how far apart views (n, 4, 4) are: metres between the cameras, and radians of the turn, added."""
+    """(n,) distance of views (n, 4, 4): metres between the cameras plus radians of rotation."""
     apart_m = np.linalg.norm(T_a[:, :3, 3] - T_b[:, :3, 3], axis=1)
     turn_rad = rotation_angle_rad(np.swapaxes(T_a[:, :3, :3], 1, 2) @ T_b[:, :3, :3])
     return np.asarray(apart_m + turn_rad)

@@ -1,6 +1,6 @@
-"""Time stamps: decimal seconds as text to integer nanoseconds, exactly; and whether a clock ran as it should.
+"""Time stamps: exact conversion from text in seconds to integer nanoseconds, and faults of clocks.
 
-A clock's faults are repeated frames, jumps, resets and time going back.
+Faults of a clock are repeated stamps, jumps, resets and steps back.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,15 @@ NS_PER_S = 10**9
 LIMIT_NS = 2**63
 # Stamps of today: seconds from 2001 to 2096.
 TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
-# What seconds since 1970 are in other units, by the exponent of ten; and steps of cameras, by the least.
+# Likely units: by the exponent of ten of stamps since 1970, and by the least step between frames.
 UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
-# A longer pause is not a few dropped frames.
+# A longer pause is a jump, not a few dropped frames.
 JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
-# No depth camera is faster; a clock that goes back so often is none; fewer stamps do not tell (own choices).
+# No depth camera is faster; values that go back this often are no clock; fewer stamps are not judged. Chosen
+# by hand.
 FASTEST_HZ, BACK_SHARE, LEAST_STAMPS = 1000.0, 0.1, 10
-# A step back by more than this begins another clock.
+# A step back by more than this is a reset of the clock.
 RESET_NS = 1_000_000_000
 
 
@@ -51,17 +52,17 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
-    """Whether stamps of images were written in seconds, as they must be, by the steps between them.
+    """Check by the steps between images whether their stamps are in seconds, as they must be.
 
     Args:
         stamps_ns: in the order of recording, as they were read.
         where: file, for the message.
 
     Returns:
-        A warning where frames are so far apart that they may be milliseconds, as those of a slow series, too.
+        A warning if the steps may be milliseconds, or those of a slow series.
 
     Raises:
-        RecordingError: so far apart that they are micro- or nanoseconds.
+        RecordingError: the steps show that the stamps are micro- or nanoseconds.
     """
     period_s = typical_period_ns(np.asarray(stamps_ns, np.int64)) / NS_PER_S
     unit = next((unit for least_s, unit in UNITS_OF_STEPS.items() if period_s >= least_s), None)
@@ -74,7 +75,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
 
 
 def no_times(stamps_ns: Sequence[int]) -> str:
-    """Why stamps are no times of frames, but such as steps since the frame before; "" if they are times.
+    """Why stamps are no times of frames, such as steps since the frame before; "" if they are times.
 
     Args:
         stamps_ns: of images, in the order of recording, nanoseconds.
@@ -93,12 +94,12 @@ def no_times(stamps_ns: Sequence[int]) -> str:
 
 
 def are_of_today(stamps_ns: Sequence[int]) -> bool:
-    """Whether all stamps, nanoseconds, count from 1970: they are times in whatever order they come."""
+    """Whether all stamps, nanoseconds, count from 1970: then they are times in any order."""
     return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 
 def counted_ns(count: int) -> list[int]:
-    """Stamps of frames without any, nanoseconds: they count whole seconds."""
+    """Stamps for frames without stamps, nanoseconds: they count whole seconds."""
     return [index * NS_PER_S for index in range(count)]
 
 
@@ -121,13 +122,13 @@ def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
 
 @dataclass(frozen=True)
 class StampFaults:
-    """What is wrong with the stamps of a stream, in the order in which it was recorded.
+    """Faults of the stamps of a stream, in the order of recording.
 
     Attributes:
         repeated: frames with the stamp of the one before.
-        backwards: frames that are a little earlier than the one before.
-        jumps: frames before which the time jumped ahead, longer than a few dropped frames explain.
-        resets: frames before which the clock began anew, more than a second back.
+        backwards: frames that are up to a second earlier than the one before.
+        jumps: frames before which time jumps ahead by more than a few dropped frames.
+        resets: frames before which the clock goes back by more than a second.
     """
 
     repeated: int
@@ -137,10 +138,10 @@ class StampFaults:
 
 
 def typical_period_ns(stamps_ns: Int64) -> int:
-    """The step between frames where none is missing; 0: unknown.
+    """The typical step between frames where none is missing; 0: unknown.
 
-    The median of the steps forward that are shorter than one and a half of their lower quartile: where every
-    third frame is gone, the median of all is that of two steps (own rule).
+    It is the median of the forward steps that are shorter than 1.5 times their lower quartile. Where every
+    third frame is missing, the plain median would be two steps.
     """
     steps = np.diff(stamps_ns)
     forward = steps[steps > 0]
@@ -151,7 +152,7 @@ def typical_period_ns(stamps_ns: Int64) -> int:
 
 
 def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
-    """Look over the stamps of one stream (own rule).
+    """Find the faults of the stamps of one stream.
 
     Args:
         stamps_ns: (n,) nanoseconds, in the order of recording.
@@ -169,5 +170,5 @@ def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
 
 
 def find_doubled(digests: Sequence[bytes]) -> tuple[int, ...]:
-    """The frames whose content, by a digest, is that of the frame before: the driver delivered it twice."""
+    """Frames with the same digest as the frame before: the driver delivered the image twice."""
     return tuple(i for i in range(1, len(digests)) if digests[i] == digests[i - 1])

@@ -1,4 +1,4 @@
-"""Reading small text files row by row, with the file and line of every complaint."""
+"""Reading small text files row by row; errors name the file and the line."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +9,14 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable, read_plain_text
 
-# Poses of an hour at 100 a second, with 80 characters each, are 29 MB in 360,000 lines (own choices).
+# An hour of poses at 100 Hz, 80 characters each, is 29 MB in 360,000 lines.
 MOST_BYTES, MOST_ROWS, MOST_COLUMNS = 64 << 20, 500_000, 10_000
 # A matrix, with its comments.
 MATRIX_BYTES = 1 << 20
-# What ends a line for `splitlines`.
+# Line ends of `splitlines`.
 LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
 
-# What stands around the numbers of a matrix in text.
+# Characters around the numbers of a matrix in text.
 PUNCTUATION = str.maketrans(dict.fromkeys(",;[]", " "))
 
 
@@ -42,7 +42,7 @@ def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]
     """The rows of a text file without comments (#) and empty lines, as ("FILE, line N", row).
 
     Raises:
-        RecordingError: it cannot be read, is not text, or holds too much of it.
+        RecordingError: it cannot be read, is not text, or is too large.
     """
     text = read_text(path, most_bytes)
     if sum(map(text.count, LINE_ENDS)) - text.count("\r\n") > MOST_ROWS:
@@ -72,10 +72,10 @@ def parse_floats(words: Sequence[str], where: str) -> list[float]:
 
 
 def read_numbers(path: Path) -> list[float]:
-    """Every number of a small text file, row by row; commas, semicolons and brackets are passed over.
+    """Every number of a small text file, row by row; commas, semicolons and brackets are ignored.
 
     Raises:
-        RecordingError: it cannot be read, is no small file, or holds something else.
+        RecordingError: it cannot be read, is too large, or contains anything but numbers.
     """
     rows = [
         parse_floats(row.translate(PUNCTUATION).split(), where)

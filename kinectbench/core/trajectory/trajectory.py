@@ -16,9 +16,9 @@ from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64, Int64
 
 TRAJECTORY_TXT = "trajectory.txt"
-# How far off a pose may be that no other frame checked: the largest plausible error. Given poses that the
-# depth finds 25 mm off are left out (`tracking.max_disagreement_m`). With 25 mm here, aligning a view to the
-# object half-corrects a pose that is wrong by 85 mm and 4 degrees; with 20 mm it is refused.
+# Assumed error of a pose that no other frame checked: the largest plausible one. Given poses with a measured
+# error of 25 mm are left out (`tracking.max_disagreement_m`). With 25 mm here, aligning a view to the object
+# half-corrects a pose that is wrong by 85 mm and 4 degrees; with 20 mm it is refused.
 UNCHECKED_POSE_SIGMA_M = 0.02
 
 
@@ -29,11 +29,11 @@ class Trajectory:
     Attributes:
         stamps_ns: (n,) int64, the sequence's depth stamps.
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
-        source: "trust", "refine" or "tracked": where the poses come from.
-        pose_sigma_m: (n,) by how much each pose may be off, metres: how far its depth would move it; NaN
-            where that is not known. None: of no frame.
-        health: what can be said of it without a ground truth; None if nobody looked.
-        depth_calibration: of the recording's depth, as the poses were found or checked with it.
+        source: "trust", "refine" or "tracked": the source of the poses.
+        pose_sigma_m: (n,) uncertainty of each pose, metres: how far its depth would move it; NaN where
+            unknown. None: unknown for all frames.
+        health: its figures without ground truth; None if they were not computed.
+        depth_calibration: of the recording's depth, as used to estimate or check the poses.
     """
 
     stamps_ns: Int64
@@ -50,7 +50,7 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The rolling shutter that was undone for these poses, and how the camera moves; None: none was."""
+        """The rolling shutter that was undone for these poses, with the camera's motion; None: none."""
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None
         one_world = np.zeros(len(self.stamps_ns), np.int64)
@@ -58,7 +58,7 @@ class Trajectory:
         return RollingShutter(self.health.readout_s or 0.0, self.health.color_delay_s or 0.0, motion)
 
     def assumed_pose_sigma_m(self, frame: int) -> float:
-        """`pose_sigma_m`, or for a pose that nobody could check the largest plausible error, metres."""
+        """`pose_sigma_m` of a frame, or the largest plausible error if it is unknown, metres."""
         sigma_m = np.nan if self.pose_sigma_m is None else float(self.pose_sigma_m[frame])
         return UNCHECKED_POSE_SIGMA_M if np.isnan(sigma_m) else sigma_m
 
@@ -76,8 +76,8 @@ def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
     """Write trajectory.txt (the good frames), depth_calibration.json and, where it is known, health.json.
 
     Args:
-        trajectory: `pose_sigma_m` is stored in its health only.
-        folder: is there already.
+        trajectory: its `pose_sigma_m` is stored in the health only.
+        folder: an existing folder.
     """
     good = trajectory.good_frames
     posed = GivenTrajectory(trajectory.stamps_ns[good], trajectory.T_world_camera[good])

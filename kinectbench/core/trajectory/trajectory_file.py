@@ -16,14 +16,14 @@ from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
 
 HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world)\n"
-# Recorded rotation matrices are a little off; farther than this from SO(3) they are something else.
+# Recorded rotation matrices have small errors; farther than this from SO(3) they are no rotations.
 RIGID_TOLERANCE = 0.05
-# Of a position or a matrix; coordinates from the centre of the Earth stay below.
+# Limit of positions and matrices; coordinates from the centre of the Earth stay below.
 FARTHEST_M = 1e7
 
 
 class TimedPose(NamedTuple):
-    """One row: stamp (ns), translation (m) and quaternion, and where it was read."""
+    """One row: stamp (ns), translation (m), quaternion, and the file and line it came from."""
 
     stamp_ns: int
     translation_m: tuple[float, ...]
@@ -34,10 +34,10 @@ class TimedPose(NamedTuple):
 def read_given(
     read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
 ) -> tuple[GivenTrajectory | None, list[str], str]:
-    """Read the trajectory that came with a recording, which may be broken: frames can be used without it.
+    """Read a recording's trajectory, which may be broken: the frames are usable without it.
 
     Args:
-        read: reads it; gives the trajectory, and warnings.
+        read: returns the trajectory, and warnings.
 
     Returns:
         The trajectory or None, warnings, and why it cannot be used, or "".
@@ -53,7 +53,7 @@ def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTraject
 
     Args:
         path: the file.
-        frames: of a recording whose stamps are no times: its rows are of these frames, which count seconds.
+        frames: number of frames of a recording whose stamps are no times. Row i is then the pose of frame i.
 
     Returns:
         The trajectory, and warnings.
@@ -94,8 +94,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
         The trajectory, and warnings.
 
     Raises:
-        RecordingError: a value is not finite or beyond all measure, a quaternion has no length, or no row
-            is there.
+        RecordingError: a value is not finite or too large, a quaternion has length zero, or there is no row.
     """
     if not rows:
         raise RecordingError(f"{name}: the trajectory is empty; remove it or export it again")
@@ -128,7 +127,7 @@ def trajectory_text(trajectory: GivenTrajectory) -> str:
 
 
 def rigid_or_none(matrix: Float64) -> Float64 | None:
-    """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is nowhere near one."""
+    """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is far from one."""
     # False for NaN, too.
     if not np.abs(matrix).max() <= FARTHEST_M or np.linalg.det(matrix[:3, :3]) <= 0:
         return None
