@@ -252,7 +252,7 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "time_backwards",
         "1 depth",
     ),
-    "a clock that begins anew": (change_rows("depth", _reset), "clock_reset", "begins anew"),
+    "a clock that begins anew": (change_rows("depth", _reset), "clock_reset", "restarts"),
     "an empty list": (change_rows("depth", lambda rows: []), "unreadable", "lists no images"),
     "empty depth": (change_images("depth", lambda d: d * 0), "no_depth", ""),
     "quarter of the depth images cut off": (_cut_off, "damaged_frames", "cut off"),
