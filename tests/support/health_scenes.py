@@ -76,7 +76,7 @@ def check_of(
         inlier_share=np.full(n, np.nan),
         degenerate=nothing,
         disagrees=nothing if rejected is None else rejected,
-        stands_out=nothing,
+        outlier=nothing,
         blind=nothing,
         jumps=(),
     )

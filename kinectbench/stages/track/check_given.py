@@ -19,7 +19,7 @@ from kinectbench.stages.track.frame_check import FrameCheck, check_frames, evenl
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.health_figures import median
 from kinectbench.stages.track.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
-from kinectbench.stages.track.standing_out import STANDS_OUT
+from kinectbench.stages.track.outliers import OUTLIER_REASON
 from kinectbench.stages.track.tracked import Constraint, State, Tracked
 
 NO_POSE = "the given trajectory has no pose at its time"
@@ -78,7 +78,7 @@ def check_given(
     calibration = calibrate_posed(maps, T_given, evenly_spread(posed))
     maps.calibrate(calibration)
     frames = check_frames(maps, T_given, settings, progress)
-    sound = frames.compared[~(frames.disagrees | frames.stands_out)[frames.compared]]
+    sound = frames.compared[~(frames.disagrees | frames.outlier)[frames.compared]]
     distant, shifts_m, unmatched = distant_constraints(maps, T_given, sound, every)
     figures = GivenFigures(
         disagreeing=tuple(np.flatnonzero(frames.disagrees).tolist()),
@@ -120,7 +120,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
             f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
             "without them"
         )
-    odd = checked.frames.stands_out
+    odd = checked.frames.outlier
     kept = posed & ~wrong & ~blind & ~odd
     states: tuple[State, ...] = tuple("tracked" if each else "lost" for each in kept)
     return Tracked(
@@ -128,7 +128,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
         states=states,
         reasons=dict.fromkeys(np.flatnonzero(~posed).tolist(), NO_POSE)
         | dict.fromkeys(np.flatnonzero(posed & blind).tolist(), NO_DEPTH)
-        | dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT),
+        | dict.fromkeys(np.flatnonzero(odd).tolist(), OUTLIER_REASON),
         keyframes=checked.frames.compared[kept[checked.frames.compared]],
         constraints=checked.distant,
         refused=(),

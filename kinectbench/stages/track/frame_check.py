@@ -23,8 +23,8 @@ from kinectbench.stages.track.disagreement import (
 )
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import is_accepted
+from kinectbench.stages.track.outliers import find_outliers
 from kinectbench.stages.track.registration import Registration, measure, register, score, search
-from kinectbench.stages.track.standing_out import stand_out
 
 # Number of frames that others are compared with, evenly spread.
 COMPARED_FRAMES = 60
@@ -53,7 +53,7 @@ class FrameCheck:
         inlier_share: (n,) inlier ratio of its points after registration.
         degenerate: (n,) bool, the depth has an unobservable direction of motion.
         disagrees: (n,) bool.
-        stands_out: (n,) bool, an outlier: within the limits, but far worse than nearly all frames.
+        outlier: (n,) bool, within the limits, but far worse than nearly all frames.
         blind: (n,) bool, it has no depth that could be compared.
         jumps: where the trajectory jumps: the frame after the jump, and its size, metres.
     """
@@ -66,7 +66,7 @@ class FrameCheck:
     inlier_share: Float64
     degenerate: Bools
     disagrees: Bools
-    stands_out: Bools
+    outlier: Bools
     blind: Bools
     jumps: tuple[tuple[int, float], ...]
 
@@ -189,20 +189,20 @@ class _Checker:
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 
-    def stands_out(self, disagrees: Bools) -> Bools:
+    def outlier(self, disagrees: Bools) -> Bools:
         """Frames (n,) that are within the limits but agree far worse than nearly all others.
 
         Candidates are measured again against the frames before them and after them, and the better side
         counts. A wrong frame makes its correct neighbours look worse, and next to a jump only one side
         agrees.
         """
-        odd = stand_out(self.residual_m / self.noise_m, ~disagrees)
+        odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
         sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
         for frame in np.flatnonzero(odd).tolist():
             again_m = [self._residual_m(frame, side) for side in self._sides(frame, sound)]
             known_m = [each for each in again_m if np.isfinite(each)]
             self.residual_m[frame] = min(known_m, default=np.nan)
-        return odd & stand_out(self.residual_m / self.noise_m, ~disagrees)
+        return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
         """Search around the given pose and around the next frame's; keep the result if clearly better."""
@@ -268,7 +268,7 @@ class _Checker:
             shift_m[frame], turn_rad[frame] = found.shift_m, found.turn_rad
             inlier_share[frame] = found.registration.inlier_share
             degenerate[frame], disagrees[frame] = found.registration.degenerate, self._disagrees(found)
-        stands_out = self.stands_out(disagrees)
+        outlier = self.outlier(disagrees)
         return FrameCheck(
             compared=self.compared,
             shift_m=shift_m,
@@ -278,9 +278,9 @@ class _Checker:
             inlier_share=inlier_share,
             degenerate=degenerate,
             disagrees=disagrees,
-            stands_out=stands_out,
+            outlier=outlier,
             blind=self.blind,
-            jumps=self.jumps(posed[~(disagrees | stands_out)[posed]]),
+            jumps=self.jumps(posed[~(disagrees | outlier)[posed]]),
         )
 
 

@@ -24,7 +24,7 @@ from kinectbench.stages.track.check_given import (
     warnings_of,
 )
 from kinectbench.stages.track.health import health
-from kinectbench.stages.track.standing_out import odd_frames
+from kinectbench.stages.track.outliers import outlier_warnings
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 
@@ -95,7 +95,9 @@ def _finished(
             f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
             f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
         )
-    figures = health(sequence, source, tracked, [*warnings, *odd_frames(tracked.reasons, source)], check)
+    figures = health(
+        sequence, source, tracked, [*warnings, *outlier_warnings(tracked.reasons, source)], check
+    )
     return Trajectory(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,

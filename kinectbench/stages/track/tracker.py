@@ -32,10 +32,10 @@ from kinectbench.stages.track.odometry import (
     median_quality,
     point_stride,
 )
+from kinectbench.stages.track.outliers import OUTLIER_REASON, find_outliers
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.shutter_search import find_shutter
 from kinectbench.stages.track.smoothing import smoothed
-from kinectbench.stages.track.standing_out import STANDS_OUT, stand_out
 from kinectbench.stages.track.tracked import State, Tracked
 
 # Number of keyframes that each frame is registered to: its own, and those with the largest shared view.
@@ -87,8 +87,8 @@ def _place(
     information = np.array([r.information if r else HELD for r in found])
     poses = np.array([each.T_world_camera for each in placed])
     accepted = np.array([each.reason is None for each in placed])
-    odd = accepted & stand_out(residual_m / noise_m, accepted)
-    placed = [replace(each, reason=STANDS_OUT) if odd[k] else each for k, each in enumerate(placed)]
+    odd = accepted & find_outliers(residual_m / noise_m, accepted)
+    placed = [replace(each, reason=OUTLIER_REASON) if odd[k] else each for k, each in enumerate(placed)]
     posed = accepted & ~odd
     poses[~posed] = np.nan
     poses[posed] = smoothed(poses[posed], maps.sequence.stamps_ns[posed], information[posed])

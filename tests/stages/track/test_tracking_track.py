@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.trajectory import read_trajectory, write_trajectory
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
-from kinectbench.stages.track.standing_out import STANDS_OUT, odd_frames, stand_out
+from kinectbench.stages.track.outliers import OUTLIER_REASON, find_outliers, outlier_warnings
 
 pytestmark = pytest.mark.xdist_group("tracking")
 SETTINGS = TrackingSettings()
@@ -191,15 +191,15 @@ def test_frames_that_agree_far_worse_than_nearly_all_are_left_out_and_told() -> 
     residual[60:74] = np.linspace(3.6, 4.5, 14)
     judged = np.ones(150, bool)
     judged[70] = False
-    odd = stand_out(residual, judged)
+    odd = find_outliers(residual, judged)
     np.testing.assert_array_equal(np.flatnonzero(odd), [*range(60, 70), *range(71, 74)])
     # Noise that differs stands out nowhere, nor does a little where all else agrees to a hair.
-    assert not stand_out(rng.normal(1.0, 0.2, 150), np.ones(150, bool)).any()
-    assert not stand_out(np.append(np.full(20, 1.0), 1.5), np.ones(21, bool)).any()
+    assert not find_outliers(rng.normal(1.0, 0.2, 150), np.ones(150, bool)).any()
+    assert not find_outliers(np.append(np.full(20, 1.0), 1.5), np.ones(21, bool)).any()
     # Three times the usual one, and a half of what noise makes.
-    assert not stand_out(np.append(np.full(20, 0.15), 0.5), np.ones(21, bool)).any()
-    assert not stand_out(np.full(3, np.nan), np.ones(3, bool)).any()
-    reasons = dict.fromkeys(np.flatnonzero(odd).tolist(), STANDS_OUT) | {80: "another reason"}
-    (line,) = odd_frames(reasons, "tracked")
+    assert not find_outliers(np.append(np.full(20, 0.15), 0.5), np.ones(21, bool)).any()
+    assert not find_outliers(np.full(3, np.nan), np.ones(3, bool)).any()
+    reasons = dict.fromkeys(np.flatnonzero(odd).tolist(), OUTLIER_REASON) | {80: "another reason"}
+    (line,) = outlier_warnings(reasons, "tracked")
     assert line.startswith("left out: 13 frames (60 to 73): its depth lies farther")
-    assert odd_frames({80: "another reason"}, "trust") == []
+    assert outlier_warnings({80: "another reason"}, "trust") == []

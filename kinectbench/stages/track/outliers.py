@@ -7,7 +7,7 @@ import numpy as np
 from kinectbench.core.artefacts.trajectory import Source
 from kinectbench.core.types import Bools, Float64
 
-STANDS_OUT = "its depth lies farther from the frames around it than that of nearly all others"
+OUTLIER_REASON = "its depth lies farther from the frames around it than that of nearly all others"
 ADVICE: dict[Source, str] = {
     "tracked": "turn and walk more slowly there",
     "refine": "turn and walk more slowly there",
@@ -17,10 +17,10 @@ ADVICE: dict[Source, str] = {
 # median of all such distances (Iglewicz and Hoaglin 1993: above 3.5). Its residual must also be twice the
 # median, because the spread may be tiny. Measured: frames of a fast turn have 3.6 to 4.5 times the median;
 # 300 frames of three recordings without a fast turn have at most 1.35 times.
-MODIFIED_Z, Z_OF_MEDIAN, STANDING_OUT = 3.5, 0.6745, 2.0
+MODIFIED_Z, Z_OF_MEDIAN, OUTLIER_RATIO = 3.5, 0.6745, 2.0
 
 
-def stand_out(residual: Float64, judged: Bools) -> Bools:
+def find_outliers(residual: Float64, judged: Bools) -> Bools:
     """Which frames agree far worse with the others than nearly all do: (n,).
 
     A frame of a fast turn may pass registration although it is centimetres off. Residuals within the noise do
@@ -36,19 +36,19 @@ def stand_out(residual: Float64, judged: Bools) -> Bools:
     median = np.median(residual[known])
     spread = np.median(np.abs(residual[known] - median))
     far = Z_OF_MEDIAN * (residual - median) > MODIFIED_Z * spread
-    odd: Bools = known & far & (residual > np.maximum(STANDING_OUT * median, 1.0))
+    odd: Bools = known & far & (residual > np.maximum(OUTLIER_RATIO * median, 1.0))
     return odd
 
 
-def odd_frames(reasons: Mapping[int, str], source: Source) -> list[str]:
+def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
     """A warning about the frames that were left out as outliers, if there are any.
 
     Args:
         reasons: by lost frame, why it has no pose.
         source: the source of the poses.
     """
-    frames = sorted(frame for frame, reason in reasons.items() if reason == STANDS_OUT)
+    frames = sorted(frame for frame, reason in reasons.items() if reason == OUTLIER_REASON)
     if not frames:
         return []
     which = f"{len(frames)} frames ({frames[0]} to {frames[-1]})" if len(frames) > 1 else f"frame {frames[0]}"
-    return [f"left out: {which}: {STANDS_OUT}; {ADVICE[source]}"]
+    return [f"left out: {which}: {OUTLIER_REASON}; {ADVICE[source]}"]
