@@ -1,4 +1,4 @@
-"""Checks of the clock: rate, dropped and doubled frames, jumps, resets, colour that finds no partner."""
+"""Checks of the clock: rate, dropped and doubled frames, jumps, resets, unpaired colour."""
 
 from collections.abc import Iterator
 

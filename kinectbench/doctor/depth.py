@@ -90,7 +90,7 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
 
 
 def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
-    """(3,) metres: 5 %, 50 % and 95 % of what is measured; NaN where nothing is."""
+    """(3,) metres: the 5 %, 50 % and 95 % quantiles of the measured depth; NaN without depth."""
     measured = _measured(probe)
     if not len(measured):
         return np.full(3, np.nan)

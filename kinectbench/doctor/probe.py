@@ -174,7 +174,9 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
         except RecordingError as error:
             whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
             (refused if whole else damaged).append(str(error))
-    if len(odd) < MAX_DAMAGED * len(indices):  # a build leaves so few out; of more the sizes are named
+    if len(odd) < MAX_DAMAGED * len(
+        indices
+    ):  # a build leaves out this few; if there are more, their sizes are reported
         return gathering.probe(damaged, [*refused, *odd.values()], odd)
     return gathering.probe(damaged, refused)
 

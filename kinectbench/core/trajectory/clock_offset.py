@@ -70,7 +70,7 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
     agreed_ns = max(AGREED_NS, AGREED_SHARE * abs(late_ns))
     if any(half_ns is None or abs(half_ns - late_ns) > agreed_ns for half_ns in halves_ns):
         return None
-    ends_ns = np.array([*LAGS_NS[[0, -1]], 0, late_ns])  # the ends, so that it is over the same frames
+    ends_ns = np.array([*LAGS_NS[[0, -1]], 0, late_ns])  # with the end lags, so that the same frames are used
     as_it_is, moved = np.sqrt(_squares(frames_ns, positions, reference, ends_ns).mean(axis=1)[2:])
     return ClockOffset(late_ns / 1e9, float(as_it_is), float(moved)) if moved < BETTER * as_it_is else None
 

@@ -87,7 +87,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
     """Check timed poses (camera to world) and put them in order.
 
     Args:
-        rows: in any order; of equal stamps the first is kept.
+        rows: in any order; the first row of equal stamps is kept.
         name: the file or topic, for messages.
 
     Returns:

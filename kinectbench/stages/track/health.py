@@ -55,7 +55,7 @@ def health(
         sequence: the recording, n frames.
         source: trust: the given poses; refine: the given poses, corrected; tracked: no given poses.
         tracked: the tracker's result. Frames that are left out have no pose in it.
-        warnings: for people, one line each.
+        warnings: for readers, one line each.
         given: the check of the given trajectory, if there is one; required for trust.
     """
     case = _Case(sequence, source, tracked, given)

@@ -283,10 +283,10 @@ class _Builder:
         while True:
             between = self._joining_constraints()
             found = [(self._agreed(constraints), groups) for groups, constraints in sorted(between.items())]
-            joints = [(agreed, groups) for agreed, groups in found if agreed is not None]
-            if not joints:
+            candidates = [(agreed, groups) for agreed, groups in found if agreed is not None]
+            if not candidates:
                 return
-            (_, each), groups = max(joints, key=lambda joint: joint[0][0])
+            (_, each), groups = max(candidates, key=lambda candidate: candidate[0][0])
             self._join(each, groups)
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:

@@ -63,7 +63,7 @@ def track(
     if posed < MIN_GOOD_FRAMES:
         raise TrackingError(_too_few_poses(sequence, posed))
     n = len(sequence)
-    # The tracker counts every frame twice.
+    # Progress: the tracker counts every frame twice.
     rounds = 3 if mode == "refine" else 1
     report = progress or (lambda done, total: None)
     checked = check_given(sequence, T_given, settings, lambda done, total: report(done, rounds * total))

@@ -133,7 +133,7 @@ class _Placer:
         self.reference = median_quality(followed)
 
     def place(self, index: int) -> _Placed:
-        """Register one frame to the keyframes that see most of what it sees."""
+        """Register one frame to the keyframes with the largest shared view."""
         frame = self.odometry.frames[index]
         if frame is None:
             return _Placed(state="lost", reason=self.odometry.reasons[index])
