@@ -139,5 +139,5 @@ def test_a_convention_that_nearly_fits_is_reported_with_its_residual(near: Path)
     assert fit is not None
     nearly = replace(fit, convention=PoseConvention(inverse=True), residual_m=0.012, fits=False, proven=False)
     (said,) = (found for found in check_trajectory(look, nearly) if found.severity == "stops")
-    assert "read as: world to camera (inverse) (12 mm off, more than noise explains)" in said.what
+    assert "nearest being: world to camera (inverse) (12 mm off, more than noise explains)" in said.what
     assert "write them again" in said.advice
