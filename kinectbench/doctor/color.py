@@ -196,7 +196,7 @@ def _blur(probe: Probe) -> Iterator[Finding]:
     )
     blurred = np.flatnonzero(blurs > BLURRED)
     if len(blurred) > MANY_BLURRED * max(int(np.isfinite(blurs).sum()), 1):
-        what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the usual detail: blur"
+        what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the median detail: blur"
         yield Finding("blur", "note", what, probe.where, "move more slowly, or give it more light")
 
 
