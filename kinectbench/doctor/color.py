@@ -196,7 +196,8 @@ def _blur(probe: Probe) -> Iterator[Finding]:
     )
     blurred = np.flatnonzero(blurs > BLURRED)
     if len(blurred) > MANY_BLURRED * max(int(np.isfinite(blurs).sum()), 1):
-        what = f"{len(blurred)} of {len(blurs)} frames have under {1 / BLURRED:.0%} of the median detail: blur"
+        few = f"under {1 / BLURRED:.0%} of the median detail"
+        what = f"{len(blurred)} of {len(blurs)} frames have {few}: blur"
         yield Finding("blur", "note", what, probe.where, "move more slowly, or give it more light")
 
 
