@@ -23,7 +23,7 @@ from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.engine.stages import Job
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.stages.sample_views.views import read_views
-from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.object_model import read_object
 
 ID = "cabinet"

@@ -22,8 +22,8 @@ from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse.reconstruction import observe
 from kinectbench.stages.sample_views.masks import inner_silhouette
-from kinectbench.stages.segment.grids import FLOOR_LAYERS
 from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS
 
 # Calibration is asked for this near to the surface, and wherever nothing is known.
 NEAR_VOXELS = 4

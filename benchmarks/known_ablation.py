@@ -22,7 +22,7 @@ from rich.table import Table
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.types import Bools
 from kinectbench.lab.evaluate.known import CALIBRATED_M, GROSS_M, calibration_error, equal_bins
-from kinectbench.stages.segment import evidence, guess, sight, solid
+from kinectbench.stages.segment.solid import evidence, guess, solid
 
 COLUMNS = ("IoU", "IoU on known", "gross %", "worst %", "not known %", "calibration")
 
@@ -36,17 +36,17 @@ def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
 
 
 def _deep_by_distance(behind: Bools, in_front: Bools, tsdf_m: Any, voxel_m: float) -> Bools:
-    deep: Bools = behind & (tsdf_m < -max(evidence.SHELL_M, 1.5 * voxel_m))
-    return deep
+    beyond: Bools = behind & (tsdf_m < -max(evidence.SHELL_M, 1.5 * voxel_m))
+    return beyond
 
 
 # What stands in a rule's place when it is left out: module, name, value.
 RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "all rules": (),
-    "slits are unknown": ((sight, "NARROWER", 1.0),),
+    "slits are unknown": ((evidence, "NARROWER", 1.0),),
     "deep behind a surface nothing is told": ((evidence, "SHELL_M", 1.0),),
-    "the way to the surface tells depth": ((evidence, "_deep", _deep_by_distance),),
-    "a plate just above the floor is the object's": ((evidence, "_raised", _no_plate),),
+    "the way to the surface tells depth": ((evidence, "_beyond_band", _deep_by_distance),),
+    "a plate just above the floor is the object's": ((evidence, "_low_plates", _no_plate),),
     "right under the object it goes on": ((guess, "rim_voxels", lambda limits, voxel_m: 0),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),
 }

@@ -40,10 +40,10 @@ from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import View, Views, write_views
-from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.planes import floor_frame
 from kinectbench.stages.segment.object_model import ObjectModel, write_object
-from kinectbench.stages.segment.planes import floor_frame
-from kinectbench.stages.segment.solid import SolidShape
+from kinectbench.stages.segment.solid.solid import SolidShape
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from analytic_scenes import MemoryFrames

@@ -19,11 +19,15 @@ from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_fol
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.evidence import FloorLayers
-from kinectbench.stages.segment.grids import floor_layers, object_grid, usual_ray_width_m
-from kinectbench.stages.segment.resolution import USUAL_VOXEL_M
-from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.object import find_floor_and_object
+from kinectbench.stages.segment.solid.evidence import FloorLayers
+from kinectbench.stages.segment.solid.grids import (
+    REFERENCE_VOXEL_M,
+    floor_layers,
+    median_ray_width_m,
+    object_grid,
+)
 
 SPLITS = {
     "looked-at": [name for name, family in families().items() if family.looked_at],
@@ -76,10 +80,10 @@ def observed(root: Path, recordings: Path, families: Sequence[str]) -> Iterator[
 def _observed(build: Path, recording: Path, family: str) -> Observed:
     sequence, trajectory = read_tracked(build)[:2]
     # Rules are chosen for these voxels (`stages.segment.resolution`).
-    fusion, segmentation = FusionSettings(voxel_size_m=USUAL_VOXEL_M), SegmentationSettings()
+    fusion, segmentation = FusionSettings(voxel_size_m=REFERENCE_VOXEL_M), SegmentationSettings()
     scene = read_own_ply(build / "reconstruction" / "mesh.ply")
-    chosen = segment(scene, trajectory, None, segmentation, floor_hint(sequence, trajectory))
-    grid = object_grid(chosen.box, chosen.floor, USUAL_VOXEL_M)
+    chosen = find_floor_and_object(scene, trajectory, None, segmentation, floor_hint(sequence, trajectory))
+    grid = object_grid(chosen.box, chosen.floor, REFERENCE_VOXEL_M)
     frames = trajectory.good_frames
     reach_m = grid_range_m(trajectory.T_world_camera[frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": reach_m})
@@ -96,8 +100,8 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
         halves=(odd, even),
         whole=merge(odd, even),
         excluded=chosen.excluded(grid),
-        layers=floor_layers(chosen.floor, segmentation, USUAL_VOXEL_M),
-        ray_width_m=usual_ray_width_m(
+        layers=floor_layers(chosen.floor, segmentation, REFERENCE_VOXEL_M),
+        ray_width_m=median_ray_width_m(
             sequence.camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2)
         ),
         true=mesh_occupancy(truth.mesh_world, in_truth),

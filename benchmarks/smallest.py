@@ -25,8 +25,8 @@ from kinectbench.lab.simulate.objects.shapes import surface
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import read_truth, truth_folder
 from kinectbench.settings.models import SegmentationSettings
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.object import find_floor_and_object
 
 SIZES_MM = (160, 80, 40, 20)
 DISTANCES_M = (0.5, 1.0, 2.0)
@@ -68,7 +68,9 @@ def is_chosen(build: Path, truth: Path) -> bool:
     sequence, trajectory = read_tracked(build)[:2]
     scene = read_own_ply(build / "reconstruction" / "mesh.ply")
     try:
-        chosen = segment(scene, trajectory, None, SegmentationSettings(), floor_hint(sequence, trajectory))
+        chosen = find_floor_and_object(
+            scene, trajectory, None, SegmentationSettings(), floor_hint(sequence, trajectory)
+        )
     except SegmentationError:
         return False
     true = read_truth(truth).mesh_world.vertices

@@ -7,8 +7,8 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.observation import Observation
+from kinectbench.core.voxels.ray_hits import INSIDE, OUTSIDE, UNSEEN, cast_26_rays
 from kinectbench.lab.simulate.truth import mesh_occupancy
-from kinectbench.stages.segment.rays import INSIDE, OUTSIDE, UNSEEN, walk_out
 
 POISSON_DEPTH = 8
 # Frames that saw through, so many times as many as measured a surface there, carve a voxel.
@@ -40,7 +40,7 @@ def winding(observation: Observation) -> Bools:
     state = np.full(observation.grid.shape, UNSEEN, np.uint8)
     state[(observation.weight > 0) & (observation.tsdf <= 0)] = INSIDE
     state[((observation.weight > 0) & (observation.tsdf > 0)) | _seen_through(observation)] = OUTSIDE
-    return np.asarray((state == INSIDE) | (walk_out(state).enclosed > 0.5))
+    return np.asarray((state == INSIDE) | (cast_26_rays(state).enclosed > 0.5))
 
 
 RECIPES: dict[str, Callable[[Observation], Bools]] = {

@@ -103,7 +103,7 @@ def _candidates(root: Path, recording: str) -> "CandidatesFile":
 def _show(recording: str, listed: "CandidatesFile") -> None:
     from kinectbench.cli import console
     from kinectbench.settings.edit import box_line
-    from kinectbench.stages.segment.choose import NO_FLOOR
+    from kinectbench.stages.segment.find.object import NO_FLOOR
 
     console.say(f"{recording}: from above {listed.plan}")
     if not listed.floor_found:

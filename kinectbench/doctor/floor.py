@@ -21,7 +21,7 @@ from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
 
 if TYPE_CHECKING:
-    from kinectbench.stages.segment.floor import Floor
+    from kinectbench.stages.segment.find.floor import Floor
 
 # Number of frames that are searched singly, or jointly by their poses; limited to save time.
 FRAMES, POSED_FRAMES = 6, 40
@@ -164,8 +164,8 @@ def _heights_together(
     probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
     """Heights (n,) of the frames above their common floor, or above the plane of the settings."""
-    from kinectbench.stages.segment.seen_floor import floor_of_frames
-    from kinectbench.stages.segment.up import hint_of
+    from kinectbench.stages.segment.find.gravity import hint_of
+    from kinectbench.stages.segment.find.seen_floor import floor_of_frames
 
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     hint = replace(
@@ -181,7 +181,7 @@ def _heights_together(
     except SegmentationError as error:
         return SeenFloor(heights_m, why=str(error))
     if floor.given:
-        return SeenFloor(heights_m, floor.doubts)
+        return SeenFloor(heights_m, floor.warnings)
     depths_m = []
     for index, points_world in enumerate(clouds):
         on_floor = np.abs(transform_points(floor.T_floor_world, points_world)[:, 2]) < ON_FLOOR_M
@@ -189,7 +189,7 @@ def _heights_together(
         depths_m.append((points_world[on_floor] - T[:3, 3]) @ T[:3, 2])
         if on_floor.sum() > MIN_ON_FLOOR * len(points_world):
             heights_m[index] = transform_points(floor.T_floor_world, T_world_camera[index, :3, 3])[2]
-    return SeenFloor(heights_m, (*floor.doubts, *_scatters(floor.noise_m, np.concatenate(depths_m))))
+    return SeenFloor(heights_m, (*floor.warnings, *_scatters(floor.noise_m, np.concatenate(depths_m))))
 
 
 def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
@@ -204,9 +204,9 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
     """The floor in one frame, in camera axes, metres; None if there is none."""
-    from kinectbench.stages.segment.floor import find_floor
-    from kinectbench.stages.segment.seen_floor import MIN_POINTS, oriented
-    from kinectbench.stages.segment.up import hint_of
+    from kinectbench.stages.segment.find.floor import find_floor
+    from kinectbench.stages.segment.find.gravity import hint_of
+    from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented
 
     if frame.depth_m.shape != (camera.height, camera.width):
         return None

@@ -12,7 +12,7 @@ from kinectbench.core.upright import upright_masks
 from kinectbench.settings.models import SegmentBy, Vector4
 from kinectbench.stages.sample_views.masks import mask_name
 from kinectbench.stages.sample_views.views import read_masks
-from kinectbench.stages.segment.turntable import plane_below, turntable_masks
+from kinectbench.stages.segment.find.turntable import plane_below, turntable_masks
 
 # The number of a frame, alone or after "frame_", and the ending of a mask.
 FRAME_MASK = re.compile(r"(?:frame_)?([0-9]{1,9})\.(?i:png)")

@@ -52,12 +52,11 @@ def _pixels(job: Job) -> float:
 
 def _voxels(job: Job) -> float:
     """Of the grid from the floor around a person's box; without one of what is usually found at most."""
-    from kinectbench.stages.segment.grids import MARGIN_M
-    from kinectbench.stages.segment.resolution import USUAL_VOXEL_M
+    from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box
     if box is None:
         return UNKNOWN_VOXELS
-    edge_m = job.settings.fusion.voxel_size_m or USUAL_VOXEL_M
+    edge_m = job.settings.fusion.voxel_size_m or REFERENCE_VOXEL_M
     top_m = box.center_m[2] + box.size_m[2] / 2
     return prod((side_m + 2 * MARGIN_M) / edge_m for side_m in (*box.size_m[:2], top_m))

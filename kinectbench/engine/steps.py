@@ -17,7 +17,6 @@ from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, 
 from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
 from kinectbench.engine.frame_masks import frame_masks, plane_given
-from kinectbench.engine.object import build_object
 from kinectbench.engine.stage_settings import (
     FuseSettings,
     IngestSettings,
@@ -36,11 +35,11 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.pairs import full_shape, write_pairs
 from kinectbench.stages.sample_views.views import read_masks, read_views, sample_views, write_views
-from kinectbench.stages.segment.box_anchor import found_again
-from kinectbench.stages.segment.candidate_pictures import write_candidates
-from kinectbench.stages.segment.candidates import find_candidates
+from kinectbench.stages.segment.find.box_anchor import reanchored
+from kinectbench.stages.segment.find.candidates import find_candidates, write_candidates
+from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.object_model import read_object, write_object
-from kinectbench.stages.segment.up import floor_hint
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures
 
@@ -121,10 +120,10 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 
 def _segment(work: Work[SegmentSettings]) -> None:
     settings, (sequence, trajectory) = work.settings, _own(work)
-    box = found_again(settings.box.box(), sequence) if settings.box else None
+    box = reanchored(settings.box.box(), sequence) if settings.box else None
     floor = plane_given(sequence, trajectory, settings.segment_by, settings.floor)
     scene = _scene(work.stages)
-    model = build_object(
+    model = segment(
         sequence,
         trajectory,
         scene,

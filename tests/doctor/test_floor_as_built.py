@@ -28,8 +28,8 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.tum import TumRecording
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.up import FloorHint, floor_hint
+from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
+from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.track import track
 
 Plane = tuple[float, float, float, float]
@@ -91,10 +91,10 @@ def build_complaint(
     scene = fuse(sequence, trajectory, FUSION).mesh
     try:
         hint = floor_hint(sequence, trajectory, plane)
-        chosen = segment(scene, trajectory, box, SegmentationSettings(), hint)
+        chosen = find_floor_and_object(scene, trajectory, box, SegmentationSettings(), hint)
     except SegmentationError as error:
         return str(error)
-    return " ".join(chosen.floor.doubts)
+    return " ".join(chosen.floor.warnings)
 
 
 def complaints(path: Path, plane: Plane | None = None, box: OrientedBox | None = None) -> set[str]:
@@ -186,7 +186,7 @@ def test_an_accelerometer_counts(
 
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
     for module in ("floor", "seen_floor"):
-        monkeypatch.setattr(f"kinectbench.stages.segment.{module}.find_floor", find_floor)
+        monkeypatch.setattr(f"kinectbench.stages.segment.find.{module}.find_floor", find_floor)
     inspect(recording.path, mode="ignore" if ignored else None)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]
     if not ignored:

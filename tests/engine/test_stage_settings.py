@@ -110,7 +110,7 @@ def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPat
     given: dict[str, Any] = {}
     for name in ("_own", "_scene", "plane_given", "write_object"):
         monkeypatch.setattr(steps, name, lambda *_: (None, None))
-    monkeypatch.setattr(steps, "build_object", lambda *_, **words: given.update(words))
+    monkeypatch.setattr(steps, "segment", lambda *_, **words: given.update(words))
     own = {"id": "chair", "path": "chair", "category": "chair"}
     said = {"categories": {"chair": {"underside": "closed"}}, "segmentation": {"line_width_m": 0.02}}
     settings = BenchmarkSettings.model_validate({"name": "small", "recordings": [own], **said})

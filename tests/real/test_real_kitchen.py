@@ -16,8 +16,8 @@ from kinectbench.engine.stages import Job
 from kinectbench.engine.steps import read_tracked
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.stages.sample_views.views import read_views
-from kinectbench.stages.segment.candidates import find_candidates
-from kinectbench.stages.segment.choose import segment
+from kinectbench.stages.segment.find.candidates import find_candidates
+from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.object_model import ObjectModel, read_object
 
 # The chair at the table's left, floor frame.
@@ -114,7 +114,7 @@ def test_the_chair_is_among_the_suggested_boxes(job: Job, outcome: Outcome) -> N
     ]
     assert len(near) >= 1
     try:
-        assert segment(scene, trajectory, None, job.settings.segmentation).doubts
+        assert find_floor_and_object(scene, trajectory, None, job.settings.segmentation).warnings
     except SegmentationError as error:
         assert "--suggest" in str(error)
 

@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.publish.gate import NOT_TOLD, gate
 from kinectbench.release.publish.publish import publish
-from kinectbench.stages.segment.doubts import LOOK
+from kinectbench.stages.segment.find.choice_warnings import LOOK
 
 NAME = RECORDINGS[0][0]
 NAMES = [recording[0] for recording in RECORDINGS]

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Float64
-from kinectbench.engine.object import build_object
 from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.sample_views.views import Views, sample_views
-from kinectbench.stages.segment.candidates import Candidates, find_candidates
-from kinectbench.stages.segment.choose import Segmentation, segment
-from kinectbench.stages.segment.grids import object_grid
+from kinectbench.stages.segment.find.candidates import Candidates, find_candidates
+from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
+from kinectbench.stages.segment.judge.coverage_report import CoverageReport, coverage_report
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.up import floor_hint
-from kinectbench.stages.segment.witness import Witness, witness
+from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.solid.grids import object_grid
 from kinectbench.stages.track import Trajectory
 
 SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
@@ -43,18 +43,20 @@ class Recorded:
         hint = floor_hint(
             self.sequence, self.trajectory, None if plane_world is None else plane_world.tolist()
         )
-        return segment(self.scene, self.trajectory, given, SEGMENTATION, hint)
+        return find_floor_and_object(self.scene, self.trajectory, given, SEGMENTATION, hint)
 
     def suggest(self) -> Candidates:
         hint = floor_hint(self.sequence, self.trajectory)
         return find_candidates(self.scene, self.trajectory, SEGMENTATION, hint)
 
-    def witness(self, given: OrientedBox | None = None) -> Witness:
-        return self.witness_of(self.segment(given), given is not None)
+    def coverage_report(self, given: OrientedBox | None = None) -> CoverageReport:
+        return self.coverage_report_of(self.segment(given), given is not None)
 
-    def witness_of(self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0) -> Witness:
+    def coverage_report_of(
+        self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0
+    ) -> CoverageReport:
         grid = object_grid(chosen.box, chosen.floor, FUSION.voxel_size_m, given=given)
-        return witness(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
+        return coverage_report(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
 
     def model(
         self,
@@ -63,7 +65,7 @@ class Recorded:
         floor: tuple[float, float, float, float] | None = None,
     ) -> ObjectModel:
         parts = (self.sequence, self.trajectory, self.scene)
-        return build_object(*parts, given, SEGMENTATION, fusion, floor=floor)
+        return segment(*parts, given, SEGMENTATION, fusion, floor=floor)
 
     def views(self, model: ObjectModel) -> Views:
         settings = (ViewSettings(min_pixels=50), SEGMENTATION, PairSettings())

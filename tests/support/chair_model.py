@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from analytic_scenes import Furniture, furniture, small_spec
 
-from kinectbench.engine.object import build_object
 from kinectbench.settings.models import FusionSettings, SegmentationSettings, TrackingSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track import Trajectory, track
 
 FUSION = FusionSettings(voxel_size_m=0.008, scene_voxel_size_m=0.016, max_depth_m=2.4)
@@ -28,7 +28,7 @@ def chair() -> Chair:
     recorded = furniture(small_spec("chair:seed=9", 24, world="random"))
     trajectory = track(recorded.sequence, "trust", TrackingSettings())
     scene = fuse(recorded.sequence, trajectory, FUSION).mesh
-    model = build_object(
+    model = segment(
         recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION, underside="closed"
     )
     return Chair(recorded, trajectory, model)

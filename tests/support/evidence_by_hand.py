@@ -6,25 +6,25 @@ import numpy as np
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh
-from kinectbench.stages.segment.evidence import Evidence
-from kinectbench.stages.segment.solid import SolidShape
+from kinectbench.stages.segment.solid.evidence import VoxelEvidence
+from kinectbench.stages.segment.solid.solid import SolidShape
 
 NO_MESH = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
 
-def evidence_of(shape: tuple[int, int, int], **given: Any) -> Evidence:
+def evidence_of(shape: tuple[int, int, int], **given: Any) -> VoxelEvidence:
     """Nothing is said of any voxel but what is given; there is no plane."""
     no = np.zeros(shape, bool)
-    masks = ("observed", "carved", "band", "excluded", "unseen", "closed", "underside", "surface")
+    masks = ("observed", "free", "near_surface", "excluded", "unseen", "closed", "underside", "surface")
     fields: dict[str, Any] = {
         "signed_m": np.zeros(shape, np.float32),
         "sight": np.zeros(shape, np.uint8),
         "contact": slice(0, 0),
-        "raised": np.zeros(shape[:2], bool),
+        "low_plate": np.zeros(shape[:2], bool),
         "heights_m": None,
         **dict.fromkeys(masks, no),
     }
-    return Evidence(**{**fields, **given})
+    return VoxelEvidence(**{**fields, **given})
 
 
 def shape_of(

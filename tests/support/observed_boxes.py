@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import FloorLayers
+from kinectbench.stages.segment.solid.evidence import FloorLayers
 
 # Of a room: how deep it goes below the floor, and up to where floor and object cannot be told apart.
 BELOW_M, CUT_M = 0.02, 0.02

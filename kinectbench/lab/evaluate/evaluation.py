@@ -24,7 +24,7 @@ from kinectbench.lab.evaluate.surface import (
     surface_figures,
 )
 from kinectbench.lab.simulate.truth import Truth
-from kinectbench.stages.segment.floor import Floor
+from kinectbench.stages.segment.find.floor import Floor
 
 
 @dataclass(frozen=True)

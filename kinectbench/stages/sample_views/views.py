@@ -36,7 +36,7 @@ from kinectbench.stages.sample_views.masks import (
 )
 from kinectbench.stages.sample_views.view_fit import ViewFit, fit_of_view, refusal
 from kinectbench.stages.sample_views.view_order import frame_order
-from kinectbench.stages.segment.floor import low_cut_m
+from kinectbench.stages.segment.find.floor import low_cut_m
 from kinectbench.stages.segment.object_model import ObjectModel
 
 JPEG_QUALITY = 90

@@ -1,4 +1,4 @@
-"""The value of the stage `segment`: the object; and how it is stored."""
+"""The object as the value of the stage `segment`, and how it is stored."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,31 +13,22 @@ from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox
 from kinectbench.core.geometry.mesh import read_own_ply, write_ply
-from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Trajectory
-from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.choose import Segmentation
-from kinectbench.stages.segment.estimate import PoseError
-from kinectbench.stages.segment.evidence import Rules
-from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.floor_planes import REASONS
-from kinectbench.stages.segment.frontiers import Frontier
-from kinectbench.stages.segment.grids import surround_labels
-from kinectbench.stages.segment.quality import measure_quality, solid_box
-from kinectbench.stages.segment.solid import SolidShape
-from kinectbench.stages.segment.witness import Witness
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.floor_planes import REASONS
+from kinectbench.stages.segment.solid.solid import SolidShape
 
 MESH = "mesh.ply"
 
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """The object, as every view will be compared with it.
+    """The object that every view is compared with.
 
     Attributes:
         floor: the floor and frame `floor`.
         box: upright box around the object, floor frame.
         shape: solid, labels, probability and closed mesh on a fine grid around the object.
-        surround: coarse grid around that, as far as any pair's cube can reach.
+        surround: coarse grid around that, which holds the cube of any pair.
         surround_labels: uint8 of the coarse grid's shape: FREE, OTHER or UNKNOWN.
         surface_sigma_m: standard deviation of the fused surface, metres.
         quality: how good it is, for people and scores; no later stage computes with it.
@@ -50,43 +41,6 @@ class ObjectModel:
     surround_labels: NDArray[np.uint8]
     surface_sigma_m: float
     quality: QualityFile
-
-
-def object_model(
-    chosen: Segmentation,
-    shapes: tuple[SolidShape, SolidShape, SolidShape],
-    sigma_m: float,
-    seen: Witness,
-    around: Observation,
-    pose_error: PoseError,
-    frontiers: tuple[Frontier, ...],
-    rules: Rules,
-) -> ObjectModel:
-    """Judge an object's solid, and put together all that is known of it.
-
-    Args:
-        chosen: floor and object.
-        shapes: the solid from all, from the odd and from the even frames.
-        sigma_m: standard deviation of the surface, metres.
-        seen: what the recording could see of it.
-        around: what some frames say about the surround.
-        pose_error: `usual_pose_error`.
-        frontiers: openings that nobody looked into.
-        rules: by which the solids were made.
-    """
-    floor, whole = chosen.floor, shapes[0]
-    box = solid_box(whole, floor)
-    quality = measure_quality(chosen, box, shapes, sigma_m, seen, pose_error, frontiers, rules)
-    labels = surround_labels(around, None if chosen.hangs else floor)
-    return ObjectModel(floor, box, whole, around.grid, labels, sigma_m, quality)
-
-
-def usual_pose_error(trajectory: Trajectory) -> PoseError:
-    """By how much a usual pose may be off; given poses are taken at their word."""
-    usual_m = trajectory.median_pose_sigma_m
-    if trajectory.source == "trust":
-        return PoseError(0.0, usual_m is not None)
-    return PoseError(UNCHECKED_POSE_SIGMA_M if usual_m is None else usual_m, usual_m is not None)
 
 
 def write_object(model: ObjectModel, folder: Path) -> None:
@@ -112,7 +66,7 @@ def write_object(model: ObjectModel, folder: Path) -> None:
 
 
 def _candidates(floor: Floor) -> tuple[FloorCandidate, ...]:
-    """The planes among which it was chosen, as floor.json has them."""
+    """The planes among which the floor was chosen, as floor.json has them."""
     return tuple(
         FloorCandidate(
             plane_world=each.plane,

@@ -46,7 +46,7 @@ from kinectbench.lab.evaluate.solid import solid_figures
 from kinectbench.lab.evaluate.surface import scene_errors, surface_figures
 from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.lab.simulate.truth import TrueCells, Truth
-from kinectbench.stages.segment.solid import SolidShape
+from kinectbench.stages.segment.solid.solid import SolidShape
 
 VOXEL_M = 0.005
 SIDE_M = 0.2

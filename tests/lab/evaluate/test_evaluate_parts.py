@@ -21,8 +21,8 @@ from kinectbench.lab.simulate.truth import SurfaceTruth
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
-from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.planes import floor_frame
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.planes import floor_frame
 
 HERE = Registration(np.arange(60), np.ones(60, bool), np.eye(4), True)
 

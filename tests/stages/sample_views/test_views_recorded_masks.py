@@ -11,7 +11,6 @@ from analytic_scenes import CAMERA, box, depth_of, plane, ring
 
 from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.sequence import Sequence
-from kinectbench.engine.object import build_object
 from kinectbench.settings.models import (
     CameraSettings,
     FusionSettings,
@@ -25,6 +24,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.sample_views.views import Views, sample_views
 from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track import Trajectory, track
 
 FRAMES = 12
@@ -80,12 +80,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     sequence = ingested(write_scene(root / "scene"), CRATE_ID, root / "first")
     trajectory = track(sequence, "trust", TrackingSettings())
     surface = fuse(sequence, trajectory, FUSION).mesh
-    both = build_object(sequence, trajectory, surface, None, SegmentationSettings(), FUSION)
+    both = segment(sequence, trajectory, surface, None, SegmentationSettings(), FUSION)
     # In the frame `floor`, as it was found; a person's box around one crate is a little too large.
     middle = transform_points(both.floor.T_floor_world, np.array([[-0.15, 0.0, 0.2]]))[0]
     along = both.floor.T_floor_world[:3, :3] @ [1.0, 0.0, 0.0]
     around = OrientedBox(tuple(middle), (0.36, 0.46, 0.46), float(np.arctan2(along[1], along[0])))
-    crate = build_object(sequence, trajectory, surface, around, SegmentationSettings(), FUSION)
+    crate = segment(sequence, trajectory, surface, around, SegmentationSettings(), FUSION)
     return Scene(root / "scene", trajectory, both, crate)
 
 

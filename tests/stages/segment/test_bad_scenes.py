@@ -12,8 +12,8 @@ from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, 
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
-from kinectbench.stages.segment.select import CELL_M, select_in_box
-from kinectbench.stages.segment.witness import unseen_side
+from kinectbench.stages.segment.find.select import CELL_M, select_in_box
+from kinectbench.stages.segment.judge.coverage_report import unseen_side
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 
@@ -28,7 +28,7 @@ def warned(warnings: tuple[str, ...] | list[str], words: str) -> bool:
 
 
 def test_nothing_is_said_of_a_good_recording():
-    seen = plain().witness()
+    seen = plain().coverage_report()
     assert seen.warnings == ()
     assert seen.unseen_side.share == 0
     assert seen.moving.json_value() == {"judged": 24, "frames": [], "largest_share": 0.0}
@@ -38,14 +38,14 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
     verdict = "not good for ground truth: frames agree within 14.0 mm (median)"
     health = health_of(24, grade="not good", verdict=verdict, recommended="refine")
     bad = replace(plain().trajectory, health=health)
-    assert replace(plain(), trajectory=bad).witness().warnings == (
+    assert replace(plain(), trajectory=bad).coverage_report().warnings == (
         f"the trajectory is {verdict}; `trajectory: refine` is recommended",
     )
     kept = replace(bad, health=health.model_copy(update={"recommended": "trust"}))
-    (told,) = replace(plain(), trajectory=kept).witness().warnings
+    (told,) = replace(plain(), trajectory=kept).coverage_report().warnings
     assert told.endswith("; if odd and even frames agree better with `trajectory: refine`, take that")
     good = replace(bad, health=health_of(24, grade="10 mm", recommended="trust"))
-    assert replace(plain(), trajectory=good).witness().warnings == ()
+    assert replace(plain(), trajectory=good).coverage_report().warnings == ()
 
 
 @pytest.mark.parametrize("arc_deg", [300.0, 180.0, 120.0])
@@ -62,7 +62,7 @@ def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg):
 
 def test_one_side_never_seen():
     half = recorded([FLOOR, OBJECT], AROUND[:11])
-    seen = half.witness()
+    seen = half.coverage_report()
     assert warned(seen.warnings, "no frame looks at the object's side 110 degrees to the left of where")
     assert warned(seen.warnings, " degrees of arc: what is there is inferred")
     # 11 of 24 cameras leave a gap of 14 steps of 15 degrees, and around it 75 degrees on both sides are seen.
@@ -74,17 +74,17 @@ def test_two_objects_in_the_box():
     two = [FLOOR, box((-0.3, -0.1, 0), (-0.1, 0.1, 0.4)), box((0.1, -0.1, 0), (0.3, 0.1, 0.4))]
     pair = recorded(two)
     around_both = OrientedBox((0, 0, 0.25), (0.8, 0.4, 0.5))
-    assert warned(pair.witness(around_both).warnings, "the box holds 2 things that stand apart")
+    assert warned(pair.coverage_report(around_both).warnings, "the box holds 2 things that stand apart")
     around_one = OrientedBox((0.2, 0, 0.25), (0.3, 0.4, 0.5))
-    assert pair.witness(around_one).warnings == ()
+    assert pair.coverage_report(around_one).warnings == ()
     # Without a box the cameras look between them.
-    assert warned(pair.witness().warnings, "as near to where the cameras look")
+    assert warned(pair.coverage_report().warnings, "as near to where the cameras look")
 
 
 def test_a_box_that_cuts_the_object():
     whole, half = OrientedBox((0, 0, 0.3), (1.0, 1.0, 0.6)), OrientedBox((-0.25, 0, 0.3), (0.5, 1.0, 0.6))
-    assert plain().witness(whole).warnings == ()
-    assert warned(plain().witness(half).warnings, "the box cuts through what it holds")
+    assert plain().coverage_report(whole).warnings == ()
+    assert warned(plain().coverage_report(half).warnings, "the box cuts through what it holds")
 
 
 def test_a_box_under_a_table_top_holds_what_ends_in_it():
@@ -119,14 +119,14 @@ def test_things_that_hardly_touch_are_not_one_object():
     """A gap of 75 mm between edges is bridged by cells of 30 mm."""
     close = [FLOOR, box((-0.3, -0.15, 0), (0.02, 0.15, 0.4)), *table_of((0.095, -0.2, 0), (0.5, 0.2, 0.4))]
     doubtful = recorded(close, ring(16, 1.3, (0, 0, 0.2), (0.5, 0.8)), **FINE)
-    doubts = doubtful.segment().doubts
+    doubts = doubtful.segment().warnings
     assert warned(doubts, "stand side by side") or warned(doubts, "beside the object")
     assert all("kinectbench segment --suggest" in line for line in doubts)
 
 
 def test_an_object_too_large_to_be_one():
     long = recorded([FLOOR, box((-1.4, -0.2, 0), (1.4, 0.2, 0.4))], ring(24, 2.2, (0, 0, 0.2), (0.4, 0.7)))
-    doubts = long.segment().doubts
+    doubts = long.segment().warnings
     # It is 2.8 m long; at its ends a pixel is 17 mm wide.
     assert warned(doubts, "2.8 m long") or warned(doubts, "2.9 m long")
 
@@ -137,7 +137,7 @@ def test_a_person_walking_through():
         return [box((x - 0.2, -0.9, 0), (x + 0.2, -0.6, 1.7))]
 
     walked = recorded([FLOOR, OBJECT], passing={k: person(k) for k in range(24)})
-    seen = walked.witness()
+    seen = walked.coverage_report()
     assert warned(seen.warnings, "something stands before the scene")
     # The person is at y = -0.75, between the object and the cameras of frames 13 to 22.
     frames = list(seen.moving.frames)
@@ -169,7 +169,7 @@ def test_no_floor():
         hovering.segment()
     chosen = hovering.segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.6)))
     assert not chosen.floor.found
-    assert warned(chosen.doubts, "no floor was found")
+    assert warned(chosen.warnings, "no floor was found")
     # The cameras are level and the lowest surface is the box's own foot, at the world's z = 0.
     np.testing.assert_allclose(chosen.floor.plane_world, [0, 0, 1, 0], atol=0.06)
 
@@ -187,7 +187,7 @@ def test_a_slope_is_no_floor():
 def test_a_persons_plane_on_which_nothing_lies_is_told(height_m, told):
     chosen = plain().segment(plane_world=np.array([0, 0, 1, -height_m]))
     assert chosen.floor.found
-    assert warned(chosen.doubts, "nothing that was measured lies on the plane of `floor`") is told
+    assert warned(chosen.warnings, "nothing that was measured lies on the plane of `floor`") is told
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_what_fails_on_a_persons_plane_names_the_plane_beside_it():
 def test_what_scatters_about_a_persons_plane_is_told_of_that_plane():
     chosen = plain().segment(plane_world=np.array([0, 0, 1, 0.0]))
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
-    (line,) = plain().witness_of(rough).doubts
+    (line,) = plain().coverage_report_of(rough).choice_warnings
     assert "gives as `floor` scatters by 19 mm" in line and "give a box" not in line
 
 
@@ -231,9 +231,9 @@ def test_a_floor_that_is_not_flat_may_be_something_else():
     chosen = plain().segment()
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
     for each, told in ((chosen, False), (rough, True)):
-        found = plain().witness_of(each)
+        found = plain().coverage_report_of(each)
         assert warned(found.warnings, "the floor found scatters by 19 mm") is told
-        assert warned(found.doubts, "the floor found scatters by 19 mm") is told
+        assert warned(found.choice_warnings, "the floor found scatters by 19 mm") is told
 
 
 def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts():
@@ -246,14 +246,14 @@ def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts():
         assert warned(quality.doubts, words)
     assert set(quality.doubts) < set(quality.warnings)
     # A line in words that nobody has thought of is a doubt by its place.
-    chosen = replace(plain().segment(), doubts=("in words of its own",))
-    assert plain().witness_of(chosen).doubts == ("in words of its own",)
+    chosen = replace(plain().segment(), warnings=("in words of its own",))
+    assert plain().coverage_report_of(chosen).choice_warnings == ("in words of its own",)
 
 
 def test_depth_of_the_object_that_is_out_of_range():
     """The box's middle is 1.4 m away from all cameras: what they see of it lies in part beyond 1.4 m."""
     chosen = plain().segment()
-    whole, half = (plain().witness_of(chosen, max_depth_m=each) for each in (3.0, 1.4))
+    whole, half = (plain().coverage_report_of(chosen, max_depth_m=each) for each in (3.0, 1.4))
     assert whole.beyond_share == 0 and not warned(whole.warnings, "makes no surface")
     assert 0.1 < half.beyond_share < 0.5
     assert warned(half.warnings, f"{half.beyond_share:.0%} of the depth around the object lies beyond 1.4 m")

@@ -15,8 +15,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import BoxSettings
-from kinectbench.stages.segment.box_anchor import anchor_of, check_anchor, found_again
-from kinectbench.stages.segment.floor import Floor, floor_frame
+from kinectbench.stages.segment.find.box_anchor import anchor_of, check_anchor, reanchored
+from kinectbench.stages.segment.find.floor import Floor, floor_frame
 
 BOX = OrientedBox((0.4, 1.5, 0.45), (0.6, 0.5, 0.9), 0.3)
 
@@ -96,16 +96,16 @@ def test_a_frame_without_a_pose_says_nothing() -> None:
 @pytest.mark.parametrize(("kept", "now"), [(range(5), 2), (range(1, 5), 1), (range(2, 3), 0)])
 def test_a_frame_is_found_where_the_recording_was_cut(kept: range, now: int) -> None:
     box = chosen()
-    assert found_again(box, recording(kept)) == replace(box, anchor=box.anchor._replace(frame=now))
+    assert reanchored(box, recording(kept)) == replace(box, anchor=box.anchor._replace(frame=now))
 
 
 def test_a_frame_that_was_cut_away_is_refused() -> None:
     with pytest.raises(SegmentationError, match="then number 2, whose depth is not in the recording"):
-        found_again(chosen(), recording(range(3, 5)))
+        reanchored(chosen(), recording(range(3, 5)))
     by_hand = replace(chosen(), anchor=None)
     earlier = replace(chosen(), anchor=chosen().anchor._replace(depth_sha256=None))
     for box in (by_hand, earlier):
-        assert found_again(box, recording(range(3, 5))) == box
+        assert reanchored(box, recording(range(3, 5))) == box
 
 
 def test_half_an_anchor_or_no_pose_is_refused() -> None:

@@ -10,7 +10,7 @@ from evidence_by_hand import shape_of
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M
-from kinectbench.stages.segment.estimate import (
+from kinectbench.stages.segment.judge.estimate import (
     COIN_SIGMAS,
     DECIDED,
     MAX_SHIFTED_SHARE,
@@ -27,8 +27,8 @@ from kinectbench.stages.segment.estimate import (
     estimate_iou,
     volume_share_per_mm,
 )
-from kinectbench.stages.segment.frontiers import Frontier
-from kinectbench.stages.segment.solid import SolidShape
+from kinectbench.stages.segment.judge.frontiers import Frontier
+from kinectbench.stages.segment.solid.solid import SolidShape
 
 CERTAIN = PoseError(0.0)
 VOXEL_M = 0.01
@@ -111,9 +111,9 @@ def test_expected_iou_of_calibrated_voxels_is_the_actual_one() -> None:
     assert estimate_iou(shape, 0.0, CERTAIN, ()).value == pytest.approx(expected_iou(shape))
 
 
-def missing_of(sigma_m: float = 0.0, usual_m: float = 0.0) -> float:
+def missing_of(sigma_m: float = 0.0, median_m: float = 0.0) -> float:
     """What the cube misses of an IoU of 1 if all of it was measured."""
-    off_m = OFF_M + OFF_M_IF_THIN * CUBE_PER_MM + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * usual_m
+    off_m = OFF_M + OFF_M_IF_THIN * CUBE_PER_MM + OFF_PER_SIGMA * sigma_m + OFF_PER_POSE * median_m
     return CUBE_PER_MM * 1000 * off_m
 
 
@@ -125,10 +125,10 @@ def least_of(missing: float) -> float:
     return max(0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
 
 
-@pytest.mark.parametrize(("sigma_m", "usual_m"), [(0.0, 0.0), (0.002, 0.0), (0.0, 0.002), (0.001, 0.001)])
-def test_of_a_solid_that_is_known(sigma_m: float, usual_m: float) -> None:
-    found = estimate_iou(known_solid(), sigma_m, PoseError(usual_m), ())
-    missing = missing_of(sigma_m, usual_m)
+@pytest.mark.parametrize(("sigma_m", "median_m"), [(0.0, 0.0), (0.002, 0.0), (0.0, 0.002), (0.001, 0.001)])
+def test_of_a_solid_that_is_known(sigma_m: float, median_m: float) -> None:
+    found = estimate_iou(known_solid(), sigma_m, PoseError(median_m), ())
+    missing = missing_of(sigma_m, median_m)
     assert found.value == pytest.approx(iou_of_known(missing))
     assert found.low == pytest.approx(iou_of_known(most_of(missing)))
     assert found.high == pytest.approx(iou_of_known(least_of(missing)))
@@ -235,8 +235,8 @@ def test_reasons_are_those_that_hold() -> None:
         found = estimate_iou(known_solid(block_mesh(50.0, 50.0, thick_m)), 0.0, CERTAIN, ())
         assert [line[:34] for line in found.reasons] == ["thin parts: 1 mm of surface is 11%"] * told
     much_m = MAX_SHIFTED_SHARE / CUBE_PER_MM / 1000
-    for usual_m, told in ((1.1 * much_m, True), (0.9 * much_m, False)):
-        found = estimate_iou(known_solid(), 0.0, PoseError(usual_m), ())
+    for median_m, told in ((1.1 * much_m, True), (0.9 * much_m, False)):
+        found = estimate_iou(known_solid(), 0.0, PoseError(median_m), ())
         assert [line.split(",")[0] for line in found.reasons] == [
             "poses: what they may be off by moves 3% of the volume"
         ] * told

@@ -24,15 +24,15 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import (
+from kinectbench.stages.segment.solid.evidence import (
     LEAST_WEIGHT_SHARE,
     SHELL_M,
-    Evidence,
     FloorLayers,
     Rules,
-    weigh,
+    VoxelEvidence,
+    classify_voxels,
 )
-from kinectbench.stages.segment.solid import SolidShape, make_solid
+from kinectbench.stages.segment.solid.solid import SolidShape, make_solid
 
 NOTHING = np.zeros(SHAPE, bool)
 RULES = Rules(LAYERS)
@@ -40,8 +40,8 @@ RULES = Rules(LAYERS)
 CORE = within((0.085, 0.075, 0.0), (0.235, 0.165, 0.275))
 
 
-def weighed(observed: Observation, rules: Rules = RULES) -> tuple[Evidence, SolidShape]:
-    evidence = weigh(observed, NOTHING, rules)
+def classified(observed: Observation, rules: Rules = RULES) -> tuple[VoxelEvidence, SolidShape]:
+    evidence = classify_voxels(observed, NOTHING, rules)
     return evidence, make_solid(observed, evidence, rules)
 
 
@@ -50,8 +50,8 @@ def weighed(observed: Observation, rules: Rules = RULES) -> tuple[Evidence, Soli
     [bin_seen_to(0.1), body_with_a_crack(0.04), box_distance((0.06, 0.05, 0.02), (0.26, 0.19, 0.3))],
 )
 def test_every_voxel_is_one_thing(distance_m: np.ndarray) -> None:
-    evidence, shape = weighed(observation(distance_m))
-    kinds = [evidence.carved & ~evidence.excluded, evidence.band, evidence.excluded, evidence.unseen]
+    evidence, shape = classified(observation(distance_m))
+    kinds = [evidence.free & ~evidence.excluded, evidence.near_surface, evidence.excluded, evidence.unseen]
     above_floor = np.s_[:, :, FLOOR_LAYERS:]
     assert (np.sum(kinds, axis=0)[above_floor] == 1).all()
     assert not (evidence.closed & ~evidence.unseen).any() and not (evidence.closed & evidence.underside).any()
@@ -64,7 +64,7 @@ def test_every_voxel_is_one_thing(distance_m: np.ndarray) -> None:
 
 @pytest.mark.parametrize("height_m", [0.24, 0.1])
 def test_below_the_mouth_of_an_open_box_nothing_is_known(height_m: float) -> None:
-    evidence, shape = weighed(observation(bin_seen_to(height_m)))
+    evidence, shape = classified(observation(bin_seen_to(height_m)))
     unseen = within((0.085, 0.075, 0.02), (0.235, 0.165, height_m))
     assert (evidence.sight[unseen] & FROM_ABOVE).all()
     assert (shape.labels[unseen] == Label.UNKNOWN).all() and not shape.solid[unseen].any()
@@ -76,7 +76,7 @@ def test_below_the_mouth_of_an_open_box_nothing_is_known(height_m: float) -> Non
 
 
 def test_the_same_box_closed_is_known_to_be_solid() -> None:
-    evidence, shape = weighed(observation(box_distance(*BODY)))
+    evidence, shape = classified(observation(box_distance(*BODY)))
     assert CORE.sum() > 20_000 and evidence.closed[CORE].all()
     assert shape.solid[CORE].all() and (shape.labels[CORE] == Label.INTERIOR).all()
     assert not evidence.unknown.any()
@@ -87,7 +87,7 @@ def test_the_same_box_closed_is_known_to_be_solid() -> None:
 )
 def test_a_crack_that_lines_of_half_the_width_pass(width_m: float, reached: bool) -> None:
     """All of them were looked into as far. Lines are 30 mm wide, and asked with half of that."""
-    evidence, shape = weighed(observation(body_with_a_crack(width_m)))
+    evidence, shape = classified(observation(body_with_a_crack(width_m)))
     below = within((0.16 - width_m / 2, 0.08, 0.03), (0.16 + width_m / 2, 0.16, 0.24))
     assert ((evidence.sight[below] > 0) == reached).mean() > 0.95
     expected = Label.UNKNOWN if reached else Label.INTERIOR
@@ -101,7 +101,7 @@ def test_lines_are_as_wide_as_the_benchmark_says() -> None:
     narrow = replace(RULES, limits=SensorLimits(line_width_m=0.01))
     below = within((0.155, 0.08, 0.03), (0.165, 0.16, 0.24))
     for rules, known in ((RULES, True), (narrow, False)):
-        evidence, _ = weighed(observation(body_with_a_crack(0.02)), rules)
+        evidence, _ = classified(observation(body_with_a_crack(0.02)), rules)
         assert (evidence.closed[below] == known).mean() > 0.95
 
 
@@ -109,7 +109,7 @@ def test_around_the_corner_of_a_shaft_it_is_known_but_what_a_line_reaches_is_not
     """A shoe: the mouth is over one end of the body. Lines that come in obliquely reach into the toe."""
     shaft_m = box_distance((0.08, 0.07, 0.02), (0.14, 0.17, 1.0))
     seen = centers()[..., 2] > 0.24
-    evidence, shape = weighed(observation(looked_into(box_distance(*BODY), shaft_m, seen)))
+    evidence, shape = classified(observation(looked_into(box_distance(*BODY), shaft_m, seen)))
     shaft = within((0.085, 0.075, 0.02), (0.135, 0.165, 0.24))
     assert (shape.labels[shaft] == Label.UNKNOWN).all()
     # Nobody measured a wall between the shaft and the toe: obliquely one would look in through the mouth.
@@ -121,7 +121,7 @@ def test_around_the_corner_of_a_shaft_it_is_known_but_what_a_line_reaches_is_not
 
 
 def test_an_opening_at_the_side() -> None:
-    evidence, shape = weighed(observation(cupboard_seen_to(0.15)))
+    evidence, shape = classified(observation(cupboard_seen_to(0.15)))
     unseen = within((0.085, 0.075, 0.03), (0.235, 0.145, 0.265))
     assert (evidence.sight[unseen] & FROM_ABOVE).all() and (shape.labels[unseen] == Label.UNKNOWN).all()
 
@@ -129,17 +129,17 @@ def test_an_opening_at_the_side() -> None:
 @pytest.mark.parametrize("truncation_m", [0.02, 0.04])
 def test_deep_behind_a_wall_a_surface_says_nothing_of_a_cavity(truncation_m: float) -> None:
     """However far depth was fused: what lies farther behind the outer face than a wall is thick is unseen."""
-    evidence, shape = weighed(observation(bin_seen_to(0.24), truncation_m=truncation_m))
+    evidence, shape = classified(observation(bin_seen_to(0.24), truncation_m=truncation_m))
     high = (centers()[..., 2] > 0.02) & (centers()[..., 2] < 0.23)
     outer_m = box_distance(*BODY)
     shell = high & (outer_m < 0) & (outer_m > -SHELL_M)
-    deep = high & (outer_m < -SHELL_M - 1.5 * VOXEL_M)
-    assert evidence.band[shell].all() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
-    assert evidence.unseen[deep].all() and (shape.labels[deep] == Label.UNKNOWN).all()
-    assert not shape.solid[deep].any()
+    beyond = high & (outer_m < -SHELL_M - 1.5 * VOXEL_M)
+    assert evidence.near_surface[shell].all() and shape.solid[shell & (outer_m < -VOXEL_M)].all()
+    assert evidence.unseen[beyond].all() and (shape.labels[beyond] == Label.UNKNOWN).all()
+    assert not shape.solid[beyond].any()
     # In a closed body it is interior all the same.
-    closed, solid = weighed(observation(outer_m, truncation_m=truncation_m))
-    assert closed.closed[deep].all() and (solid.labels[deep] == Label.INTERIOR).all()
+    closed, solid = classified(observation(outer_m, truncation_m=truncation_m))
+    assert closed.closed[beyond].all() and (solid.labels[beyond] == Label.INTERIOR).all()
 
 
 # A slab in the air, seen from above and from its sides: nobody looked at its underside.
@@ -155,7 +155,7 @@ def slab() -> Observation:
 @pytest.mark.parametrize("word", ["unseen", "open", "closed"])
 def test_an_underside_that_nobody_saw_is_what_a_person_says(word: str) -> None:
     rules = replace(RULES, underside=word)
-    evidence, shape = weighed(slab(), rules)
+    evidence, shape = classified(slab(), rules)
     inner = within((0.08, 0.07, 0.23), (0.24, 0.17, 0.26))
     assert evidence.underside[inner].all()
     # Whatever is said, which voxels rest on the word is kept.
@@ -173,7 +173,7 @@ def test_next_to_the_floor_it_is_as_above() -> None:
     tunnel_m = box_distance((0.08, -1.0, -1.0), (0.24, 1.0, 0.25))
     y_m = centers()[..., 1]
     distance_m = looked_into(box_distance(*BODY), tunnel_m, (y_m < 0.08) | (y_m > 0.16))
-    evidence, shape = weighed(observation(distance_m))
+    evidence, shape = classified(observation(distance_m))
     inner = within((0.1, 0.09, 0.0), (0.22, 0.15, 0.2))
     assert (shape.labels[inner] == Label.UNKNOWN).all()
     assert evidence.contact == slice(FLOOR_LAYERS, LAYERS.first)
@@ -195,7 +195,7 @@ def test_without_a_plane_one_may_look_up_from_anywhere() -> None:
     hidden = within((0.08, 0.07, -1), (0.24, 0.17, 0.28))
     observed = observation(bell_m, hidden=hidden, floor=False)
     hanging = Rules(FloorLayers(0, 0, 0), stands=False)
-    evidence, shape = weighed(observed, hanging)
+    evidence, shape = classified(observed, hanging)
     assert (evidence.sight[inner] & FROM_BELOW).all() and (shape.labels[inner] == Label.UNKNOWN).all()
 
 
@@ -205,8 +205,8 @@ def test_what_a_few_rays_grazed_is_unseen(share: float, observed: bool) -> None:
     grazed = within((0.12, 0.1, 0.14), (0.2, 0.14, 0.18))
     weight, tsdf = seen.weight.copy(), seen.tsdf.copy()
     weight[grazed], tsdf[grazed] = share * LEAST_WEIGHT_SHARE * 5, 0.01
-    evidence = weigh(replace(seen, weight=weight, tsdf=tsdf), NOTHING, RULES)
-    assert (evidence.observed[grazed] == observed).all() and (evidence.carved[grazed] == observed).all()
+    evidence = classify_voxels(replace(seen, weight=weight, tsdf=tsdf), NOTHING, RULES)
+    assert (evidence.observed[grazed] == observed).all() and (evidence.free[grazed] == observed).all()
     assert (evidence.unseen[grazed] == (not observed)).all()
 
 
@@ -217,9 +217,9 @@ def test_a_plate_that_hardly_rises_above_the_floor(height_mm: float, is_plate: b
     post_m = box_distance((0.06, 0.05, -1.0), (0.10, 0.19, 0.3))
     plate_m = box_distance((starts_m, 0.05, -1.0), (0.26, 0.19, height_mm / 1000))
     plate = within((0.14, 0.06, 0.0), (0.25, 0.18, 0.02))
-    evidence, shape = weighed(observation(np.minimum(post_m, plate_m)))
+    evidence, shape = classified(observation(np.minimum(post_m, plate_m)))
     of_object = is_plate and starts_m < 0.1
-    assert (evidence.raised[plate.any(axis=2)] == of_object).all()
+    assert (evidence.low_plate[plate.any(axis=2)] == of_object).all()
     assert (shape.solid[plate] == of_object).all()
     assert (shape.labels[plate] != Label.UNKNOWN).all()
 

@@ -25,8 +25,7 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import Rules, weigh
-from kinectbench.stages.segment.frontiers import (
+from kinectbench.stages.segment.judge.frontiers import (
     LEAST_AREA_M2,
     LEAST_PROBABILITY,
     LEAST_SHARE,
@@ -34,7 +33,8 @@ from kinectbench.stages.segment.frontiers import (
     find_frontiers,
     where_to_stand,
 )
-from kinectbench.stages.segment.solid import make_solid
+from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
+from kinectbench.stages.segment.solid.solid import make_solid
 
 CELLS, CELL_M = (40, 40, 40), 0.01
 # A solid beside everything else, large enough that what lies behind small frontiers counts.
@@ -52,18 +52,18 @@ def mask(*boxes: tuple[slice, ...]) -> np.ndarray:
 
 def found_of(
     unknown: np.ndarray,
-    carved: np.ndarray,
+    free: np.ndarray,
     probability: float | np.ndarray = 0.3,
     T_floor_grid: np.ndarray = FLAT,
     labels: np.ndarray | None = None,
     solid: np.ndarray | None = None,
     **evidence: Any,
 ) -> tuple[Frontier, ...]:
-    """Frontiers of unknown voxels, which are walled in but for where they border on what was carved."""
+    """Frontiers of unknown voxels, which are walled in but for where they border on free space."""
     solid = mask(SOLID) if solid is None else solid
     shape = shape_of(solid, np.where(unknown, probability, 0.0), labels, voxel_m=CELL_M)
-    walls = ndimage.binary_dilation(unknown, np.ones((3, 3, 3))) & ~unknown & ~carved
-    said = evidence_of(CELLS, **{"unseen": unknown, "carved": carved, "surface": walls, **evidence})
+    walls = ndimage.binary_dilation(unknown, np.ones((3, 3, 3))) & ~unknown & ~free
+    said = evidence_of(CELLS, **{"unseen": unknown, "free": free, "surface": walls, **evidence})
     return find_frontiers(shape, said, LIMITS, T_floor_grid)
 
 
@@ -118,8 +118,8 @@ def test_at_the_side_one_looks_in_where_it_is_open(axis: int, sign: int) -> None
     """A niche 20 cm wide, 10 cm high and 12 cm deep, open on one side."""
     unknown = mask(np.s_[14:26, 10:30, 15:25]) if axis == 0 else mask(np.s_[10:30, 14:26, 15:25])
     end = slice(26, 40) if sign > 0 else slice(0, 14)
-    carved = mask(np.s_[end, 10:30, 15:25] if axis == 0 else np.s_[10:30, end, 15:25])
-    (found,) = found_of(unknown, carved, solid=mask(np.s_[0:8, 0:20, 26:36]))
+    free = mask(np.s_[end, 10:30, 15:25] if axis == 0 else np.s_[10:30, end, 15:25])
+    (found,) = found_of(unknown, free, solid=mask(np.s_[0:8, 0:20, 26:36]))
     expected, centre = np.zeros(3), np.full(3, 0.2)
     expected[axis], centre[axis] = sign, 0.26 if sign > 0 else 0.14
     assert found.direction == "side" and np.dot(found.look_from, expected) > 0.8
@@ -184,8 +184,8 @@ def test_little_behind_it_or_a_small_mouth_is_not_told() -> None:
     for mouth, told in ((cells - 1, False), (cells, True)):
         slot = mask(np.s_[10 : 10 + mouth, 12:15, 15:40])
         low = slot & (np.arange(CELLS[2]) < 16)
-        carved = slot & ~low | mask(np.s_[10 : 10 + mouth, 12, 15:16])
-        assert bool(found_of(mask(PIT), carved)) == told
+        free = slot & ~low | mask(np.s_[10 : 10 + mouth, 12, 15:16])
+        assert bool(found_of(mask(PIT), free)) == told
 
 
 def test_what_is_decided_or_hidden_is_no_frontier() -> None:
@@ -205,7 +205,7 @@ RULES = Rules(LAYERS)
 
 
 def scene(observed: Observation) -> tuple[Frontier, ...]:
-    evidence = weigh(observed, np.zeros(SHAPE, bool), RULES)
+    evidence = classify_voxels(observed, np.zeros(SHAPE, bool), RULES)
     return find_frontiers(make_solid(observed, evidence, RULES), evidence, RULES.limits, T_FLOOR_GRID)
 
 

@@ -5,8 +5,8 @@ import pytest
 from evidence_by_hand import evidence_of
 
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.stages.segment.evidence import FloorLayers, Rules
-from kinectbench.stages.segment.guess import (
+from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
+from kinectbench.stages.segment.solid.guess import (
     ENCLOSED,
     OPEN_SHARE,
     RIM_SHARE,
@@ -45,11 +45,11 @@ def test_by_the_share_of_directions_that_meet_the_object(told_above: bool, enclo
     """A voxel in free space, far below a plate that all nine ways up meet, or below nothing."""
     unknown = cells(np.s_[4, 4, 2])
     plate = cells(np.s_[:, :, 6:]) if told_above else cells()
-    evidence = evidence_of(SHAPE, unseen=unknown, band=plate, carved=~unknown & ~plate)
+    evidence = evidence_of(SHAPE, unseen=unknown, near_surface=plate, free=~unknown & ~plate)
     # Ways end in the free space right beside it.
     assert inside_probability(evidence, RULES, VOXEL_M)[4, 4, 2] == pytest.approx(SKY_SHARE[0])
     column = cells(np.s_[:, :, 2:6])
-    evidence = evidence_of(SHAPE, unseen=column, band=plate, carved=~column & ~plate)
+    evidence = evidence_of(SHAPE, unseen=column, near_surface=plate, free=~column & ~plate)
     expected = np.interp(enclosing / 26, ENCLOSED, ROOFED_SHARE if told_above else SKY_SHARE)
     assert inside_probability(evidence, RULES, VOXEL_M)[4, 4, 2] == pytest.approx(expected)
 
@@ -60,7 +60,7 @@ def test_right_under_the_object_by_the_level_ways_out(open_side: bool) -> None:
     plate, under = cells(np.s_[:, :, 6:]), cells(np.s_[1:8, 1:8, 2:6])
     around = ~plate & ~under
     evidence = evidence_of(
-        SHAPE, unseen=under, band=plate | (around & (not open_side)), carved=around & open_side
+        SHAPE, unseen=under, near_surface=plate | (around & (not open_side)), free=around & open_side
     )
     probability = inside_probability(evidence, RULES, VOXEL_M)
     assert probability[4, 4, 5] == probability[4, 4, 4] == pytest.approx(RIM_SHARE[8 if open_side else 0])
@@ -76,7 +76,7 @@ def test_right_under_the_object_by_the_level_ways_out(open_side: bool) -> None:
 def test_an_underside_by_what_a_person_says(word: str, share: float) -> None:
     under = cells(np.s_[1:8, 1:8, 2:6])
     closed = under if word == "closed" else cells()
-    evidence = evidence_of(SHAPE, unseen=under, underside=under, closed=closed, carved=~under)
+    evidence = evidence_of(SHAPE, unseen=under, underside=under, closed=closed, free=~under)
     rules = Rules(FloorLayers(0, 0), underside=word)
     assert inside_probability(evidence, rules, VOXEL_M)[4, 4, 4] == pytest.approx(share)
 

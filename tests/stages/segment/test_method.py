@@ -12,52 +12,55 @@ import pytest
 
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.stages import segment
-from kinectbench.stages.segment import method
-from kinectbench.stages.segment.evidence import FloorLayers, Rules
+from kinectbench.stages.segment.judge import method
+from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
 
 # Modules of whose constants none is recorded, and why.
 ASIDE = {
-    "candidate_pictures": "pictures for a person, who chooses by them",
+    "box_anchor": "which box is meant: the box itself is recorded",
     "candidates": "boxes for a person, who chooses from them",
-    "choose": "what is chosen, not how it is made solid: `selection` in quality.json says how",
-    "doubts": "warnings, which say what they found",
-    "find_object": "what is chosen, as above",
+    "choice_warnings": "warnings, which say what they found",
+    "coverage_report": "warnings and what they rest on, which quality.json has",
+    "distance_scale": "how near the cameras were: floor.json has it as `scale`",
     "floor": "the floor, which floor.json has with how well it was measured",
     "floor_planes": "the floor, as above; floor.json has the planes among which it was chosen",
-    "given_floor": "warnings, which say what they found",
-    "grids": "extents of grids, which every volume has",
-    "near": "how near the cameras were: floor.json has it as `scale`",
+    "gravity": "which planes may be the floor: floor.json has the one that is",
+    "masked_scene": "what is chosen, not how it is made solid: `selection` in quality.json says how",
+    "object": "what is chosen, as above",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
     "seen_floor": "warnings, which say what they found",
     "select": "what is chosen, as above",
-    "support": "whether the floor is a table, as above",
-    "up": "which planes may be the floor: floor.json has the one that is",
     "turntable": "masks of what turns: what is chosen, as above",
-    "whole": "what is chosen, as above",
-    "witness": "warnings and what they rest on, which quality.json has",
 }
-# Constants that shape nothing but words, pictures of packed counts, or solids that are only compared.
+# Constants that shape nothing but words, extents of grids, or solids that are only compared.
 NO_FIGURES = {
     ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
     ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
     ("frontiers", "LOWER"): "words of advice; `look_from` is recorded",
     ("frontiers", "TURN_STEP_DEG"): "words of advice; `look_from` is recorded",
     ("frontiers", "HALF_TURN_DEG"): "words of advice; `look_from` is recorded",
-    ("frontiers", "LOOKS"): "how finely `look_from` is told",
-    ("frontiers", "HELD_RAD"): "which of equal looks is told; `look_from` is recorded",
-    ("box_anchor", "DIGITS"): "of a hash, by which a frame is found again",
-    ("sight", "COARSE"): "of the solids of odd and of even frames, which are only compared",
-    ("rays", "UNSEEN"): "a code",
-    ("rays", "OUTSIDE"): "a code",
-    ("rays", "INSIDE"): "a code",
-    ("rays", "NEUTRAL"): "a code",
+    ("frontiers", "VIEW_DIRECTIONS"): "how finely `look_from` is reported",
+    ("frontiers", "CAMERA_ELEVATION_RAD"): "which of equal directions is reported; `look_from` is recorded",
+    ("grids", "MARGIN_M"): "extents of grids, which every volume has",
+    ("grids", "MARGIN_VOXELS"): "extents of grids, as above",
+    ("grids", "FLOOR_LAYERS"): "extents of grids, as above",
+    ("grids", "SURROUND_FACTOR"): "extents of grids, as above",
+    ("grids", "MAX_VOXELS"): "extents of grids, as above",
+    ("grids", "MAX_SURROUND_CELLS"): "extents of grids, as above",
+    ("grids", "CUBE_VOXELS"): "extents of grids, as above",
+    ("evidence", "COARSE"): "of the solids of odd and of even frames, which are only compared",
 }
-MODULES = [module.name for module in pkgutil.iter_modules(segment.__path__)]
+PATHS = {
+    name.rpartition(".")[2]: name
+    for _, name, is_package in pkgutil.walk_packages(segment.__path__, f"{segment.__name__}.")
+    if not is_package
+}
+MODULES = list(PATHS)
 
 
 def module_of(name: str) -> ModuleType:
-    return importlib.import_module(f"{segment.__name__}.{name}")
+    return importlib.import_module(PATHS[name])
 
 
 def parsed(module: ModuleType) -> ast.Module:
@@ -110,8 +113,10 @@ def test_what_a_constant_is() -> None:
     assert {"SHELL_M", "MIN_FREE_VOTES", "MIN_FREE_SHARE"} <= constants(module_of("evidence"))
     assert {"ENCLOSED", "RIM_SHARE"} <= constants(module_of("guess"))
     # Neither words nor what another module gives a value to.
-    assert "NO_FLOOR" not in constants(module_of("floor")) and "INSIDE" not in constants(module_of("guess"))
-    assert ("evidence", "SHELL_M") in recorded() and ("sight", "FINE") in recorded()
+    assert "NO_FLOOR" not in constants(module_of("floor")) and "REPORTED_ABOVE_SHARE" not in constants(
+        module_of("floor")
+    )
+    assert ("evidence", "SHELL_M") in recorded() and ("evidence", "FINE") in recorded()
 
 
 def test_the_rules_of_an_object_are_recorded() -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from kinectbench.stages.segment.morphology import carried_up, opened
+from kinectbench.core.voxels.morphology import opened
+from kinectbench.stages.segment.solid.solid import carried_up
 
 VOXEL_M = 0.005
 SEAT = np.s_[5:35, 5:35, 60:70]

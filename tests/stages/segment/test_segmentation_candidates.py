@@ -14,27 +14,28 @@ from bad_scenes import FINE, FLOOR, OBJECT, SEGMENTATION, recorded, table_of
 
 from kinectbench.core.artefacts.object import CandidatesFile
 from kinectbench.core.artefacts.trajectory import FrameHealth
+from kinectbench.core.box_pictures import COLORS_RGB, best_frame
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.edit import box_line
 from kinectbench.settings.models import BoxSettings
-from kinectbench.stages.segment.candidate_pictures import (
-    COLORS_RGB,
-    best_frame,
+from kinectbench.stages.segment.find.candidates import (
+    Candidate,
+    Candidates,
+    find_candidates,
     write_candidates,
 )
-from kinectbench.stages.segment.candidates import Candidate, Candidates, find_candidates
-from kinectbench.stages.segment.doubts import (
+from kinectbench.stages.segment.find.choice_warnings import (
     Selection,
-    doubts,
+    choice_warnings,
     large_neighbours,
     separate_parts,
     things_beside,
 )
-from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.select import nearest_within
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.select import nearest_within
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.
@@ -84,7 +85,7 @@ def test_the_box_of_a_candidate_chooses_that_thing():
     chosen = three().segment(stool.box)
     cells = (chosen.object_cells + 0.5) * 0.03
     assert cells[:, 1].min() > 0.65 and len(cells) > 100
-    assert chosen.doubts == ()
+    assert chosen.warnings == ()
 
 
 def test_a_thing_counts_once_though_its_feet_turn_its_box():
@@ -143,7 +144,7 @@ def test_the_box_is_drawn_where_it_stands(folder: Path):
     """The middle of each edge that is in the image has the box's colour, of depth there is none."""
     number = next(k for k, c in enumerate(found().candidates, start=1) if is_of(c, *CHEST))
     candidate, floor = found().candidates[number - 1], found().scene.floor
-    frame = best_frame(candidate, floor, three().sequence, three().trajectory)
+    frame = best_frame(candidate.shown(floor), three().sequence, three().trajectory)
     T_camera_floor = invert_rigid(three().trajectory.T_world_camera[frame]) @ floor.T_world_floor
     corners = transform_points(T_camera_floor, candidate.box.corners_floor())
     edges = [(a, b) for a in range(8) for b in range(a) if (a ^ b).bit_count() == 1]
@@ -176,10 +177,10 @@ def test_the_best_frame_shows_the_whole_box_and_is_sharp():
     candidate = Candidate(OrientedBox((0, 0, 0.25), (0.4, 0.3, 0.5)), top, False, 0.0)
     floor = Floor(np.array([0.0, 0, 1, 0]), np.eye(4), 0.0, 1.0)
     sequence = sequence_of(depths_m, CAMERA)
-    assert best_frame(candidate, floor, sequence, trajectory) == 2
+    assert best_frame(candidate.shown(floor), sequence, trajectory) == 2
     # What is hidden is not shown, though its box lies in the image.
     poses[1:3] = np.nan
-    assert best_frame(candidate, floor, sequence, trajectory) == 0
+    assert best_frame(candidate.shown(floor), sequence, trajectory) == 0
 
 
 def test_parts_are_counted_where_they_come_apart():
@@ -214,7 +215,7 @@ def test_a_small_thing_that_stands_beside_the_rest_is_another_one_and_a_leg_belo
 def test_the_floor_below_a_table_that_fills_the_frames():
     """A table top of 1.6 x 1.6 m; of the floor a strip, a tenth as large, is in view."""
     rng = np.random.default_rng(0)
-    from kinectbench.stages.segment.floor import find_floor
+    from kinectbench.stages.segment.find.floor import find_floor
 
     a, b = np.meshgrid(np.arange(-0.8, 0.8, 0.03), np.arange(-0.8, 0.8, 0.03))
     top = np.column_stack([a.ravel(), b.ravel(), np.full(a.size, 0.7)])
@@ -251,7 +252,7 @@ def test_a_room_around_the_object_takes_no_time():
     selection = Selection(desk, room, OrientedBox((0, 0, 0.1), (0.2, 0.2, 0.2)), False, np.array([0, 0, 0.1]))
     assert len(large_neighbours(selection)) == len(room)
     began = time.process_time()
-    assert doubts(selection) == ()
+    assert choice_warnings(selection) == ()
     assert time.process_time() - began < 5
 
 

@@ -7,9 +7,9 @@ from bounds import within
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
-from kinectbench.stages.segment.floor import find_floor
-from kinectbench.stages.segment.floor_planes import REASONS, PlaneCandidate, PlaneChoice
-from kinectbench.stages.segment.planes import floor_frame
+from kinectbench.stages.segment.find.floor import find_floor
+from kinectbench.stages.segment.find.floor_planes import REASONS, PlaneCandidate, PlaneChoice
+from kinectbench.stages.segment.find.planes import floor_frame
 
 CELL_M = 0.03
 FOCUS = np.array([0.0, 0.0, 0.3])
@@ -105,8 +105,8 @@ def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_camer
         return
     floor = found_in("upright", points, normals, low)
     assert abs(floor.plane_world[3]) < 0.003
-    assert any("only 92% of the cameras look down on the plane" in line for line in floor.choice.doubts())
-    assert found_in("upright", points, normals).choice.doubts() == ()
+    assert any("only 92% of the cameras look down on the plane" in line for line in floor.choice.warnings())
+    assert found_in("upright", points, normals).choice.warnings() == ()
 
 
 def table_in_a_corner():
@@ -134,7 +134,7 @@ def test_a_refused_plane_makes_no_other_one_likelier(world):
     assert chosen.reason == "" and chosen.plane[:3] @ up > 0.99
     assert others and all(each.reason in REASONS for each in others)
     lower = f"{chosen.below_share:.0%} of the surface lies lower than the plane"
-    assert any(lower in line for line in floor.choice.doubts())
+    assert any(lower in line for line in floor.choice.warnings())
 
 
 def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
@@ -160,7 +160,7 @@ def candidate(reason, share, turn_deg=0.0, **figures):
 )
 def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(reason, figures, turn_deg):
     floor = candidate("", 0.012)
-    (line,) = PlaneChoice(floor, (floor, candidate(reason, 0.6, turn_deg, **figures))).doubts()
+    (line,) = PlaneChoice(floor, (floor, candidate(reason, 0.6, turn_deg, **figures))).warnings()
     assert "1% of the surface lies on the plane that was taken for the floor, and 60% on" in line
     assert f"refused: {REASONS[reason]}" in line and "floor: {plane_world" in line
 
@@ -177,7 +177,7 @@ def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(reason
 )
 def test_a_refused_plane_that_is_none_is_not_told(other):
     floor = candidate("", 0.2)
-    assert PlaneChoice(floor, (floor, other)).doubts() == ()
+    assert PlaneChoice(floor, (floor, other)).warnings() == ()
 
 
 def test_frame_of_the_floor():

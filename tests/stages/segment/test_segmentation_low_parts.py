@@ -9,9 +9,9 @@ from bad_scenes import FINE, FLOOR, recorded
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.settings.models import SegmentationSettings
-from kinectbench.stages.segment.find_object import low_parts, low_pieces
-from kinectbench.stages.segment.floor import Floor, low_cut_m
-from kinectbench.stages.segment.planes import floor_frame
+from kinectbench.stages.segment.find.floor import Floor, low_cut_m
+from kinectbench.stages.segment.find.object import low_parts, low_pieces
+from kinectbench.stages.segment.find.planes import floor_frame
 
 SETTINGS = SegmentationSettings()
 PLANE = np.array([0.0, 0, 1, 0])

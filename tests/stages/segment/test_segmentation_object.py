@@ -15,6 +15,7 @@ from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.core.voxels.surface_points import surface_points
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.sample_views.masks import (
@@ -25,8 +26,8 @@ from kinectbench.stages.sample_views.masks import (
     unused_masks,
 )
 from kinectbench.stages.sample_views.views import read_masks
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.select import fit_box, select_object, surface_points
+from kinectbench.stages.segment.find.object import find_floor_and_object
+from kinectbench.stages.segment.find.select import fit_box, select_object
 
 pytestmark = pytest.mark.xdist_group("segmentation")
 
@@ -144,7 +145,7 @@ def two_things():
 
 def test_segment_finds_the_box_the_cameras_look_at(two_things):
     mesh, trajectory = two_things
-    found = segment(mesh, trajectory, None, SegmentationSettings())
+    found = find_floor_and_object(mesh, trajectory, None, SegmentationSettings())
     assert found.how == "automatic"
     np.testing.assert_allclose(found.box.size_m, [0.3, 0.2, 0.3], atol=0.04)
     np.testing.assert_allclose(found.box.center_m, [0, 0, 0.15], atol=0.02)
@@ -158,19 +159,19 @@ def test_segment_finds_the_box_the_cameras_look_at(two_things):
 def test_a_given_box_wins(two_things):
     mesh, trajectory = two_things
     given = OrientedBox((0.4, 0.0, 0.15), (0.24, 0.24, 0.3), 0.1)
-    found = segment(mesh, trajectory, given, SegmentationSettings())
+    found = find_floor_and_object(mesh, trajectory, given, SegmentationSettings())
     assert found.how == "box" and found.box == given
     assert ((found.object_cells + 0.5) * 0.03)[:, 0].min() > 0.24
     elsewhere = OrientedBox((5.0, 0.0, 0.15), (0.24, 0.24, 0.3), 0.1)
     with pytest.raises(SegmentationError, match=r"holds nothing.*reaches from .*center_m"):
-        segment(mesh, trajectory, elsewhere, SegmentationSettings())
+        find_floor_and_object(mesh, trajectory, elsewhere, SegmentationSettings())
 
 
 @pytest.mark.parametrize("given", [None, OrientedBox((0.02, 0.0, 0.2), (0.5, 0.3, 0.36), 0.4)])
 def test_excluded_against_a_walk_over_voxels(two_things, given):
     """A turned upright grid; every voxel is judged by its own centre."""
     mesh, trajectory = two_things
-    found = segment(mesh, trajectory, given, SegmentationSettings())
+    found = find_floor_and_object(mesh, trajectory, given, SegmentationSettings())
     T_floor_grid = rigid(yaw_rotation(0.3), [-0.25, -0.3, -0.04])
     grid = Grid((64, 48, 32), 0.0125, found.floor.T_world_floor @ T_floor_grid)
     excluded = found.excluded(grid)

@@ -14,11 +14,10 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.settings.models import FusionSettings, PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.views import sample_views
-from kinectbench.stages.segment import planes, support
-from kinectbench.stages.segment.choose import segment
-from kinectbench.stages.segment.find_object import find_scene
-from kinectbench.stages.segment.select import MIN_CELLS
-from kinectbench.stages.segment.up import FloorHint
+from kinectbench.stages.segment.find import planes
+from kinectbench.stages.segment.find.gravity import FloorHint
+from kinectbench.stages.segment.find.object import find_floor_and_object, find_scene
+from kinectbench.stages.segment.find.select import MIN_CELLS
 
 TOP_M = 0.74
 NEAR = FusionSettings()
@@ -199,8 +198,8 @@ def test_a_shelfs_board_is_not_cut_by_a_box_on_it(share, is_cut):
     (x, y, z), (length, width, height) = box.center_m, box.size_m
     lower = replace(box, center_m=(x, y, z + 0.9 - (1 - share) * height / 2))
     given = replace(lower, size_m=(length, width, share * height))
-    chosen = segment(scene.scene, scene.trajectory, given, SegmentationSettings(), BY_HAND)
-    assert any("make it larger" in line for line in chosen.doubts) == is_cut
+    chosen = find_floor_and_object(scene.scene, scene.trajectory, given, SegmentationSettings(), BY_HAND)
+    assert any("make it larger" in line for line in chosen.warnings) == is_cut
 
 
 def test_a_plane_by_hand_wins():
@@ -217,5 +216,5 @@ def test_of_many_planes_the_surface_is_measured_once(monkeypatch):
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
     surface = planes.Surface(points, up, np.array([0.25, 0.25, 0.1]), 0.02)
     for height_m in (0.0, -0.1, -0.2):
-        support.carries_what_is_looked_at(np.array([0.0, 0.0, 1.0, height_m]), surface)
+        planes.carries_what_is_looked_at(np.array([0.0, 0.0, 1.0, height_m]), surface)
     assert made == [2500] and surface.spacing_m == pytest.approx(0.01)

@@ -10,8 +10,8 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.stages.segment.floor import find_floor, floor_cut_m, low_cut_m
-from kinectbench.stages.segment.up import FloorHint, floor_hint
+from kinectbench.stages.segment.find.floor import find_floor, floor_cut_m, low_cut_m
+from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
 
 WORLD = rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7])
 UP = WORLD[:3, :3] @ [0, 0, 1]
@@ -81,9 +81,9 @@ def test_cameras_held_upside_down_are_told_by_gravity_and_doubted_without_it():
         floor = find_floor(*FLOOR, cameras, FOCUS, 0, hint)
         angle_deg, height_m = off(floor)
         assert angle_deg < 0.3 and abs(height_m) < 0.002
-        assert any("held upside down" in line for line in floor.doubts) == doubted
+        assert any("held upside down" in line for line in floor.warnings) == doubted
         # `inspect` says it, too, before there is such a file.
-        assert all("`kinectbench build` writes the numbers to build/" in line for line in floor.doubts)
+        assert all("`kinectbench build` writes the numbers to build/" in line for line in floor.warnings)
 
 
 def test_gravity_keeps_a_slanted_board_from_being_the_floor():
@@ -138,7 +138,7 @@ def test_a_persons_plane_off_gravity_is_told(turn_deg, told):
     floor = find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(UP, plane))
     assert floor.tilt_rad == pytest.approx(np.radians(turn_deg), abs=1e-6)
     assert len(floor.against) == told
-    assert all(f"as `floor` is turned by {turn_deg} degrees" in line for line in floor.doubts)
+    assert all(f"as `floor` is turned by {turn_deg} degrees" in line for line in floor.warnings)
     assert find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(None, plane)).against == ()
 
 

@@ -15,11 +15,11 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.release.publish.held_back import own_floor
-from kinectbench.stages.segment.floor import Floor
-from kinectbench.stages.segment.floor_planes import NO_CHOICE
-from kinectbench.stages.segment.grids import FLOOR_LAYERS, MARGIN_M, object_grid, surround_grid
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.floor_planes import NO_CHOICE
+from kinectbench.stages.segment.find.planes import floor_frame
 from kinectbench.stages.segment.object_model import read_object, write_object
-from kinectbench.stages.segment.planes import floor_frame
+from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS, MARGIN_M, object_grid, surround_grid
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 FLOOR = Floor(np.array([0.0, 0, 1, 0.3]), floor_frame(np.array([0.0, 0, 1, 0.3])), 0.001, 0.5)

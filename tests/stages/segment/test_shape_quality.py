@@ -9,9 +9,14 @@ from evidence_by_hand import shape_of
 from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.stages.segment.estimate import IouEstimate
-from kinectbench.stages.segment.frontiers import ASKED_SHARE
-from kinectbench.stages.segment.quality import _asked, _unsupported, _warnings, loose_pieces
+from kinectbench.stages.segment.judge.estimate import IouEstimate
+from kinectbench.stages.segment.judge.frontiers import LEAST_UNDERSIDE_SHARE
+from kinectbench.stages.segment.judge.quality import (
+    _underside_question,
+    _unsupported,
+    _warnings,
+    detached_pieces,
+)
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -55,10 +60,10 @@ def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
     labels, _ = ndimage.label(solid, np.ones((3, 3, 3)))
     sizes = np.bincount(labels.reshape(-1))[1:]
     loose = np.array([int(labels[34, 10, 10]), int(labels[40, 10, 20])])
-    (line,) = loose_pieces(labels, loose, sizes, 0.005)
+    (line,) = detached_pieces(labels, loose, sizes, 0.005)
     assert line.startswith("a loose piece of 23 cm³ lies 45 mm from the rest of the object:")
-    assert loose_pieces(labels, loose[:1], sizes, 0.005) == []
-    assert loose_pieces(labels, loose[:0], sizes, 0.005) == []
+    assert detached_pieces(labels, loose[:1], sizes, 0.005) == []
+    assert detached_pieces(labels, loose[:0], sizes, 0.005) == []
 
 
 @pytest.mark.parametrize("word", ["unseen", "closed", "open"])
@@ -66,7 +71,7 @@ def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
 def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: str, over: bool) -> None:
     solid = np.ones((10, 10, 10), bool)
     underside = np.zeros_like(solid)
-    underside.reshape(-1)[: round(1000 * ASKED_SHARE) + over] = True
-    lines = _asked(replace(shape_of(solid), underside=underside), word)
+    underside.reshape(-1)[: round(1000 * LEAST_UNDERSIDE_SHARE) + over] = True
+    lines = _underside_question(replace(shape_of(solid), underside=underside), word)
     assert len(lines) == (over and word == "unseen")
     assert not lines or lines[0].startswith("5% of the solid is a guess that one word decides")

@@ -21,9 +21,9 @@ from observed_boxes import (
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import FloorLayers, Rules, _signed_distance_m
-from kinectbench.stages.segment.quality import surface_sigma_m
-from kinectbench.stages.segment.solid import SolidShape, solidify
+from kinectbench.stages.segment.judge.quality import surface_sigma_m
+from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules, _signed_distance_m
+from kinectbench.stages.segment.solid.solid import SolidShape, solidify
 
 # From 10 mm on what goes on above the cut is the object's.
 LOW_LAYERS = FloorLayers(FLOOR_LAYERS, CUT_LAYERS - 2, 2)

@@ -8,10 +8,9 @@ from slow import slow
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.evidence import Evidence, Rules, weigh
-from kinectbench.stages.segment.frontiers import find_frontiers
-from kinectbench.stages.segment.morphology import carried_up
-from kinectbench.stages.segment.solid import SolidShape, make_solid
+from kinectbench.stages.segment.judge.frontiers import find_frontiers
+from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
+from kinectbench.stages.segment.solid.solid import SolidShape, carried_up, make_solid
 
 LOW, HIGH = (0.1, 0.1, -1.0), (0.54, 0.38, 0.6)
 
@@ -22,9 +21,9 @@ def room(request: pytest.FixtureRequest) -> Room:
     return Room(voxel_m, (0.64, 0.48, 0.8))
 
 
-def weighed(room: Room, observed: Observation) -> tuple[Evidence, SolidShape]:
+def classified(room: Room, observed: Observation) -> tuple[VoxelEvidence, SolidShape]:
     rules = Rules(room.layers)
-    evidence = weigh(observed, room.nothing(), rules)
+    evidence = classify_voxels(observed, room.nothing(), rules)
     return evidence, make_solid(observed, evidence, rules)
 
 
@@ -34,7 +33,7 @@ def core(room: Room, bottom_m: float, top_m: float) -> np.ndarray:
 
 
 def test_a_closed_body_is_known(room: Room) -> None:
-    evidence, shape = weighed(room, room.observation(room.box_distance(LOW, HIGH)))
+    evidence, shape = classified(room, room.observation(room.box_distance(LOW, HIGH)))
     inner = core(room, 0.0, HIGH[2] - 0.1)
     assert shape.solid[inner].all() and (shape.labels[inner] == Label.INTERIOR).all()
     assert find_frontiers(shape, evidence, Rules(room.layers).limits, np.eye(4)) == ()
@@ -45,7 +44,7 @@ def test_a_bin_is_unknown_below_where_one_looked(room: Room, height_m: float) ->
     hole_m = room.box_distance((LOW[0] + 0.04, LOW[1] + 0.04, 0.04), (HIGH[0] - 0.04, HIGH[1] - 0.04, 1.0))
     seen = room.centers()[..., 2] > height_m
     body_m = looked_into(room.box_distance(LOW, HIGH), hole_m, seen)
-    evidence, shape = weighed(room, room.observation(body_m))
+    evidence, shape = classified(room, room.observation(body_m))
     inner = core(room, 0.06, height_m)
     assert (evidence.sight[inner] & FROM_ABOVE).all() and (shape.labels[inner] == Label.UNKNOWN).all()
     (found,) = find_frontiers(shape, evidence, Rules(room.layers).limits, np.eye(4))
@@ -58,7 +57,7 @@ def test_a_compartment_is_open_at_the_side(room: Room) -> None:
     inner_m = room.box_distance((LOW[0] + 0.04, LOW[1] + 0.04, 0.04), (HIGH[0] - 0.04, 1.0, HIGH[2] - 0.04))
     seen = room.centers()[..., 1] > 0.3
     body_m = looked_into(room.box_distance(LOW, HIGH), inner_m, seen)
-    evidence, shape = weighed(room, room.observation(body_m))
+    evidence, shape = classified(room, room.observation(body_m))
     inner = room.within((LOW[0] + 0.1, LOW[1] + 0.1, 0.1), (HIGH[0] - 0.1, 0.28, HIGH[2] - 0.12))
     assert (evidence.sight[inner] > 0).all() and (shape.labels[inner] == Label.UNKNOWN).all()
     found = find_frontiers(shape, evidence, Rules(room.layers).limits, np.eye(4))

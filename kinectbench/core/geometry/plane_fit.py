@@ -1,0 +1,51 @@
+"""Fit a plane to points: one-point RANSAC, and robust least squares."""
+
+import numpy as np
+
+from kinectbench.core.types import Float64
+
+# Planes that RANSAC tries.
+HYPOTHESES = 400
+
+
+def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
+    """The plane (4,) with most inliers among those through one point with its own normal (one-point RANSAC).
+
+    Args:
+        points: (n, 3), metres.
+        normals: (n, 3) unit.
+        rng: which points are tried.
+        inlier_m: points this near to a plane are on it.
+    """
+    judged = points[rng.permutation(len(points))[:20_000]]
+    chosen = rng.integers(len(points), size=HYPOTHESES)
+    offsets = -(points[chosen] * normals[chosen]).sum(axis=1)
+    counts = [
+        int((np.abs(judged @ normal + offset) < inlier_m).sum())
+        for normal, offset in zip(normals[chosen], offsets, strict=True)
+    ]
+    best = int(np.argmax(counts))
+    return np.append(normals[chosen[best]], offsets[best])
+
+
+def refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> Float64:
+    """Fit a plane to its inliers by least squares, eight times, with new inliers within 3 robust deviations.
+
+    Args:
+        points: (n, 3), metres.
+        plane: (4,) to begin with.
+        reach_m: distance of its first inliers.
+        inlier_m: later inliers lie within half of it to twice it.
+    """
+    for _ in range(8):
+        distance_m = points @ plane[:3] + plane[3]
+        inliers = points[np.abs(distance_m) < reach_m]
+        if len(inliers) < 10:
+            return plane
+        centre = inliers.mean(axis=0)
+        _, _, axes = np.linalg.svd(inliers - centre, full_matrices=False)
+        normal = axes[2] * np.sign(axes[2] @ plane[:3])
+        plane = np.append(normal, -normal @ centre)
+        deviation_m = 1.4826 * np.median(np.abs(inliers @ plane[:3] + plane[3]))
+        reach_m = float(np.clip(3 * deviation_m, 0.5 * inlier_m, 2 * inlier_m))
+    return plane

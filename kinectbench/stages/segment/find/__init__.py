@@ -1,0 +1,1 @@
+"""Find the floor of a scene and the object on it."""

@@ -1,0 +1,108 @@
+"""Anchor a box in the floor frame that it was chosen in, by the pose of one frame's camera."""
+
+import hashlib
+from dataclasses import replace
+from math import atan2
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import AnchoredBoxPart
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import (
+    OrientedBox,
+    invert_rigid,
+    quaternion_xyzw_from_rotation,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
+from kinectbench.core.geometry.boxes import BoxAnchor, Pose
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.settings.edit import box_line
+from kinectbench.stages.segment.find.floor import Floor
+
+CHOOSE = "choose it again by `kinectbench segment --suggest`"
+# Two boxes or pieces whose sides lie this near to each other are the same place.
+SAME_M = 0.06
+# Digits of a hash: 64 bits, which two of some thousand different frames do not share by chance.
+DIGITS = 16
+
+
+def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAnchor:
+    """The anchor of boxes in a floor frame: the middle one of the frames with poses, and its camera there."""
+    frames = trajectory.good_frames
+    frame = int(frames[len(frames) // 2])
+    pose = _pose(floor.T_floor_world @ trajectory.T_world_camera[frame])
+    return BoxAnchor(frame, pose, _depth_sha256(sequence, frame))
+
+
+def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
+    """The box, its anchor under the number that the frame has now: numbers change when a recording is cut.
+
+    Raises:
+        SegmentationError: no frame of the sequence has that depth.
+    """
+    if box.anchor is None or box.anchor.depth_sha256 is None:
+        return box
+    frame, _, depth_sha256 = box.anchor
+    for index in (*range(frame, len(sequence)), *range(min(frame, len(sequence)))):
+        if _depth_sha256(sequence, index) == depth_sha256:
+            return replace(box, anchor=box.anchor._replace(frame=index))
+    raise SegmentationError(
+        f"the box in benchmark.yaml is tied to a frame, then number {frame}, whose depth is not in the "
+        f"recording any more; {CHOOSE}"
+    )
+
+
+def _depth_sha256(sequence: Sequence, frame: int) -> str:
+    return hashlib.sha256(sequence.frames.depth_native(frame).tobytes()).hexdigest()[:DIGITS]
+
+
+def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
+    """Refuse a box that was chosen in another floor frame: with another trajectory, or on another plane.
+
+    A box without an anchor, written by hand, is accepted. A floor is never measured twice exactly alike: the
+    frame is the same if no corner moves by more than 6 cm, less in proportion to the `scale` of the scene.
+
+    Raises:
+        SegmentationError: it was; the line has the box of the same place now, unless it would not be upright.
+    """
+    if box.anchor is None:
+        return
+    frame, was, depth_sha256 = box.anchor
+    known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
+    if not known:
+        raise SegmentationError(
+            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}"
+        )
+    T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
+    T_now_then = T_floor_camera @ invert_rigid(_matrix(was))
+    there = transform_points(T_now_then, box.corners_floor())
+    moved_m = float(np.linalg.norm(there - box.corners_floor(), axis=1).max())
+    if moved_m <= SAME_M * scale:
+        return
+    x, y, z = transform_points(T_now_then, np.array(box.center_m))
+    turn_rad = atan2(T_now_then[1, 0], T_now_then[0, 0])
+    yaw_rad = atan2(np.sin(box.yaw_rad + turn_rad), np.cos(box.yaw_rad + turn_rad))
+    same = OrientedBox((x, y, z), box.size_m, yaw_rad)
+    now = BoxAnchor(frame, _pose(T_floor_camera), depth_sha256)
+    upright = np.linalg.norm(there - same.corners_floor(), axis=1).max() <= SAME_M * scale
+    line = box_line(AnchoredBoxPart.of_anchored(same, now))
+    place = f"for the same place now write `{line}`, or " if upright else ""
+    raise SegmentationError(
+        "the box in benchmark.yaml was chosen in another floor frame, of another trajectory or plane: by "
+        f"frame {frame} it would be {moved_m:.2f} m off; {place}{CHOOSE}"
+    )
+
+
+def _pose(T: Float64) -> Pose:
+    """A pose (4, 4) as the seven numbers of a row of a trajectory."""
+    x, y, z = (float(value) for value in T[:3, 3])
+    qx, qy, qz, qw = (float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3]))
+    return x, y, z, qx, qy, qz, qw
+
+
+def _matrix(pose: Pose) -> Float64:
+    return rigid(rotation_from_quaternion_xyzw(np.array(pose[3:])), pose[:3])

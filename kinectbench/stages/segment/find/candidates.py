@@ -1,0 +1,165 @@
+"""Boxes that a person may choose the object from."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import AnchoredBoxPart, CandidateRow, CandidatesFile
+from kinectbench.core.box_pictures import ShownBox, box_picture, plan_picture
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.core.voxels.surface_points import spacing_m
+from kinectbench.settings.models import FloorCuts
+from kinectbench.stages.segment.find.box_anchor import SAME_M, anchor_of
+from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M
+from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
+from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
+from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
+from kinectbench.stages.segment.find.select import CELL_M, fit_box, label_pieces, standing
+
+# Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
+# next ones.
+CUTS = ((0.03, False), (0.02, False), (0.015, True))
+PLAN = "plan.png"
+MIN_AREA_M2 = 0.05
+MAX_CANDIDATES = 9
+# The box has this margin, so that the noise of the surface is inside.
+MARGIN_M = 0.02
+# Rooms and rows of cupboards come last.
+LARGE_M = 2.5
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A thing that stands on the floor, or a part of one that touches others.
+
+    Attributes:
+        box: upright box around it, floor frame.
+        points_floor: (n, 3) its points of the fused surface, floor frame, metres.
+        automatic: it is what is chosen without a box.
+        distance_m: from where the cameras look to its nearest point.
+    """
+
+    box: OrientedBox
+    points_floor: Float64
+    automatic: bool
+    distance_m: float
+
+    def shown(self, floor: Floor) -> ShownBox:
+        """The candidate as pictures show it."""
+        return ShownBox(self.box, self.points_floor, floor.T_world_floor)
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The scene, and up to nine things in it: the automatic choice first, then by distance."""
+
+    scene: Scene
+    candidates: tuple[Candidate, ...]
+
+
+def find_candidates(
+    mesh: TriangleMesh, trajectory: Trajectory, settings: FloorCuts, hint: FloorHint = NOTHING_KNOWN
+) -> Candidates:
+    """Find what stands on the floor: connected pieces, and their parts where there is a gap.
+
+    The fused surface is cut into pieces thrice, at gaps of 60 mm, 40 mm and 15 mm, or what the mesh resolves;
+    less where cameras are nearer than 1 m. A piece that a finer cut leaves whole counts once.
+
+    Args:
+        mesh: the fused scene, world frame.
+        trajectory: poses of the frames.
+        settings: seed, floor cut and low cut.
+        hint: what is known of the floor.
+
+    Raises:
+        SegmentationError: nothing that stands on the floor is large enough.
+    """
+    scene = find_scene(mesh, trajectory, settings, floor_may_lack=True, hint=hint)
+    vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
+    points_floor = vertices_floor[vertices_floor[:, 2] > floor_cut_m(scene.floor, settings)]
+    least_m = spacing_m(mesh)
+    candidates = [] if len(points_floor) == 0 else _automatic(scene, vertices_floor, settings, least_m)
+    for cell_m, through_faces in CUTS:
+        larger = _pieces(points_floor / scene.scale, max(cell_m, least_m / scene.scale), through_faces)
+        for points in (each * scene.scale for each in larger):
+            candidate = _candidate(points, scene, automatic=False)
+            if not any(_same(candidate, other, SAME_M * scene.scale) for other in candidates):
+                candidates.append(candidate)
+    if not candidates:
+        least = f"{MIN_AREA_M2 * scene.scale**2:.2g} m²"
+        raise SegmentationError(
+            f"no candidates: nothing that stands on the floor has {least} of surface; is it in view? "
+            "A black, glass or mirror-like one gives no depth: make it matt"
+        )
+    candidates.sort(key=lambda c: (not c.automatic, max(c.box.size_m) > LARGE_M, c.distance_m))
+    return Candidates(scene, tuple(candidates[:MAX_CANDIDATES]))
+
+
+def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least_m: float) -> list[Candidate]:
+    """What is chosen without a box, or nothing where that fails."""
+    if not scene.floor.found:
+        return []
+    try:
+        result = find_object(scene, vertices_floor, settings, max(FINE_CELL_M * scene.scale, least_m))
+    except SegmentationError:
+        return []
+    points_floor = np.concatenate([scene.points_floor[result.chosen], vertices_floor[result.feet]])
+    return [_candidate(points_floor, scene, automatic=True)]
+
+
+def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
+    """The points of each large piece that stands on the floor, at the scale of cameras 1 m or more away."""
+    if len(points_floor) == 0:
+        return []
+    label = label_pieces(points_floor, cell_m, through_faces)
+    # One point a cell, so that area counts.
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    _, first = np.unique(cell_numbers(cells), return_index=True)
+    sizes = np.bincount(label[first], minlength=int(label.max()) + 1)
+    large = standing(label, points_floor) & (sizes * CELL_M**2 >= MIN_AREA_M2)
+    return [points_floor[label == piece] for piece in np.flatnonzero(large)]
+
+
+def _candidate(points_floor: Float64, scene: Scene, automatic: bool) -> Candidate:
+    fitted = fit_box(points_floor)
+    margin_m = MARGIN_M * scene.scale
+    grown = fitted.grown(margin_m)
+    box = replace(grown, center_m=(*fitted.center_m[:2], grown.size_m[2] / 2 - margin_m))
+    distance_m = float(np.linalg.norm(points_floor - scene.focus_floor, axis=1).min())
+    return Candidate(box, points_floor, automatic, distance_m)
+
+
+def _same(one: Candidate, other: Candidate, within_m: float) -> bool:
+    """Whether the points of two candidates have about the same extents; their boxes may be turned."""
+    sides = [np.concatenate([c.points_floor.min(axis=0), c.points_floor.max(axis=0)]) for c in (one, other)]
+    return bool(np.abs(sides[0] - sides[1]).max() < within_m)
+
+
+def write_candidates(result: Candidates, sequence: Sequence, trajectory: Trajectory, folder: Path) -> None:
+    """Write candidates.json (numbers from 1, boxes as benchmark.yaml writes them) and the pictures."""
+    scene, floor = result.scene, result.scene.floor
+    rows, anchor = [], anchor_of(floor, trajectory, sequence)
+    for number, candidate in enumerate(result.candidates, start=1):
+        name = f"{number}.png"
+        (folder / name).write_bytes(box_picture(number, candidate.shown(floor), sequence, trajectory))
+        rows.append(
+            CandidateRow(
+                number=number,
+                automatic=candidate.automatic,
+                box=AnchoredBoxPart.of_anchored(candidate.box, anchor),
+                distance_m=round(candidate.distance_m, 3),
+                picture=name,
+            )
+        )
+    boxes = [candidate.box for candidate in result.candidates]
+    plan = plan_picture(boxes, scene.points_floor, scene.focus_floor, floor.T_floor_world, trajectory)
+    (folder / PLAN).write_bytes(plan)
+    CandidatesFile(
+        floor_found=floor.found, T_floor_world=floor.T_floor_world, plan=PLAN, candidates=tuple(rows)
+    ).write(folder)

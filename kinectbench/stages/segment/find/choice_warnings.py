@@ -1,0 +1,169 @@
+"""Warn where the chosen object may not be one thing that stands alone."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.types import Float64, Int32, Int64
+from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.stages.segment.find.select import label_pieces, nearest_within, standing
+
+LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
+MAX_EXTENT_M = 2.5
+# Parts with at least this share of the largest one's surface are things of their own.
+PART_SHARE = 0.2
+# Things that touch at 30 mm cells come apart at these, where there is a gap of a finger's breadth.
+FINE_CELL_M = 0.02
+MIN_PART_CELLS = 60
+BESIDE_M = 0.1
+# A box cuts its object if this share of the object's cells goes on right beyond it.
+CUT_SHARE, CUT_CELLS = 0.02, 1.5
+# A board goes on beyond what it carries. So much of it is seen so far around (chosen by hand: a thing hides
+# some of it, and stands near its edge).
+BOARD_M, BOARD_SHARE = 0.06, 0.4
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The chosen points and all others; floor frame, metres.
+
+    Attributes:
+        object_points: (n, 3) points of the fused surface, at least one per cell of `cell_m`.
+        other_points: (m, 3) the same for everything else above the floor.
+        box: upright box around the object.
+        given: whether a person gave the box.
+        focus: (3,) where the cameras look.
+        cell_m: parts are apart if these cells leave a gap: 20 mm, or more if the surface is coarser.
+        scale: of the scene; all lengths above are metres over it.
+    """
+
+    object_points: Float64
+    other_points: Float64
+    box: OrientedBox
+    given: bool
+    focus: Float64
+    cell_m: float = FINE_CELL_M
+    scale: float = 1.0
+
+
+def choice_warnings(selection: Selection) -> tuple[str, ...]:
+    """Why the choice may be wrong: one line for people each; none if nothing speaks against it.
+
+    A person's box is only checked for several things in it, and for cutting what it holds.
+    """
+    parts = separate_parts(selection.object_points, selection.cell_m)
+    if selection.given:
+        parts = max(parts, 1 + things_beside(selection.object_points, selection.cell_m))
+        held = (
+            f"the box holds {parts} things that stand apart, or one whose joints no frame shows; if they are "
+            f"several, give a box around one of them: {LOOK}"
+        )
+        cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
+        return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
+    lines = []
+    extent_m = max(selection.box.size_m) * selection.scale
+    if extent_m > MAX_EXTENT_M:
+        lines.append(f"the object is {extent_m:.1f} m long: hardly one piece of furniture; {LOOK}")
+    if parts > 1:
+        lines.append(f"the object falls into {parts} things that stand side by side and hardly touch; {LOOK}")
+    neighbours = large_neighbours(selection)
+    gap_m = _gap_within_m(neighbours, selection.object_points, BESIDE_M)
+    if gap_m < BESIDE_M:
+        lines.append(
+            f"another large thing stands {100 * selection.scale * gap_m:.0f} cm beside the object; {LOOK}"
+        )
+    elif (
+        _distance_m(neighbours, selection.focus)
+        < _distance_m(selection.object_points, selection.focus) + BESIDE_M
+    ):
+        lines.append(f"another large thing stands as near to where the cameras look as the object; {LOOK}")
+    return tuple(lines)
+
+
+def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
+    """How many large parts, each standing on the floor, points (n, 3) fall into in cells of this edge."""
+    if not len(points_floor):
+        return 0
+    label = label_pieces(points_floor, cell_m)
+    sizes = _cells(points_floor, label)
+    sizes[~standing(label, points_floor)] = 0
+    return int((sizes >= max(MIN_PART_CELLS, PART_SHARE * sizes.max())).sum())
+
+
+def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
+    """How many parts, however small, stand 0.1 m or more beside the largest one, seen from above."""
+    if not len(points_floor):
+        return 0
+    label = label_pieces(points_floor, cell_m)
+    sizes = _cells(points_floor, label)
+    largest = points_floor[label == np.argmax(sizes), :2]
+    stands = standing(label, points_floor)
+    # The largest part is none: it lies at a distance of 0 from itself.
+    parts = np.flatnonzero((sizes >= MIN_PART_CELLS) & stands)
+    return sum(
+        _gap_within_m(largest, points_floor[label == part, :2], BESIDE_M) >= BESIDE_M for part in parts
+    )
+
+
+def cut_share(selection: Selection) -> float:
+    """The share of the object's cells that has surface right beside it beyond the box.
+
+    A board that carries what is in the box is not cut by it.
+    """
+    from scipy.spatial import cKDTree
+
+    inside, outside = selection.object_points, selection.other_points
+    outside = outside[~selection.box.contains(outside)]
+    if stands_on_a_board(selection):
+        bottom_m = selection.box.center_m[2] - selection.box.size_m[2] / 2
+        outside = outside[outside[:, 2] > bottom_m + CUT_CELLS * selection.cell_m]
+    if not len(inside) or not len(outside):
+        return 0.0
+    reach_m = CUT_CELLS * selection.cell_m
+    beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
+    return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
+
+
+def stands_on_a_board(selection: Selection) -> bool:
+    """Whether level surface spreads around the box's lower end, as a shelf's board does."""
+    box, cell_m = selection.box, selection.cell_m
+    bottom_m = box.center_m[2] - box.size_m[2] / 2
+    around = replace(box, size_m=(box.size_m[0] + 2 * BOARD_M, box.size_m[1] + 2 * BOARD_M, box.size_m[2]))
+    points = np.concatenate([selection.object_points, selection.other_points])
+    points = points[np.abs(points[:, 2] - bottom_m) < CUT_CELLS * cell_m]
+    at_middle = np.column_stack([points[:, :2], np.full(len(points), box.center_m[2])])
+    ring = points[around.contains(at_middle) & ~box.contains(at_middle)]
+    covered_m2 = len(np.unique(cell_numbers(np.floor(ring[:, :2] / cell_m).astype(np.int64)))) * cell_m**2
+    whole_m2 = around.size_m[0] * around.size_m[1] - box.size_m[0] * box.size_m[1]
+    return covered_m2 >= BOARD_SHARE * whole_m2
+
+
+def large_neighbours(selection: Selection) -> Float64:
+    """The points (k, 3) of other standing things that have at least a fifth of the object's surface."""
+    others = selection.other_points
+    if not len(others):
+        return others
+    label = label_pieces(others, selection.cell_m)
+    sizes = _cells(others, label)
+    least = max(MIN_PART_CELLS, PART_SHARE * _cells(selection.object_points, None).max())
+    return np.asarray(others[((sizes >= least) & standing(label, others))[label]])
+
+
+def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
+    """The least distance between two sets of points (n, k) and (m, k); inf if it exceeds a bound."""
+    from scipy.spatial import cKDTree
+
+    return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf
+
+
+def _distance_m(points: Float64, point: Float64) -> float:
+    """The least distance between points (n, 3) and one (3,); inf if n is 0."""
+    return float(np.linalg.norm(points - point, axis=1).min(initial=np.inf))
+
+
+def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
+    """How many cells of 20 mm the points of each label occupy."""
+    cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
+    _, first = np.unique(cell_numbers(cells), return_index=True)
+    return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))

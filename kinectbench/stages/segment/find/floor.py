@@ -1,0 +1,317 @@
+"""Find the floor: the plane that the cameras look down on, not the largest one; judge a given plane."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Camera, invert_rigid
+from kinectbench.core.geometry.plane_fit import ransac_plane, refine
+from kinectbench.core.trajectory.coverage import from_above
+from kinectbench.core.types import Float64
+from kinectbench.settings.models import FloorCuts
+from kinectbench.stages.segment.find.distance_scale import distance_scale, enlarged_transform
+from kinectbench.stages.segment.find.floor_planes import (
+    FOCUS_M,
+    MIN_NEAR_POINTS,
+    NEAR_PLANE_M,
+    NO_CHOICE,
+    REPORTED_ABOVE_SHARE,
+    PlaneCandidate,
+    PlaneChoice,
+    choose_plane,
+    refined_near,
+)
+from kinectbench.stages.segment.find.gravity import (
+    MIN_GRAVITY_COSINE,
+    MIN_UP_COSINE,
+    NOTHING_KNOWN,
+    FloorHint,
+)
+from kinectbench.stages.segment.find.planes import FLAT_COSINE, INLIER_M, Surface, floor_frame, noise_about_m
+
+NO_FLOOR = (
+    "no floor found: no plane that faces up, and below which nothing is seen, lies below most cameras{why}; "
+    "record with more of what the object stands on in view, or give its plane (`floor: {{plane_world: "
+    "[a, b, c, d]}}`) or a box (`kinectbench segment --suggest` lists some)"
+)
+ABOVE_CAMERAS = (
+    "most cameras are below the plane that benchmark.yaml gives as `floor`; its normal must point up, in the "
+    "frame of the trajectory"
+)
+# Cameras held upside down, as robots and ceilings hold them: their poses are turned about their axes.
+HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+UPSIDE_DOWN = (
+    "the cameras are taken for held upside down: only so there is a floor; if they were, write its plane "
+    "into benchmark.yaml (`floor: {plane_world: [a, b, c, d]}`; `kinectbench build` writes the numbers to "
+    "build/<id>/object/floor.json)"
+)
+# A floor that is seen upside down has at least this share of the surface (chosen by hand: in 30 fused scenes
+# .15 to .97 lies on the floor; a ceiling is hardly in view of cameras that look at a thing below it).
+LEAST_UPSIDE_DOWN = 0.15
+# This share of the surface may lie below the height that a scene without floor is given.
+LOWEST_SHARE = 0.001
+# The fused floor's surface strays from the plane by so many of its standard deviations at most.
+FLOOR_SIGMAS = 4.0
+
+GIVEN = "the plane that benchmark.yaml gives as `floor`"
+# The plane that is seen is the one given if it is off by at most this, or so many times its noise, and turned
+# by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).
+LEAST_OFF_M, OFF_SIGMAS, TURNED_DEG = 0.010, 3.0, 3.0
+# A person means the plane given if it has points of its own, within this distance: at least this share of the
+# points of the plane beside it. A board on a floor is one of two planes that are seen (chosen by hand).
+OWN_SHARE, LEAST_ON_M = 0.05, 0.005
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The floor of a recording.
+
+    Attributes:
+        plane_world: (4,) a, b, c, d with a x + b y + c z + d = 0; (a, b, c) is the unit normal, upward.
+        T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0, origin below the world's origin, x along
+            the world's x axis projected onto the floor (or its z axis where that is degenerate).
+        noise_m: robust standard deviation of the surface around the plane, metres.
+        inlier_share: share of the scene's surface that lies on the plane.
+        tilt_rad: angle between its normal and up, radians: by gravity, else coarsely as the cameras were
+            held; NaN if it is not known.
+        found: False if it is not a measured plane but `level_floor`.
+        scale: `distance_scale`, by which the cuts of the settings are multiplied.
+        choice: the planes among which it was chosen; none for a person's plane.
+        given: whether it is a person's plane.
+        against: objections to a person's plane, or to cameras upside down, one line for people each.
+    """
+
+    plane_world: Float64
+    T_floor_world: Float64
+    noise_m: float
+    inlier_share: float
+    tilt_rad: float = 0.0
+    found: bool = True
+    scale: float = 1.0
+    choice: PlaneChoice = NO_CHOICE
+    given: bool = False
+    against: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against it, one line for people each."""
+        return (*self.against, *self.choice.warnings())
+
+    @contextmanager
+    def said_in_errors(self) -> Iterator[None]:
+        """Within the block, a `SegmentationError` also says what speaks against a person's plane."""
+        try:
+            yield
+        except SegmentationError as error:
+            if not self.against:
+                raise
+            raise SegmentationError(f"{error}; {self.against[0]}") from error
+
+    @property
+    def T_world_floor(self) -> Float64:
+        """(4, 4), maps the floor frame to the world."""
+        return invert_rigid(self.T_floor_world)
+
+    def heights_m(self, depth_m: NDArray[np.floating], camera: Camera, T_world_camera: Float64) -> Float64:
+        """Height above the floor of the surface at each pixel (height, width), metres.
+
+        Where `depth_m` is 0, it is the height of the camera.
+        """
+        up = (self.T_floor_world @ T_world_camera)[2]
+        return np.asarray(depth_m * (camera.rays() @ up[:3]) + up[3])
+
+
+def find_floor(
+    points_world: Float64,
+    normals_world: Float64,
+    T_world_camera: Float64,
+    focus_world: Float64,
+    seed: int,
+    hint: FloorHint = NOTHING_KNOWN,
+) -> Floor:
+    """Find the floor among the planes of the scene (`choose_plane`), or judge a person's plane.
+
+    The plane is refined by least squares within 1.2 m of the focus: farther floor has several times the
+    noise, and a Kinect's depth bias grows with distance. Where cameras are nearer than 1 m, all these lengths
+    shrink in proportion (`distance_scale`).
+
+    Args:
+        points_world: (n, 3) points spread evenly over the scene's surface, metres.
+        normals_world: (n, 3) their unit normals.
+        T_world_camera: (m, 4, 4) poses of the good frames.
+        focus_world: (3,) where the cameras look.
+        seed: seed of RANSAC.
+        hint: gravity, and a person's plane.
+
+    Raises:
+        SegmentationError: no plane may be a floor, or the cameras are below a person's.
+    """
+    scale = distance_scale(T_world_camera, focus_world)
+    surface = Surface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
+    if hint.plane_world is not None:
+        given = _given_floor(
+            hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2, hint.up_world
+        )
+        against = against_plane(hint.plane_world, surface, hint.up_world, scale)
+        return replace(given, scale=scale, given=True, against=against)
+    floor = _find_floor(surface, enlarged_transform(T_world_camera, scale), seed, hint.up_world)
+    plane = floor.plane_world * [1, 1, 1, scale]
+    return replace(
+        floor,
+        plane_world=plane,
+        T_floor_world=floor_frame(plane),
+        noise_m=floor.noise_m * scale,
+        scale=scale,
+        choice=floor.choice.scaled(scale),
+    )
+
+
+def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
+    """Find the floor by the planes, in a world in which the cameras are at least 1 m from the focus.
+
+    There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
+    lies on the floor must not pass for floor.
+    """
+    choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
+    if choice.chosen is None and up_world is None:
+        T_world_turned = T_world_camera @ HALF_TURN
+        turned = choose_plane(surface, T_world_turned, None, seed)
+        if turned.chosen is not None and _is_plain(turned.chosen, T_world_turned):
+            choice, against, T_world_camera = turned, (UPSIDE_DOWN,), T_world_turned
+    if choice.chosen is None:
+        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest))
+    plane, noise_m = refined_near(choice.chosen.plane, surface)
+    tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
+    share = choice.chosen.inlier_share
+    return Floor(plane, floor_frame(plane), noise_m, share, tilt_rad, choice=choice, against=against)
+
+
+def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
+    """Whether a plane has so much surface, and so many cameras above, that it must be the floor.
+
+    A wall that is looked at from above resembles a floor that is looked at steeply upside down: it is not
+    plain.
+    """
+    upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
+    seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE
+    return seen and upright > MIN_UP_COSINE
+
+
+def _given_floor(
+    plane_world: Float64,
+    points_world: Float64,
+    T_world_camera: Float64,
+    inlier_m: float,
+    up_world: Float64 | None,
+) -> Floor:
+    """The floor by a person's plane (4,)."""
+    above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
+    if np.median(above_m) <= 0:
+        raise SegmentationError(ABOVE_CAMERAS)
+    near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
+    noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
+    tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
+    return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
+
+
+def level_floor(
+    points_world: Float64, T_world_camera: Float64, up_world: Float64 | None = None, scale: float = 1.0
+) -> Floor:
+    """A floor for a scene without one: level, at the lowest of the points (n, 3).
+
+    It only serves a person's box, which is given in its frame. Without `up_world` (3,) it is level as the
+    cameras (m, 4, 4) were held.
+    """
+    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
+    plane = np.append(up, -lowest_m)
+    return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
+
+
+def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
+    """Surface up to this height is floor, metres: as the settings say, less for near cameras."""
+    return settings.floor_cut_m * floor.scale
+
+
+def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
+    """Surface from this height on may be the object's where it goes on above the floor cut, metres.
+
+    It is `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most
+    the floor cut; it is the floor cut where no floor was measured.
+    """
+    cut_m = floor_cut_m(floor, settings)
+    if not floor.found:
+        return cut_m
+    return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
+
+
+def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:
+    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    return float(np.arccos(np.clip(plane[:3] @ up, -1, 1)))
+
+
+def against_plane(
+    plane_world: Float64, surface: Surface, up_world: Float64 | None, scale: float
+) -> tuple[str, ...]:
+    """Objections to a person's plane (4,), one line for people each; advice follows after a semicolon.
+
+    Only a plane within 0.1 m of the one given, and off by more than noise, speaks against it: where a table
+    and the floor are seen, a person says which is meant. The world is `scale` times as large as that of
+    `surface`.
+    """
+    gravity = against_gravity(plane_world, up_world)
+    beside = _beside(plane_world * [1, 1, 1, 1 / scale], surface)
+    if beside is None:
+        return gravity
+    seen, off_m, turn_deg = beside
+    way = f"{1000 * scale * abs(off_m):.0f} mm {'above' if off_m > 0 else 'below'} it"
+    turned = f", turned by {turn_deg:.0f} degrees" if turn_deg > TURNED_DEG else ", parallel to it"
+    numbers = ", ".join(f"{value:.5f}" for value in seen * [1, 1, 1, scale])
+    line = (
+        f"{GIVEN} is not one that the frames show: they show a plane {way}{turned}; if the object stands "
+        f"on that, write `floor: {{plane_world: [{numbers}]}}`"
+    )
+    return (*gravity, line)
+
+
+def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
+    """A line for people if a person's plane (4,) is not level by gravity, where `up_world` (3,) is known."""
+    if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
+        return ()
+    turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))
+    return (
+        f"{GIVEN} is turned by {turn_deg:.0f} degrees against level by gravity; give one whose normal "
+        "points up, in the frame of the trajectory",
+    )
+
+
+def _beside(plane: Float64, surface: Surface) -> tuple[Float64, float, float] | None:
+    """The plane (4,) seen right beside another: how far above the other it lies, and how many degrees turned.
+
+    None if the surface near the focus shows no plane, or the other plane itself.
+    """
+    points, normals = surface.points_world, surface.normals_world
+    near = normals @ plane[:3] > FLAT_COSINE
+    near &= np.abs(points @ plane[:3] + plane[3]) < NEAR_PLANE_M
+    near &= np.linalg.norm(points - surface.focus_world, axis=1) < FOCUS_M
+    if near.sum() < MIN_NEAR_POINTS:
+        return None
+    points, normals, inlier_m = points[near], normals[near], surface.inlier_m
+    seen = ransac_plane(points, normals, np.random.default_rng(0), inlier_m)
+    seen = refine(points, seen, 2 * inlier_m, inlier_m)
+    on_seen = points[np.abs(points @ seen[:3] + seen[3]) < inlier_m]
+    if len(on_seen) < MIN_NEAR_POINTS:
+        return None
+    noise_m = noise_about_m(seen, on_seen, inlier_m)
+    off_m = float(on_seen.mean(axis=0) @ plane[:3] + plane[3])
+    turn_deg = float(np.degrees(np.arccos(np.clip(seen[:3] @ plane[:3], -1, 1))))
+    off_noise_m = max(LEAST_OFF_M, OFF_SIGMAS * noise_m)
+    if abs(off_m) <= off_noise_m and turn_deg <= TURNED_DEG:
+        return None
+    own = np.abs(points @ plane[:3] + plane[3]) < max(LEAST_ON_M, noise_m)
+    own &= np.abs(points @ seen[:3] + seen[3]) > off_noise_m
+    return None if own.sum() > OWN_SHARE * len(on_seen) else (seen, off_m, turn_deg)

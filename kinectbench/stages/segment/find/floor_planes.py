@@ -1,0 +1,317 @@
+"""The planes that the object may stand on, the evidence for each, and the choice among them."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.plane_fit import ransac_plane, refine
+from kinectbench.core.trajectory.coverage import from_above
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.stages.segment.find.gravity import Facing, facings
+from kinectbench.stages.segment.find.planes import (
+    FLAT_COSINE,
+    INLIER_M,
+    MAX_NOISE_M,
+    Surface,
+    carries_what_is_looked_at,
+    floor_frame,
+    is_below,
+    is_flat,
+    noise_about_m,
+)
+
+# Planes tried for each way of holding the cameras.
+CANDIDATES = 6
+# A plane has at least this share of the points, and so many: the normal of fewer says little (chosen by
+# hand).
+MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
+# A camera looks down on a plane from this height on. A few cameras may not, as poses are off (chosen by
+# hand).
+MIN_CAMERA_HEIGHT_M, MIN_ABOVE_SHARE = 0.1, 0.8
+# Surface farther below a plane than so many times the distance of its inliers (50 mm) is lower. The distance
+# grows where surface is farther from the cameras than what they look at: noise grows with the square of the
+# distance.
+BELOW_INLIERS = 2.5
+# The distance of a point from the cameras is measured to so many of them, as a search visits all (chosen by
+# hand).
+SOME_CAMERAS = 40
+# An object hides what is below its support. This much may be seen right below a plane, as a share of the
+# plane's own points. Measured: floors and tables 0 to .02, a table of a noisy recording .13; the tops of
+# tables, beds, couches and chairs on a floor without depth .21 to 2.4, of a box that hovers 6.4.
+MAX_UNDER_SHARE = 0.17
+# Weights of the evidence by how the cameras are held: mostly with the upper edge up, more rarely on their
+# left or right side, seldom looking steeply down (chosen by hand).
+HELD = (1.0, 0.2, 0.2, 0.02)
+# A plane is refined with the surface within this distance, near what the cameras look at.
+NEAR_PLANE_M = 0.1
+FOCUS_M = 1.2
+MIN_NEAR_POINTS = 100
+# A person is warned if a smaller share of the cameras looks down on the chosen plane, if a larger share of
+# the surface lies lower, or if another plane has this share of its evidence (chosen by hand).
+REPORTED_ABOVE_SHARE, REPORTED_BELOW_SHARE, REPORTED_RIVAL = 0.95, 0.05, 0.5
+# A refused plane is reported if it has so many times the evidence of the chosen one; the second number is for
+# parallel planes, as the top of a table and the floor about it are (chosen by hand).
+REPORTED_REFUSED, REPORTED_REFUSED_PARALLEL = 1.0, 5.0
+# Planes whose normals differ by less are one floor, or parallel (chosen by hand).
+SAME_DEG = 15.0
+TAKEN = "the plane that was taken for the floor"
+GIVE = "if that is not what the object stands on, give its plane: `floor: {plane_world: [a, b, c, d]}`"
+
+Reason = Literal["", "turned", "cameras", "clutter", "top", "less", "lower", "higher"]
+# Why a plane is not the floor: the first three hold whatever other planes there are.
+REASONS: dict[Reason, str] = {
+    "turned": "its normal is not up, however the cameras were held",
+    "cameras": "too few of the cameras look down on it",
+    "clutter": "what lies about it scatters: it cuts through several things",
+    "top": "much is seen right below it: it is the top of something",
+    "less": "less speaks for it than for another plane",
+    "lower": "a plane parallel to it lies lower",
+    "higher": "what the cameras look at stands on a higher plane",
+}
+NEVER: tuple[Reason, ...] = ("turned", "cameras", "clutter")
+# Reasons that rest on a limit, which a plane may miss by little.
+BY_A_LIMIT: tuple[Reason, ...] = ("cameras", "clutter", "top")
+
+
+@dataclass(frozen=True)
+class PlaneCandidate:
+    """A plane of the scene that the object may stand on.
+
+    Attributes:
+        plane: (4,), its unit normal up.
+        points: number of points of the surface on it.
+        inlier_share: share of the surface on it.
+        above_share: share of the cameras that look down on it.
+        below_share: share of the surface that lies lower.
+        under_share: points right below the plane's own area, divided by the points on it.
+        tilt_rad: between its normal and up by gravity, or else as the cameras were held.
+        way: by which way of holding the cameras (`facings`) its normal is up; 0: the usual one.
+        reason: why it is not the floor; "": it is.
+    """
+
+    plane: Float64
+    points: int
+    inlier_share: float
+    above_share: float
+    below_share: float
+    under_share: float
+    tilt_rad: float
+    way: int
+    reason: Reason = ""
+
+    @property
+    def evidence(self) -> float:
+        """The evidence for it: a product of shares.
+
+        They are the surface on it, the cameras above it, and the surface that does not lie lower. The product
+        is less if the cameras are not held as usual.
+        """
+        return self.inlier_share * self.above_share * (1 - self.below_share) * HELD[self.way]
+
+
+@dataclass(frozen=True)
+class PlaneChoice:
+    """The plane that was chosen, or None, and all candidates, each with the reason why it was not chosen."""
+
+    chosen: PlaneCandidate | None
+    candidates: tuple[PlaneCandidate, ...]
+
+    @property
+    def likeliest(self) -> str:
+        """Where none was chosen: what speaks against the plane with most evidence; "" without one."""
+        best = max(self.candidates, key=lambda each: each.evidence, default=None)
+        if best is None:
+            return ""
+        share = f"{best.inlier_share:.0%}"
+        return f"; {share} of the surface lies on the likeliest plane, but {REASONS[best.reason]}"
+
+    def scaled(self, scale: float) -> "PlaneChoice":
+        """The same planes in a world that is `scale` times as large."""
+        larger = np.array([1.0, 1.0, 1.0, scale])
+        chosen = None if self.chosen is None else replace(self.chosen, plane=self.chosen.plane * larger)
+        return PlaneChoice(
+            chosen, tuple(replace(each, plane=each.plane * larger) for each in self.candidates)
+        )
+
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against the plane that was chosen, one line for people each."""
+        chosen = self.chosen
+        if chosen is None:
+            return ()
+        others = [each for each in self.candidates if each.reason]
+        lines = []
+        if chosen.above_share < REPORTED_ABOVE_SHARE:
+            lines.append(f"only {chosen.above_share:.0%} of the cameras look down on {TAKEN}; {GIVE}")
+        if chosen.below_share > REPORTED_BELOW_SHARE and not any(each.reason == "higher" for each in others):
+            lines.append(f"{chosen.below_share:.0%} of the surface lies lower than {TAKEN}; {GIVE}")
+        rivals = [each for each in others if each.reason == "less" and _turn_deg(each, chosen) > SAME_DEG]
+        rival = max(rivals, key=lambda each: each.evidence, default=None)
+        if rival is not None and rival.evidence > REPORTED_RIVAL * chosen.evidence:
+            lines.append(
+                f"{chosen.inlier_share:.0%} of the surface lies on {TAKEN}, and {rival.inlier_share:.0%} on "
+                f"another that may be it, turned by {_turn_deg(rival, chosen):.0f} degrees; {GIVE}"
+            )
+        refused = [each for each in others if each.reason in BY_A_LIMIT and _outweighs(each, chosen)]
+        if refused:
+            most = max(refused, key=lambda each: each.evidence)
+            lines.append(
+                f"{chosen.inlier_share:.0%} of the surface lies on {TAKEN}, and {most.inlier_share:.0%} on "
+                f"another that was refused: {REASONS[most.reason]}; {GIVE}"
+            )
+        return tuple(lines)
+
+
+NO_CHOICE = PlaneChoice(None, ())
+
+
+def choose_plane(
+    surface: Surface, T_world_camera: Float64, up_world: Float64 | None, seed: int
+) -> PlaneChoice:
+    """Choose the plane that the object stands on among up to six for each way of holding the cameras.
+
+    The plane with most evidence decides which way is up, even if it is refused as a floor. Of the planes that
+    are up that way, and below which nothing is seen, the one with most evidence is the floor; but a parallel
+    plane at least 0.2 m lower is preferred, as a table top may fill more of the frames than the floor. A
+    higher plane takes its place if it carries what the cameras look at, whatever is seen below it.
+
+    Args:
+        surface: of the scene, in a world in which the cameras are 1 m and more from what they look at.
+        T_world_camera: (m, 4, 4) poses of the good frames, in that world.
+        up_world: (3,) unit, by gravity, or None.
+        seed: of RANSAC.
+    """
+    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    surface = replace(surface, times_noise=_times_noise(surface, T_world_camera))
+    candidates: list[PlaneCandidate] = []
+    for way, facing in enumerate(facings(T_world_camera, up_world)):
+        for plane, inliers in _planes(surface, facing, seed):
+            figures = _figures(plane, inliers, surface, T_world_camera[:, :3, 3])
+            tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1, 1)))
+            candidate = PlaneCandidate(plane, int(inliers.sum()), *figures, tilt_rad, way)
+            candidates.append(replace(candidate, reason=_refusal(candidate, facing, surface)))
+    possible = [each for each in candidates if each.reason not in NEVER]
+    if not possible:
+        return PlaneChoice(None, tuple(candidates))
+    way = max(possible, key=lambda each: each.evidence).way
+    upward = [each for each in possible if each.way == way]
+    floors = [each for each in upward if not each.reason]
+    floor = _lowest(floors, surface) if floors else None
+    chosen = _support(upward, floor, surface) or floor
+    return PlaneChoice(
+        None if chosen is None else replace(chosen, reason=""),
+        tuple(_with_reason(each, chosen, floor, surface) for each in candidates),
+    )
+
+
+def _planes(surface: Surface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
+    """Up to six planes (4,) of the points whose normals may be up, and which points (n,) lie on each."""
+    points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
+    rng = np.random.default_rng(seed)
+    left = facing(normals_world)
+    least = max(MIN_PLANE_POINTS, MIN_INLIER_SHARE * len(points_world))
+    planes: list[tuple[Float64, Bools]] = []
+    for _ in range(CANDIDATES):
+        indices = np.flatnonzero(left)
+        if len(indices) < least:
+            break
+        plane = ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
+        plane = refine(points_world[indices], plane, 2 * inlier_m, inlier_m)
+        inliers = left & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * inlier_m)
+        left &= ~inliers
+        if inliers.sum() >= MIN_INLIER_SHARE * len(points_world):
+            planes.append((plane, inliers))
+    return planes
+
+
+def _times_noise(surface: Surface, T_world_camera: Float64) -> Float64:
+    """How many times noisier each point (n,) is than what the cameras look at, at least 1."""
+    from scipy.spatial import cKDTree
+
+    cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
+    median_m = float(np.median(np.linalg.norm(cameras - surface.focus_world, axis=1)))
+    far_m, _ = cKDTree(cameras).query(surface.points_world)
+    return np.asarray(np.maximum(far_m / max(median_m, 1.0), 1.0) ** 2)
+
+
+def _figures(
+    plane: Float64, inliers: Bools, surface: Surface, cameras_world: Float64
+) -> tuple[float, float, float, float]:
+    """Shares of a plane (4,): on it, of the cameras above it, of the surface below it, and right below it."""
+    local = transform_points(floor_frame(plane), surface.points_world)
+    below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
+    # Numbers of cells need no dense grid, which one pose kilometres off would make too large for the memory.
+    cell = cell_numbers(np.floor(local[:, :2] / (2 * surface.spacing_m)).astype(np.int64))
+    under = np.isin(cell[below], cell[inliers])
+    above = cameras_world @ plane[:3] + plane[3] > MIN_CAMERA_HEIGHT_M
+    return float(inliers.mean()), float(above.mean()), float(below.mean()), float(under.sum() / inliers.sum())
+
+
+def _refusal(candidate: PlaneCandidate, facing: Facing, surface: Surface) -> Reason:
+    """Why a plane is no floor, or the top of something on it; "" if nothing speaks against it."""
+    if not facing(candidate.plane[None, :3])[0]:
+        return "turned"
+    if candidate.above_share < MIN_ABOVE_SHARE:
+        return "cameras"
+    if refined_near(candidate.plane, surface)[1] > MAX_NOISE_M:
+        return "clutter"
+    return "top" if candidate.under_share > MAX_UNDER_SHARE else ""
+
+
+def _lowest(planes: list[PlaneCandidate], surface: Surface) -> PlaneCandidate:
+    """The plane with most evidence, or the lowest parallel one well below it."""
+    most = max(planes, key=lambda each: each.evidence)
+    lower = [
+        each for each in planes if is_below(each.plane, most.plane, surface) and is_flat(each.plane, surface)
+    ]
+    return max([most, *lower], key=lambda each: surface.focus_above_m(each.plane))
+
+
+def _support(
+    planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: Surface
+) -> PlaneCandidate | None:
+    """The nearest plane above the floor that carries what is looked at; None: the floor does."""
+    higher = [each for each in planes if floor is None or is_below(floor.plane, each.plane, surface)]
+    for each in sorted(higher, key=lambda each: surface.focus_above_m(each.plane)):
+        if is_flat(each.plane, surface) and carries_what_is_looked_at(each.plane, surface):
+            return each
+    return None
+
+
+def _with_reason(
+    candidate: PlaneCandidate, chosen: PlaneCandidate | None, floor: PlaneCandidate | None, surface: Surface
+) -> PlaneCandidate:
+    """A candidate with the reason why it was not chosen."""
+    if candidate is chosen:
+        return replace(candidate, reason="")
+    if candidate.reason or chosen is None:
+        return candidate
+    if candidate is floor:
+        return replace(candidate, reason="higher")
+    lower = is_below(chosen.plane, candidate.plane, surface)
+    return replace(candidate, reason="lower" if lower else "less")
+
+
+def refined_near(plane: Float64, surface: Surface) -> tuple[Float64, float]:
+    """A plane refined near the focus, and the surface's noise about it, metres."""
+    points_world, inlier_m = surface.points_world, surface.inlier_m
+    flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
+    flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
+    near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < NEAR_PLANE_M)]
+    if len(near) < MIN_NEAR_POINTS:
+        return plane, noise_about_m(plane, points_world, inlier_m)
+    plane = refine(near, plane, NEAR_PLANE_M if inlier_m == INLIER_M else inlier_m, inlier_m)
+    return plane, noise_about_m(plane, near, inlier_m)
+
+
+def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
+    """The angle between the normals of two planes."""
+    return float(np.degrees(np.arccos(np.clip(one.plane[:3] @ other.plane[:3], -1, 1))))
+
+
+def _outweighs(refused: PlaneCandidate, chosen: PlaneCandidate) -> bool:
+    """Whether the evidence for a refused plane is so strong that a person is warned."""
+    parallel = _turn_deg(refused, chosen) <= SAME_DEG
+    return refused.evidence > (REPORTED_REFUSED_PARALLEL if parallel else REPORTED_REFUSED) * chosen.evidence

@@ -1,0 +1,149 @@
+"""Find up: by gravity where a recording has it, else by how people hold cameras."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from kinectbench.core.sequence import GivenTrajectory, UpSample
+from kinectbench.core.sequence import Sequence as Recorded
+from kinectbench.core.trajectory.association import poses_at
+from kinectbench.core.trajectory.coverage import from_above, median_middle_depth_m
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools, Float64, Int64
+
+# Gravity is not interpolated between given poses that are farther apart; directions change little within it.
+MAX_GAP_S = 1.0
+# The frames' ups agree if their mean is at least so long: as of unit vectors that are 26 degrees off on
+# average (chosen by hand). They disagree where poses are of an object that is turned about.
+MIN_AGREEMENT = 0.9
+# A plane's normal is up by gravity within 26 degrees: ramps, drift and a sloping yard (chosen by hand).
+MIN_GRAVITY_COSINE = 0.9
+# It is up within 53 degrees of where the cameras' upper edges point, or an edge beside of a phone held
+# upright.
+MIN_UP_COSINE = 0.6
+# It is up for cameras that look down on it more steeply, at most 37 degrees off: the rest of the quarter
+# turn.
+MIN_DOWN_COSINE = 0.8
+# The normal of a wall that is looked at straight on is square to all four edges, or tips to the lower one
+# where cameras look down a little. The normal of a floor looked at from 84 degrees leans by this much.
+MIN_HELD_COSINE = 0.1
+
+# Which of the unit normals (n, 3), world frame, may be those of a floor: (n,) bool.
+Facing = Callable[[Float64], Bools]
+
+
+@dataclass(frozen=True)
+class FloorHint:
+    """What is known of a floor before it is looked for.
+
+    Attributes:
+        up_world: (3,) unit, up by gravity, or None.
+        plane_world: (4,) a person's plane: a, b, c, d with unit (a, b, c) up and a x + b y + c z + d = 0,
+            metres; or None.
+        middle_depth_m: median depth in the middle of the images, which says where the cameras look
+            (`looked_at`); None: where their axes meet.
+    """
+
+    up_world: Float64 | None = None
+    plane_world: Float64 | None = None
+    middle_depth_m: float | None = None
+
+
+NOTHING_KNOWN = FloorHint()
+
+
+class KnowsUp(Protocol):
+    """What a recording says of up, opened or as a sequence."""
+
+    @property
+    def given_trajectory(self) -> GivenTrajectory | None:
+        """The trajectory that came with it."""
+        ...
+
+    @property
+    def up_world(self) -> Float64 | tuple[float, float, float] | None:
+        """(3,) unit: up in the frame of that trajectory, by gravity."""
+        ...
+
+    @property
+    def up_cameras(self) -> tuple[UpSample, ...]:
+        """Up in some frames' own axes, by an accelerometer."""
+        ...
+
+
+def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:
+    """`hint_of` a recording with its poses, and with the depth in the middle of its images."""
+    good = trajectory.good_frames
+    hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
+    return replace(hint, middle_depth_m=median_middle_depth_m(sequence, good))
+
+
+def hint_of(
+    known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
+) -> FloorHint:
+    """What a recording and a person say of the floor, in the world of the poses.
+
+    Gravity is converted frame by frame, so that it holds where given poses were refined or ignored. Some
+    drivers give an accelerometer the other sign: one that says that the cameras were upside down is ignored.
+
+    Args:
+        known: the recording, with its given trajectory, if any.
+        stamps_ns: (n,) of the frames with a pose.
+        T_world_camera: (n, 4, 4) their poses.
+        plane: a person's plane (a, b, c, d) in that world, its normal of any length but 0.
+    """
+    plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
+    if known.up_world is not None and known.given_trajectory is not None:
+        T_given = poses_at(known.given_trajectory, stamps_ns, MAX_GAP_S)
+        posed = np.isfinite(T_given[:, 0, 0])
+        up_cameras = np.swapaxes(T_given[posed, :3, :3], 1, 2) @ np.array(known.up_world)
+        return FloorHint(_up_world(T_world_camera[posed], up_cameras), plane_world)
+    up_at = {sample.stamp_ns: sample.up_camera for sample in known.up_cameras}
+    measured = [k for k, stamp_ns in enumerate(stamps_ns.tolist()) if stamp_ns in up_at]
+    if not measured:
+        return FloorHint(None, plane_world)
+    T_measured = T_world_camera[measured]
+    up_world = _up_world(T_measured, np.array([up_at[int(stamps_ns[k])] for k in measured]))
+    if up_world is not None and up_world @ from_above(T_measured)[2] < -MIN_UP_COSINE:
+        up_world = None
+    return FloorHint(up_world, plane_world)
+
+
+def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
+    """The mean (3,), of length 1, of directions (n, 3) in the axes of cameras (n, 4, 4); or None."""
+    up = (T_world_camera[:, :3, :3] @ up_cameras[:, :, None])[:, :, 0].sum(axis=0)
+    length = float(np.linalg.norm(up))
+    return up / length if length > MIN_AGREEMENT * len(up_cameras) else None
+
+
+def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
+    """Tests of which normals may be a floor's, in the order in which planes are tried.
+
+    A floor by an earlier test is accepted before one by a later test.
+
+    Args:
+        T_world_camera: (n, 4, 4), n > 0.
+        up_world: (3,) unit, by gravity. None: the cameras' upper edges are up; then an edge beside, as of a
+            phone held upright; then cameras that look down more steeply.
+    """
+    if up_world is not None:
+        return [partial(_along, up_world, MIN_GRAVITY_COSINE)]
+    right, down = (T_world_camera[:, :3, axis].mean(axis=0) for axis in (0, 1))
+    edges = [edge / max(float(np.linalg.norm(edge)), 1e-9) for edge in (-down, right, -right)]
+    steep = partial(_looked_down_on, T_world_camera[:, :3, 2], edges)
+    return [*(partial(_along, edge, MIN_UP_COSINE) for edge in edges), steep]
+
+
+def _along(up: Float64, least: float, normals: Float64) -> Bools:
+    """Which normals are within some angle of a direction."""
+    return np.asarray(normals @ up > least)
+
+
+def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
+    """Which normals most of the cameras look against, and lean to an edge of the cameras."""
+    against = np.median(-normals @ axes.T, axis=1) > MIN_DOWN_COSINE
+    held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE
+    return against & held

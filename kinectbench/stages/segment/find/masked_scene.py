@@ -1,0 +1,86 @@
+"""Segment a scene whose frames are masked: all that was fused is the object, and there is no floor."""
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
+from kinectbench.core.trajectory.coverage import looked_at
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.surface_points import spacing_m, surface_points
+from kinectbench.stages.segment.find.box_anchor import check_anchor
+from kinectbench.stages.segment.find.distance_scale import cell_scale, distance_scale
+from kinectbench.stages.segment.find.floor import Floor, against_gravity, level_floor
+from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
+from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
+from kinectbench.stages.segment.find.planes import floor_frame
+from kinectbench.stages.segment.find.select import CELL_M, connected, fit_box
+
+# Pieces with a smaller share of the surface are specks that masks let through (chosen by hand).
+LEAST_SHARE = 0.05
+# The unseen part of a hand-held object may reach lower than the measured surface: z = 0 lies this much below
+# that, times the cameras' distance in metres.
+BELOW_M = 0.03
+NOTHING_FUSED = (
+    "no object found: within the masks nothing was fused; do the masks lie on the object, and is its depth "
+    "within max_depth_m?"
+)
+
+
+def segment_masked_scene(
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    given_box: OrientedBox | None = None,
+    hint: FloorHint = NOTHING_KNOWN,
+) -> Segmentation:
+    """Take all that was fused as the object, but for specks.
+
+    The floor frame is level by a person's plane, by gravity, or else as the cameras were held. A person's
+    plane is z = 0; else z = 0 lies below the measured surface.
+
+    Args:
+        mesh: the fused surface, world frame.
+        trajectory: poses of the frames, in the object's world.
+        given_box: a person's, floor frame, or None.
+        hint: gravity, and a person's plane.
+
+    Raises:
+        SegmentationError: nothing was fused, or the box holds nothing of it.
+    """
+    T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
+    near = distance_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))
+    scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
+    cell_m = CELL_M * scale
+    surface = surface_points(mesh, cell_m)
+    points_world = surface.points
+    if len(points_world) < MIN_BOX_POINTS:
+        raise SegmentationError(NOTHING_FUSED)
+    label = connected(points_world, cell_m)
+    sizes = np.bincount(label)
+    kept = (sizes >= LEAST_SHARE * sizes.max())[label]
+    floor = _level(points_world[kept], mesh, T_world_camera, hint, near)
+    points_floor = transform_points(floor.T_floor_world, points_world)
+    if given_box is not None:
+        check_anchor(given_box, floor, trajectory, near)
+        kept &= given_box.contains(points_floor)
+        if kept.sum() < MIN_BOX_POINTS:
+            raise SegmentationError(
+                "the box in benchmark.yaml holds nothing of what the masks show; leave it out, or correct it"
+            )
+    vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
+    box = given_box or fit_box(vertices_floor[kept[surface.owner]])
+    cells = np.floor(points_floor / cell_m).astype(np.int64)
+    return Segmentation(floor, box, cells[kept], cells[~kept], "masks", floor.warnings, cell_m)
+
+
+def _level(
+    points_world: Float64, mesh: TriangleMesh, T_world_camera: Float64, hint: FloorHint, scale: float
+) -> Floor:
+    """The plane z = 0: a person's, or a level one below the points (n, 3)."""
+    if hint.plane_world is not None:
+        against = against_gravity(hint.plane_world, hint.up_world)
+        frame = floor_frame(hint.plane_world)
+        return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)
+    level = level_floor(points_world, T_world_camera, hint.up_world, scale)
+    plane = level.plane_world + np.array([0, 0, 0, BELOW_M * scale])
+    return Floor(plane, floor_frame(plane), 0.0, 0.0, found=False, scale=scale)

@@ -1,0 +1,113 @@
+"""Find the floor in the frames themselves, before anything is fused; a build compares it with its own."""
+
+from collections.abc import Sequence as Rows
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Camera, transform_points
+from kinectbench.core.geometry.image_normals import image_normals
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.coverage import looked_at
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float32, Float64
+from kinectbench.core.voxels.surface_points import thinned
+from kinectbench.stages.fuse.depth_range import some_frames
+from kinectbench.stages.segment.find.distance_scale import distance_scale
+from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.stages.segment.find.gravity import FloorHint
+from kinectbench.stages.segment.find.select import CELL_M
+
+# Images about so wide, and every so many pixels of them, save time (chosen by hand).
+COLUMNS, STEP_PX = 160, 4
+# No plane is looked for in fewer points (chosen by hand).
+MIN_POINTS = 200
+# The fused scene and its frames have one floor if their planes differ by less than this angle, and by less
+# than this share of the cameras' distance where the cameras look (chosen by hand; on six recordings .02 to
+# .43 degrees, and .0012 of that distance at most).
+SAME_DEG, SAME_SHARE = 5.0, 0.05
+OTHER_FLOOR = (
+    "the plane that was taken for the floor is not the one that the frames show by themselves: it is turned "
+    "by {turn_deg:.0f} degrees against it, and {apart_m:.2f} m away where the cameras look; see the scene "
+    "and give its plane: `floor: {{plane_world: [a, b, c, d]}}`"
+)
+
+
+def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
+    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel.
+
+    Args:
+        depth_m: (height, width) metres, 0 = none.
+        camera: of the image.
+    """
+    surface = camera.backproject(depth_m)
+    normals = image_normals(surface, depth_m, reach_px=2)
+    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
+    keep = np.zeros_like(chosen)
+    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
+    return surface[keep], normals[keep]
+
+
+def floor_of_frames(
+    depths_m: Rows[Float32], camera: Camera, T_world_camera: Float64, hint: FloorHint
+) -> tuple[Floor, list[Float64]]:
+    """The one floor of some frames, found as in a fused scene.
+
+    Args:
+        depths_m: (height, width) each, metres, 0 = none.
+        camera: of the images.
+        T_world_camera: (n, 4, 4) their poses.
+        hint: what is known of the floor.
+
+    Returns:
+        The floor, and the points (k, 3) of each frame, world frame.
+
+    Raises:
+        SegmentationError: there is none, or hardly any depth.
+    """
+    clouds, normals = [], []
+    for depth_m, T in zip(depths_m, T_world_camera, strict=True):
+        points, toward = oriented(depth_m, camera)
+        clouds.append(transform_points(T, points))
+        normals.append(toward @ T[:3, :3].T)
+    focus_world = looked_at(T_world_camera, hint.middle_depth_m)
+    cell_m = CELL_M * distance_scale(T_world_camera, focus_world)
+    surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
+    if len(surface.points) < MIN_POINTS:
+        raise SegmentationError("the frames hardly show any surface")
+    floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, 0, hint)
+    return floor, clouds
+
+
+def other_floor(
+    floor: Floor, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
+) -> tuple[str, ...]:
+    """A line for people if the frames by themselves show another floor than the fused scene does.
+
+    Args:
+        floor: of the fused scene.
+        sequence: the recording.
+        trajectory: its poses.
+        hint: what is known of the floor; a person's plane was judged by the scene (`find_floor`).
+        max_depth_m: farther depth is ignored, metres.
+    """
+    frames = trajectory.good_frames
+    if hint.plane_world is not None or not floor.found or len(frames) < 2:
+        return ()
+    frames = some_frames(frames)
+    step = max(1, round(sequence.camera.width / COLUMNS))
+    depths_m = [sequence.depth_m(int(frame))[::step, ::step] for frame in frames]
+    near_m = [np.where(depth_m <= max_depth_m, depth_m, np.float32(0)) for depth_m in depths_m]
+    T_world_camera = trajectory.T_world_camera[frames]
+    try:
+        seen, _ = floor_of_frames(near_m, sequence.camera.every(step), T_world_camera, hint)
+    except SegmentationError:
+        return ()
+    focus = np.append(looked_at(T_world_camera, hint.middle_depth_m), 1.0)
+    far_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus[:3], axis=1)))
+    cosine = np.clip(seen.plane_world[:3] @ floor.plane_world[:3], -1, 1)
+    turn_deg = float(np.degrees(np.arccos(cosine)))
+    apart_m = abs(float((seen.plane_world - floor.plane_world) @ focus))
+    if turn_deg < SAME_DEG and apart_m < SAME_SHARE * far_m:
+        return ()
+    return (OTHER_FLOOR.format(turn_deg=turn_deg, apart_m=apart_m),)

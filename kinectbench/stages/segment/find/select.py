@@ -1,0 +1,204 @@
+"""The connected pieces of the fused surface above the floor, and which of them is the object."""
+
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core.types import Bools, Float64, Int32, Int64
+
+# A piece whose lowest point is higher is in the air, and something not too far away holds it.
+GROUNDED_M = 0.12
+MAX_HANGING_GAP_M = 0.3
+MIN_HANGING_CELLS = 10
+# Points are queried in batches of 60 ms, between which an interrupt is answered (with a bound, 6,000 points
+# of a desk took 90 ms; without, 9.6 s).
+QUERY_BATCH = 4096
+CELL_M = 0.03
+MIN_CELLS = 30
+# A smaller piece is a speck, unless it has so many cells, stands on the floor, and the cameras look at it:
+# their focus is so near to its surface, and so many times nearer than to any larger piece (chosen by hand; on
+# furniture the focus is higher above the floor than such a piece reaches).
+SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
+# A piece that ends inside a box is meant if it has this share of the largest one's cells.
+ENDING_SHARE = 0.3
+NOTHING_STANDS = (
+    "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
+    "gives no depth: make it matt"
+)
+
+
+def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
+    """Label each point with the connected piece of surface that it belongs to.
+
+    A piece in the air, such as a table top whose underside is unseen, belongs to the nearest one that stands
+    on the floor.
+
+    Args:
+        points_floor: (n, 3) points above the floor, at least one a cell, floor frame, metres; n > 0.
+        cell_m: cells of this edge that touch are connected.
+        through_faces: they must share a face; else a corner suffices.
+
+    Returns:
+        (n,) int32, from 1; not every number need occur.
+    """
+    return _with_hanging(connected(points_floor, cell_m, through_faces), points_floor)
+
+
+def connected(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
+    """Label points (n, 3) as `label_pieces`, but leave pieces in the air apart: (n,) int32, from 1."""
+    from scipy import ndimage
+
+    cells = np.floor(points_floor / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
+    occupied[tuple(cells.T)] = True
+    labels, _ = ndimage.label(occupied, structure=None if through_faces else np.ones((3, 3, 3)))
+    return np.asarray(labels[tuple(cells.T)])
+
+
+def standing(label: Int32, points_floor: Float64) -> Bools:
+    """Which labels reach down to the floor: (largest label + 1,) bool."""
+    lowest_m = np.full(int(label.max()) + 1, np.inf)
+    np.minimum.at(lowest_m, label, points_floor[:, 2])
+    return np.asarray(lowest_m <= GROUNDED_M)
+
+
+def _with_hanging(label: Int32, points_floor: Float64) -> Int32:
+    """Labels (n,) with floating pieces merged into their nearest standing piece."""
+    from scipy.spatial import cKDTree
+
+    stands = standing(label, points_floor)
+    sizes = np.bincount(label)
+    if not stands[label].any():
+        return label
+    on_floor = np.flatnonzero(stands[label])
+    tree = cKDTree(points_floor[on_floor])
+    holder = np.arange(len(sizes), dtype=label.dtype)
+    for piece in np.flatnonzero(~stands & (sizes >= MIN_HANGING_CELLS)):
+        _, nearest = nearest_within(tree, points_floor[label == piece], MAX_HANGING_GAP_M)
+        if nearest is not None:
+            holder[piece] = label[on_floor[nearest]]
+    return holder[label]
+
+
+def nearest_within(tree: Any, points: Float64, most_m: float) -> tuple[float, int | None]:
+    """The least distance of points (n, k) to a `cKDTree` of others, and the index of the nearest of these.
+
+    They are inf and None where nothing is within `most_m`. A search without a bound visits most of the tree.
+    """
+    least_m, nearest = np.inf, None
+    for start in range(0, len(points), QUERY_BATCH):
+        bound_m = min(least_m, np.nextafter(most_m, np.inf))
+        nearby_m, index = tree.query(points[start : start + QUERY_BATCH], distance_upper_bound=bound_m)
+        closest = int(np.argmin(nearby_m))
+        if np.isfinite(nearby_m[closest]):
+            least_m, nearest = float(nearby_m[closest]), int(index[closest])
+    return least_m, nearest
+
+
+def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:
+    """Choose the piece above the floor that lies nearest to a target point: (n,) bool.
+
+    Specks do not count, but a small piece right where the cameras look does.
+
+    Args:
+        points_floor: (n, 3) evenly spread surface points, floor frame, metres.
+        floor_cut_m: lower points belong to the floor.
+        target_floor: (3,) where the optical axes converge, floor frame.
+
+    Raises:
+        SegmentationError: nothing stands on the floor.
+    """
+    above = np.flatnonzero(points_floor[:, 2] > floor_cut_m)
+    if len(above) < SMALL_CELLS:
+        raise SegmentationError(NOTHING_STANDS)
+    label = label_pieces(points_floor[above], CELL_M)
+    sizes = np.bincount(label)
+    distance_m = np.full(len(sizes), np.inf)
+    np.minimum.at(distance_m, label, np.linalg.norm(points_floor[above] - target_floor, axis=1))
+    piece = _small_one(label, points_floor[above], sizes, distance_m)
+    if piece is None:
+        distance_m[sizes < MIN_CELLS] = np.inf
+        if not np.isfinite(distance_m).any():
+            raise SegmentationError(
+                "no object found: only specks stand on the floor; a black, glass or mirror-like thing gives "
+                "no depth: make it matt, or record closer"
+            )
+        piece = int(np.argmin(distance_m))
+    chosen = np.zeros(len(points_floor), dtype=bool)
+    chosen[above[label == piece]] = True
+    return chosen
+
+
+def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Float64) -> int | None:
+    """The label of a small piece that is no speck, as `SMALL_CELLS` says; None if there is none.
+
+    `sizes` and `distance_m`, to where the cameras look, are of each label.
+    """
+    is_small = (sizes >= SMALL_CELLS) & (sizes < MIN_CELLS) & (distance_m <= SMALL_FOCUS_M)
+    is_small &= standing(label, points_floor)
+    if not is_small.any():
+        return None
+    nearest = int(np.argmin(np.where(is_small, distance_m, np.inf)))
+    larger_m = float(np.min(distance_m[sizes >= MIN_CELLS], initial=np.inf))
+    return nearest if larger_m >= SMALL_NEARER * distance_m[nearest] else None
+
+
+def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
+    """Choose the object among the pieces of the scene that a person's box holds: (n,) bool.
+
+    The object is the largest piece that ends inside the box, with all others that do. A piece that runs on
+    beyond the box, such as the corner of a table top over a chair, is something else. Where all that ends
+    inside is much smaller than what runs on, the box cuts the object, and the largest piece counts, too.
+
+    Args:
+        points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
+        in_box: (n,) bool, at least one.
+    """
+    from scipy import ndimage
+
+    cells = np.floor(points_floor / CELL_M).astype(np.int64)
+    cells -= cells.min(axis=0) - 1
+    shape = cells.max(axis=0) + 2
+    inside, outside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    inside[tuple(cells[in_box].T)] = True
+    outside[tuple(cells[~in_box].T)] = True
+    around = np.ones((3, 3, 3))
+    labels, count = ndimage.label(inside, structure=around)
+    runs_on = np.zeros(count + 1, dtype=bool)
+    runs_on[np.unique(labels[ndimage.binary_dilation(outside, around)])] = True
+    sizes = np.bincount(labels.reshape(-1), minlength=count + 1)
+    sizes[0] = 0
+    kept = ~runs_on
+    if sizes[kept].max(initial=0) < ENDING_SHARE * sizes.max():
+        kept[np.argmax(sizes)] = True
+    kept[0] = False
+    return np.asarray(in_box & kept[labels[tuple(cells.T)]])
+
+
+def fit_box(points_floor: Float64, yaw_rad: float | None = None, left_out: float = 0.0005) -> OrientedBox:
+    """The upright box around points (n, 3), from the floor to their top.
+
+    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. A share of
+    the points is left out on every side, so that specks do not move it.
+    """
+    import cv2
+
+    if yaw_rad is None:
+        (_, _, angle_deg) = cv2.minAreaRect(points_floor[:, :2].astype(np.float32))
+        yaw_rad = float(np.radians((angle_deg + 45.0) % 90.0 - 45.0))
+    turned = points_floor @ yaw_rotation(yaw_rad)
+    low, high = np.quantile(turned, [left_out, 1 - left_out], axis=0)
+    low[2] = 0.0
+    center = yaw_rotation(yaw_rad) @ ((low + high) / 2)
+    size = np.maximum(high - low, 1e-3)
+    return OrientedBox(triple(center), triple(size), yaw_rad)
+
+
+def triple(values: Float64) -> tuple[float, float, float]:
+    """A vector (3,) as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,225 @@
+"""Masks of an object on a turntable before a camera that stands still."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError
+from kinectbench.core.geometry import Camera, transform_points
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry.image_normals import image_normals
+from kinectbench.core.own_pixels import Masks
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.still_camera import Watched, watch_some
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.stages.segment.find.floor_planes import MIN_PLANE_POINTS
+from kinectbench.stages.segment.find.planes import floor_frame
+from kinectbench.stages.segment.find.select import connected
+
+# Neighbours on each side whose points make a normal (chosen by hand).
+NORMAL_REACH_PX = 2
+# What turns is larger than specks of fewer points in a cell of this edge (chosen by hand).
+CELL_M, MIN_POINTS = 0.02, 4
+# The cylinder is this much wider than what was seen to move, for surface that did not change meanwhile.
+WIDER, MARGIN_M = 1.05, 0.01
+# What turns begins so many standard deviations of the depth above its plane, or more (chosen by hand).
+CLEAR_SIGMAS, CLEAR_M = 3.0, 0.008
+# This share of the moving points is above that plane.
+ABOVE_SHARE = 0.9
+# A plate's top is level. It is looked for within so many radii of what moves (farther out the floor would
+# count), and has so many points. This share of the moving points may lie below its top (chosen by hand).
+LEVEL_COSINE, PLATE_RATIO, MIN_PLATE_POINTS, LOWEST_SHARE = 0.9, 1.2, 40, 0.05
+# What passes before something is nearer by so many standard deviations of its depth, or so much: two depths
+# differ by less from noise alone in all but a few of a thousand pixels (chosen by hand).
+NEARER_SIGMAS, NEARER_M = 4.0, 0.01
+# The visible part of a standing object begins within this height of the floor; that of a hand-held one does
+# not.
+HANGS_M = 0.06
+MOVES = (
+    "`segment_by: turntable` needs a camera that stands still before an object that turns, and here {what}; "
+    "give masks of the object and `segment_by: masks`"
+)
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """Where something turns, in the camera's axes.
+
+    Attributes:
+        floor: what it stands on, the floor or a plate's top; None where nothing is around it.
+        center: (3,) of what moves: in the frame of the floor, or else of the camera, metres.
+        radius_m: about the vertical through it, or without a floor about the point.
+    """
+
+    floor: Floor | None
+    center: Float64
+    radius_m: float
+
+    def mask(self, depth_m: Float32, camera: Camera) -> Bools:
+        """The pixels of what turns: (height, width) bool, of depth (height, width) in metres."""
+        points = camera.backproject(depth_m)
+        if self.floor is None:
+            return np.asarray((depth_m > 0) & (np.linalg.norm(points - self.center, axis=-1) < self.radius_m))
+        local = self._local(points)
+        beside_m = np.linalg.norm(local[..., :2] - self.center[:2], axis=-1)
+        clear_m = np.maximum(CLEAR_SIGMAS * depth_sigma_m(depth_m), CLEAR_M)
+        return np.asarray((depth_m > 0) & (beside_m < self.radius_m) & (local[..., 2] > clear_m))
+
+    def lowest_m(self, depth_m: Float32, camera: Camera) -> float:
+        """The height above the floor at which what turns begins, metres; infinite where it is not seen."""
+        heights_m = self._local(camera.backproject(depth_m))[self.mask(depth_m, camera), 2]
+        return float(np.quantile(heights_m, LOWEST_SHARE)) if len(heights_m) else np.inf
+
+    def _local(self, points: Float64) -> Float64:
+        T_floor_camera = np.eye(4) if self.floor is None else self.floor.T_floor_world
+        return transform_points(T_floor_camera, points.reshape(-1, 3)).reshape(points.shape)
+
+
+def turntable_masks(sequence: Sequence) -> Masks:
+    """Masks of every frame: index -> (height, width) bool.
+
+    Raises:
+        SegmentationError: the camera does not stand still, or nothing turns before it.
+    """
+    turntable = find_turntable(sequence)
+    return lambda index: turntable.mask(sequence.depth_m(index), sequence.camera)
+
+
+def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
+    """The plane that the object turns on, in the object's world: (4,) a, b, c, d, (a, b, c) unit and up.
+
+    It stands still before the camera and turns in itself: each pose says where it is, and their mean is
+    taken. None where nothing is around the object.
+
+    Raises:
+        SegmentationError: as `turntable_masks`.
+    """
+    floor = find_turntable(sequence).floor
+    if floor is None:
+        return None
+    T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
+    normal = (T_world_camera[:, :3, :3] @ floor.plane_world[:3]).mean(axis=0)
+    normal /= np.linalg.norm(normal)
+    # The plane's point below the camera, in the camera's axes.
+    foot = -floor.plane_world[3] * floor.plane_world[:3]
+    feet = T_world_camera[:, :3, :3] @ foot + T_world_camera[:, :3, 3]
+    return np.append(normal, -float(np.median(feet @ normal)))
+
+
+def find_turntable(sequence: Sequence) -> Turntable:
+    """Find what turns before a still camera, and what it stands on, in some of the frames.
+
+    What moves passes before what stands still behind it. The floor is the plane of what stands still, as
+    `find_floor` finds it for one camera, or a plate on it. What turns on a vertical axis fills an upright
+    cylinder around all that moved, above the floor.
+
+    Raises:
+        SegmentationError: as `turntable_masks`.
+    """
+    depths_m, step, watched = watch_some(sequence)
+    if watched is None or not watched.something_moves:
+        raise SegmentationError(MOVES.format(what="nothing moves before it"))
+    if not (watched.camera_still or watched.plain):
+        raise SegmentationError(MOVES.format(what="the camera moves"))
+    camera = sequence.camera.every(step)
+    before = [_before(depth_m, watched) for depth_m in depths_m]
+    moving = _largest(
+        np.concatenate(
+            [camera.backproject(np.where(b, d, 0))[b] for b, d in zip(before, depths_m, strict=True)]
+        )
+    )
+    if not len(moving):
+        raise SegmentationError(MOVES.format(what="nothing moves before it"))
+    if watched.plain:
+        center = np.median(moving, axis=0)
+        radius_m = float(np.linalg.norm(moving - center, axis=1).max())
+        return Turntable(None, center, WIDER * radius_m + MARGIN_M)
+    turntable = _on_floor(watched, camera, moving)
+    if np.median([turntable.lowest_m(depth_m, camera) for depth_m in depths_m]) > HANGS_M:
+        raise SegmentationError(MOVES.format(what="what moves hangs in the air"))
+    return turntable
+
+
+def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
+    """The cylinder around what moves (n, 3), on the floor or a plate."""
+    import cv2
+
+    floor = _floor(watched, camera, moving)
+    if floor is None:
+        raise SegmentationError(MOVES.format(what="no plane that it stands on was found around it"))
+    local = transform_points(floor.T_floor_world, moving)
+    ground = local[local[:, 2] > CLEAR_M, :2]
+    (x, y), radius_m = cv2.minEnclosingCircle(ground.astype(np.float32))
+    top = _moved_up(floor, _plate_m(floor, watched, camera, local, np.array([x, y]), radius_m))
+    return Turntable(top, np.array([x, y, 0.0]), WIDER * radius_m + MARGIN_M)
+
+
+def _plate_m(
+    floor: Floor, watched: Watched, camera: Camera, moving_floor: Float64, center: Float64, radius_m: float
+) -> float:
+    """How high above the plane of the floor the turning object stands, metres.
+
+    It stands on a round plate, which is level and looks still, and below whose top nothing moves; or on the
+    floor, where a plane fitted to the floor and a low plate passes below it. `moving_floor` (n, 3) is what
+    moves, `center` (2,) its middle, both in the floor frame.
+    """
+    lowest_m = float(np.quantile(moving_floor[:, 2], LOWEST_SHARE))
+    surface = camera.backproject(watched.still_m)
+    level = image_normals(surface, watched.still_m, NORMAL_REACH_PX) @ floor.plane_world[:3] > LEVEL_COSINE
+    points = transform_points(floor.T_floor_world, surface[level])
+    near = np.linalg.norm(points[:, :2] - center, axis=1) < PLATE_RATIO * radius_m
+    heights_m = points[near & (np.abs(points[:, 2]) < max(lowest_m, 0) + CLEAR_M), 2]
+    if len(heights_m) < MIN_PLATE_POINTS:
+        return 0.0
+    # Most of the level surface there is the plate's top, or else the floor.
+    bins = np.arange(heights_m.min(), heights_m.max() + CLEAR_M, CLEAR_M / 2)
+    counts, edges = np.histogram(heights_m, bins)
+    top_m = float(edges[np.argmax(counts)]) + CLEAR_M / 4
+    on_top = np.abs(heights_m - top_m) < CLEAR_M / 2
+    return float(np.median(heights_m[on_top])) if on_top.sum() >= MIN_PLATE_POINTS else 0.0
+
+
+def _moved_up(floor: Floor, by_m: float) -> Floor:
+    """A floor moved up."""
+    plane_world = floor.plane_world - np.array([0, 0, 0, by_m])
+    return replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
+
+
+def _before(depth_m: Float32, watched: Watched) -> Bools:
+    """Pixels of a frame in which something is clearly nearer than what is seen there at other times."""
+    behind_m = watched.behind_m
+    far_m = np.where(np.isfinite(behind_m), behind_m, 0)
+    nearer = depth_m < behind_m - np.maximum(NEARER_SIGMAS * depth_sigma_m(far_m), NEARER_M)
+    return np.asarray((depth_m > 0) & nearer & watched.moving)
+
+
+def _largest(points: Float64) -> Float64:
+    """The largest connected part of points (n, 3): depth wanders along edges and shadows, too."""
+    if not len(points):
+        return points
+    cells = np.floor(points / CELL_M).astype(np.int64)
+    _, cell, counts = np.unique(cell_numbers(cells), return_inverse=True, return_counts=True)
+    points = points[counts[cell.reshape(-1)] >= MIN_POINTS]
+    if not len(points):
+        return points
+    label = connected(points, CELL_M)
+    return np.asarray(points[label == np.argmax(np.bincount(label))])
+
+
+def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
+    """The plane that what moves (n, 3) stands on; None if there is none below it."""
+    surface = camera.backproject(watched.still_m)
+    normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
+    chosen = np.isfinite(normals).all(axis=-1)
+    if chosen.sum() < MIN_PLANE_POINTS:
+        return None
+    focus = np.median(moving, axis=0)
+    try:
+        floor = find_floor(surface[chosen], normals[chosen], np.eye(4)[None], focus, 0)
+    except SegmentationError:
+        return None
+    heights_m = transform_points(floor.T_floor_world, moving)[:, 2]
+    return floor if (heights_m > 0).mean() >= ABOVE_SHARE else None

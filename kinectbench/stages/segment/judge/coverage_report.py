@@ -1,0 +1,216 @@
+"""Report what the recording could see of the object: unseen sides, few frames, moving things."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
+from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64, Int64
+from kinectbench.stages.fuse.depth_range import some_frames
+from kinectbench.stages.segment.find.floor import GIVEN, Floor
+from kinectbench.stages.segment.find.object import Segmentation
+from kinectbench.stages.segment.judge.frontiers import turned
+
+COLUMNS = 160
+NEARER_M = 0.1
+NEARER_SIGMAS = 5.0
+MOVING_SHARE = 0.02
+# Speckle and edges are thinner than so many of the pixels looked at.
+THICK_PX = 3
+# A Kinect measures surfaces up to about this slant: a camera sees an upright side from so far around.
+SEEN_WITHIN_RAD = np.radians(75.0)
+MIN_FRAMES = 10
+# Real floors scatter by up to 6 mm; a surface that scatters by 20 mm is not taken for a plane.
+MAX_FLOOR_NOISE_M = 0.010
+# So much of the depth around the object may be dropped without a warning: a corner of the grid (chosen by
+# hand).
+MAX_BEYOND_SHARE = 0.01
+
+
+def moving_frames(
+    sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
+) -> MovingPart:
+    """Find frames in which something moved: at least 2 % of the pixels are nearer than the scene.
+
+    A pixel counts if it is nearer by more than max(5 sigma, 0.1 m), lies more than 0.1 m above the floor
+    (which is measured badly at a grazing angle), and is in a patch of at least three of the pixels looked at.
+    What moves leaves no surface in the fused scene, because other frames saw through it.
+    """
+    import cv2
+
+    good = trajectory.good_frames
+    judged = some_frames(good)
+    step_px = max(1, round(sequence.camera.width / COLUMNS))
+    camera = sequence.camera.every(step_px)
+    renderer = DepthRenderer(scene)
+    shares = []
+    for frame in map(int, judged):
+        measured_m = sequence.depth_m(frame)[::step_px, ::step_px]
+        T_world_camera = trajectory.T_world_camera[frame]
+        heights_m = floor.heights_m(measured_m, camera, T_world_camera)
+        scene_m = renderer.depth_m(camera, T_world_camera)
+        least_m = np.maximum(NEARER_SIGMAS * depth_sigma_m(scene_m), NEARER_M)
+        nearer = (measured_m > 0) & (scene_m > 0) & (scene_m - measured_m > least_m)
+        nearer &= heights_m > NEARER_M
+        opened = cv2.morphologyEx(
+            nearer.astype(np.uint8), cv2.MORPH_OPEN, np.ones((THICK_PX, THICK_PX), np.uint8)
+        )
+        shares.append(float(opened.mean()))
+    moving: Int64 = judged[np.array(shares) > MOVING_SHARE]
+    return MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
+
+
+def beyond_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
+    """The share of the depth in the object's grid that lies beyond `max_depth_m` and makes no surface.
+
+    At most 40 good frames are looked at, every fourth pixel or fewer.
+    """
+    step_px = max(1, round(sequence.camera.width / COLUMNS))
+    rays = sequence.camera.every(step_px).rays()
+    inside, beyond = 0, 0
+    for frame in map(int, some_frames(trajectory.good_frames)):
+        depth_m = sequence.depth_m(frame)[::step_px, ::step_px]
+        T_grid_camera = invert_rigid(grid.T_world_grid) @ trajectory.T_world_camera[frame]
+        points = transform_points(T_grid_camera, rays[depth_m > 0] * depth_m[depth_m > 0, None])
+        within = ((points >= 0) & (points <= grid.size_m)).all(axis=1)
+        inside += int(within.sum())
+        beyond += int((within & (depth_m[depth_m > 0] > max_depth_m)).sum())
+    return beyond / max(inside, 1)
+
+
+@dataclass(frozen=True)
+class UnseenSide:
+    """The widest range of directions from which no camera looked at the object.
+
+    Attributes:
+        gap_rad: its width, radians, 0 to 2 pi.
+        towards_rad: its middle, seen from the object, from the floor's x axis, counter-clockwise from above.
+        share: share of the directions of an upright side in which no camera would have seen it.
+    """
+
+    gap_rad: float
+    towards_rad: float
+    share: float
+
+
+@dataclass(frozen=True)
+class CoverageReport:
+    """What quality.json says of the recording: a line for people for each thing that is wrong.
+
+    Those about the floor and the choice of the object are also in `choice_warnings`; quality.json has these
+    as `doubts`. `first_rad` is the direction of the first camera from the object, from above,
+    counterclockwise from x of the floor frame.
+    """
+
+    good_frames: int
+    unseen_side: UnseenSidePart
+    moving: MovingPart
+    max_depth_m: float
+    beyond_share: float
+    warnings: tuple[str, ...]
+    choice_warnings: tuple[str, ...]
+    first_rad: float = 0.0
+
+
+def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
+    """The widest gap between the cameras (n, 4, 4), n > 0, around the object, seen from above.
+
+    A side within 75 degrees of a camera's direction counts as seen: a gap of 150 degrees hides nothing
+    upright.
+    """
+    x, y, _ = (T_floor_camera[:, :3, 3] - center_floor).T
+    angles = np.sort(np.arctan2(y, x))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    widest = int(np.argmax(gaps))
+    gap_rad = float(gaps[widest])
+    towards_rad = float(np.angle(np.exp(1j * (angles[widest] + gap_rad / 2))))
+    return UnseenSide(gap_rad, towards_rad, max(0.0, gap_rad - 2 * SEEN_WITHIN_RAD) / (2 * np.pi))
+
+
+def _of_trajectory(trajectory: Trajectory) -> list[str]:
+    """The trajectory's own warning: the shape cannot be better than the poses."""
+    health = trajectory.health
+    if health is None or health.grade != "not good":
+        return []
+    better = health.recommended
+    if better not in (None, trajectory.source):
+        remedy = f"; `trajectory: {better}` is recommended"
+    elif trajectory.source == "trust":
+        remedy = "; if odd and even frames agree better with `trajectory: refine`, take that"
+    else:
+        remedy = ""
+    return [f"the trajectory is {health.verdict}{remedy}"]
+
+
+def _of_floor(floor: Floor) -> list[str]:
+    """A warning of a floor that is hardly flat: it may be something else."""
+    if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
+        return []
+    if floor.given:
+        # Where other warnings speak against the plane, the surface beside it scatters.
+        scatter = f"scatters by {1000 * floor.noise_m:.0f} mm, a flat floor by 1 to 6"
+        what = f"what was measured about {GIVEN} {scatter}"
+        return [] if floor.against else [f"{what}; check that the object stands on that plane"]
+    return [
+        f"the floor found scatters by {1000 * floor.noise_m:.0f} mm, a flat one by 1 to 6: it may be another "
+        "surface; record with more of the floor in view, or give a box"
+    ]
+
+
+def coverage_report(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    chosen: Segmentation,
+    grid: Grid,
+    max_depth_m: float,
+) -> CoverageReport:
+    """Report what is wrong with the recording: poses, an unseen side, few frames, movement, range, choice.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses.
+        scene: the fused surface, world frame.
+        chosen: floor and object.
+        grid: around the object.
+        max_depth_m: how far depth makes surface in it.
+    """
+    good = trajectory.good_frames
+    T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
+    center = np.array(chosen.box.center_m)
+    side = unseen_side(T_floor_camera, center)
+    first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
+    moving = moving_frames(sequence, trajectory, scene, chosen.floor)
+    choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
+    warnings = [*_of_trajectory(trajectory), *choice_warnings]
+    if side.share > 0:
+        warnings.append(
+            f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, over "
+            f"{360 * side.share:.0f} degrees of arc: what is there is inferred; show it to the camera, too"
+        )
+    if len(good) < MIN_FRAMES:
+        warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")
+    if moving.frames:
+        warnings.append(
+            f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
+            "something stands before the scene that the others do not see: a person walking through, or "
+            "poses that are off? record it without, and look at the trajectory"
+        )
+    too_far = beyond_share(sequence, trajectory, grid, max_depth_m)
+    if too_far > MAX_BEYOND_SHARE:
+        warnings.append(
+            f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no "
+            "surface: its far side and cavities may be wrong; raise `fusion.max_depth_m`, or leave it out"
+        )
+    figures = UnseenSidePart(
+        gap_rad=np.radians(round(np.degrees(side.gap_rad), 1)),
+        towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
+        share=round(side.share, 4),
+    )
+    share, lines = round(too_far, 4), tuple(warnings)
+    return CoverageReport(len(good), figures, moving, max_depth_m, share, lines, choice_warnings, first_rad)

@@ -1,0 +1,286 @@
+"""Openings that no frame saw into: how large they are, where, and from where a camera would see into them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.lines_of_sight import directions
+from kinectbench.core.voxels.morphology import broad, opened
+from kinectbench.stages.segment.find.select import triple
+from kinectbench.stages.segment.solid.evidence import VoxelEvidence, seen_from
+from kinectbench.stages.segment.solid.solid import SolidShape
+
+Direction = Literal["up", "side", "down"]
+
+# A frontier is reported if the volume behind it is this share of the solid's, and if it is so large (chosen
+# by hand).
+LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
+# The report asks about the underside if the answer decides this share of the solid (chosen by hand).
+LEAST_UNDERSIDE_SHARE = 0.05
+# Less probable voxels are almost certainly air, and say nothing of the object.
+LEAST_PROBABILITY = 0.025
+# Directions tried for how much of a region they show: 16 degrees apart (chosen by hand).
+VIEW_DIRECTIONS = 100
+# Directions that show this share of what the best one shows are as good. The one nearest to this elevation,
+# at which a person holds a camera, is taken (chosen by hand).
+ENOUGH, CAMERA_ELEVATION_RAD = 0.8, np.radians(25.0)
+# Vertical components of a unit vector: straight above or below from the first, level between the others
+# (chosen by hand).
+STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
+# Directions are reported in these steps: nobody walks around a thing more exactly (chosen by hand).
+TURN_STEP_DEG, HALF_TURN_DEG = 10, 180
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """The boundary between an unseen region and free space, where nothing was measured.
+
+    Attributes:
+        direction: from the unseen region outward.
+        area_m2: of its faces, along that direction; more than the box `size_m` where faces lie behind others.
+        size_m: (2,) extents of its faces: for up and down the longer and the shorter one seen from above, for
+            side the width and the height.
+        center_m: (3,) middle of its faces, floor frame, metres.
+        look_from: (3,) unit vector, floor frame: from the frontier to where a camera would look into it.
+        volume_m3: of the unseen region behind it.
+        inside_share: the share of that volume expected to be inside, 0 to 1.
+        solid_share: the share of it that the solid takes for inside, 0 to 1.
+        inside_solid_share: the share of it that is both, 0 to 1.
+        underside: only lines of sight that look up reach the region.
+    """
+
+    direction: Direction
+    area_m2: float
+    size_m: tuple[float, float]
+    center_m: tuple[float, float, float]
+    look_from: tuple[float, float, float]
+    volume_m3: float
+    inside_share: float
+    solid_share: float
+    inside_solid_share: float
+    underside: bool = False
+
+    def restored(self, scale: float) -> "Frontier":
+        """The same frontier in a world that is `scale` times as large."""
+        (a, b), (x, y, z) = self.size_m, self.center_m
+        return replace(
+            self,
+            area_m2=self.area_m2 * scale**2,
+            size_m=(a * scale, b * scale),
+            center_m=(x * scale, y * scale, z * scale),
+            volume_m3=self.volume_m3 * scale**3,
+        )
+
+    def advice(self, first_rad: float) -> str:
+        """One line for the person who records: what no frame saw, and where to stand."""
+        size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
+        where = where_to_stand(self.look_from, self.center_m[2], first_rad)
+        if self.underside:
+            say = "or say in benchmark.yaml whether its `underside` is closed or open"
+            return f"nobody saw the underside, {size}: record {where}, {say}"
+        at = {"up": "at the top", "side": "at the side", "down": "at the bottom"}[self.direction]
+        return f"nobody looked into the opening {at}, {size}: record {where}"
+
+
+def turned(towards_rad: float, first_rad: float) -> str:
+    """How far around the object a direction is from where the recording begins, facing it, in words.
+
+    Both angles are seen from above, counterclockwise from x of the floor frame; `first_rad` is the first
+    camera's.
+    """
+    turn_deg = np.degrees(np.angle(np.exp(1j * (towards_rad - first_rad))))
+    rounded = TURN_STEP_DEG * round(abs(turn_deg) / TURN_STEP_DEG)
+    if not rounded:
+        return "where the recording begins"
+    if rounded == HALF_TURN_DEG:
+        return "opposite to where the recording begins"
+    # Facing the object, whoever goes counterclockwise around it goes to the right.
+    return f"{rounded} degrees to the {'right' if turn_deg > 0 else 'left'} of where the recording begins"
+
+
+def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
+    """From where to look at a point `height_m` above the floor, in words.
+
+    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as for
+    `turned`.
+    """
+    up, height = look_from[2], f"{100 * height_m:.0f} cm"
+    towards = f"from {turned(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
+    if abs(up) > STEEP:
+        return "from above" if up > 0 else f"from below, lower than {height}"
+    if up < -LOWER:
+        return f"{towards}, lower than {height}, looking up"
+    return f"{towards}, at the height of {height}" if up < LEVEL else f"{towards}, obliquely from above"
+
+
+def find_frontiers(
+    shape: SolidShape, evidence: VoxelEvidence, limits: SensorLimits, T_floor_grid: Float64
+) -> tuple[Frontier, ...]:
+    """Find every frontier of some size, the one with the largest volume behind it first.
+
+    A frontier is the part of a piece of unknown voxels (26 neighbours) that borders free space. It is looked
+    into along the direction that shows most of the piece, or nearly so. Unknown layers thinner than a line of
+    sight have none, but for undersides.
+
+    Args:
+        shape: the solid.
+        evidence: the class of each of its voxels.
+        limits: of the sensor.
+        T_floor_grid: (4, 4), of its grid.
+    """
+    unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
+    frontiers: list[Frontier] = []
+    for underside in (False, True):
+        region = unknown & (evidence.underside if underside else ~evidence.underside)
+        frontiers += _of_region(shape, evidence, limits, T_floor_grid, region, underside)
+    return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))
+
+
+def _of_region(
+    shape: SolidShape,
+    evidence: VoxelEvidence,
+    limits: SensorLimits,
+    T_floor_grid: Float64,
+    region: Bools,
+    underside: bool,
+) -> Iterator[Frontier]:
+    """The frontiers of the pieces of a region of unknown voxels."""
+    from scipy import ndimage
+
+    voxel_m = shape.grid.voxel_size_m
+    cells = max(1, round(limits.line_width_m / voxel_m))
+    # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
+    wide = opened(region, (cells, cells, 1)) if underside else broad(region, cells)
+    pieces, count = ndimage.label(wide, np.ones((3, 3, 3)))
+    least = max(1, (LEAST_UNDERSIDE_SHARE if underside else LEAST_SHARE) * int(shape.solid.sum()))
+    sizes = np.bincount(pieces.reshape(-1), minlength=count + 1)
+    large = sizes >= least
+    large[0] = False
+    if not large.any():
+        return
+    # Only the large pieces keep a number.
+    pieces = np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces]
+    ways = directions(VIEW_DIRECTIONS)
+    shown = seen_from(evidence.surface, evidence.heights_m, voxel_m, limits, pieces, ways)
+    # Below an underside all may be unseen down to the floor: a camera looks through that.
+    open_to = evidence.free | (evidence.unknown & ~evidence.underside) if underside else evidence.free
+    free = np.pad(open_to, 1)
+    for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
+        inner = pieces[window] == piece
+        taken = shape.solid[window][inner]
+        expected = shape.probability[window][inner].astype(np.float64)
+        part = _Piece(
+            voxel_m,
+            inner,
+            free[tuple(slice(along.start, along.stop + 2) for along in window)],
+            np.array([along.start for along in window]),
+        )
+        behind = (
+            float(inner.sum()) * voxel_m**3,
+            float(expected.mean()),
+            float(taken.mean()),
+            float((expected * taken).mean()),
+        )
+        frontier = _frontier(part, _best_direction(ways, shown[:, piece]), T_floor_grid, behind, underside)
+        if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
+            yield frontier
+
+
+def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
+    """Of the directions (n, 3) that show much of a piece, the nearest to where a person holds a camera."""
+    enough = np.flatnonzero(shown >= ENOUGH * shown.max())
+    off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
+    return np.asarray(ways[enough[np.argmin(off_rad)]])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of unknown voxels in its window of a grid; `free` has one more voxel on each side."""
+
+    voxel_m: float
+    cells: Bools
+    free: Bools
+    corner: NDArray[np.int64]
+
+    def faces_m(self, axis: int, sign: int) -> Float64:
+        """Middles (n, 3) of its faces at free space that look along an axis, grid frame, metres."""
+        step = np.zeros(3, np.int64)
+        step[axis] = sign
+        beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
+        at: Float64 = (
+            self.corner + np.argwhere(self.cells & self.free[beside]) + 0.5 + step / 2
+        ) * self.voxel_m
+        return at
+
+
+def _frontier(
+    piece: _Piece,
+    look: Float64,
+    T_floor_grid: Float64,
+    behind: tuple[float, float, float, float],
+    underside: bool,
+) -> Frontier | None:
+    """The frontier of a piece seen along a direction; None where no face of it shows there.
+
+    Its direction is that of the faces that show most.
+    """
+    faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
+    seen = {
+        (axis, sign): len(points) * sign * look[axis]
+        for (axis, sign), points in faces.items()
+        if sign * look[axis] > 0 and len(points)
+    }
+    if not seen:
+        return None
+    upright = {sign: seen.get((2, sign), 0.0) for sign in (-1, 1)}
+    level = {way: share for way, share in seen.items() if way[0] != 2}
+    sign = 1 if upright[1] >= upright[-1] else -1
+    if upright[sign] >= sum(level.values()):
+        direction: Direction = "up" if sign > 0 else "down"
+        points = faces[2, sign]
+        area_m2 = len(points) * piece.voxel_m**2
+    else:
+        direction, points = "side", np.concatenate([faces[way] for way in level])
+        # Faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
+        across = [sum(len(faces[way]) for way in level if way[0] == axis) for axis in (0, 1)]
+        area_m2 = float(np.hypot(across[0], across[1])) * piece.voxel_m**2
+    look_floor = T_floor_grid[:3, :3] @ look
+    look_floor /= np.linalg.norm(look_floor)
+    points_floor = transform_points(T_floor_grid, points)
+    return Frontier(
+        direction,
+        area_m2,
+        _extents_m(points_floor, look_floor, direction == "side", piece.voxel_m),
+        triple(points_floor.mean(axis=0)),
+        triple(look_floor),
+        *behind,
+        underside,
+    )
+
+
+def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
+    """The extents of a frontier's faces: width and height at the side, else the sides of the smallest box."""
+    if side:
+        across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
+        return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)
+    turns = np.linspace(0, np.pi / 2, 31)[:-1]
+    boxes: list[list[float]] = []
+    for turn in turns:
+        along = np.array([np.cos(turn), np.sin(turn), 0.0])
+        across = np.array([-along[1], along[0], 0.0])
+        boxes.append([_extent_m(points_floor @ axis, voxel_m) for axis in (along, across)])
+    least = min(boxes, key=lambda box: box[0] * box[1])
+    return max(least), min(least)
+
+
+def _extent_m(values: Float64, voxel_m: float) -> float:
+    """The extent without the outermost hundredth at either end: streaks of single voxels reach far."""
+    low, high = np.quantile(values, [0.01, 0.99])
+    return float(high - low) + voxel_m

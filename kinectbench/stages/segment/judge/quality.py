@@ -1,0 +1,257 @@
+"""Judge the solid by the recording itself: repeatability, estimated IoU, boxes and warnings."""
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import BoxPart, FrontierPart, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import OrientedBox, transform_points
+from kinectbench.core.types import Int32, Int64, Underside
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.stages.segment.find.choice_warnings import LOOK
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.object import Segmentation
+from kinectbench.stages.segment.find.select import fit_box, nearest_within
+from kinectbench.stages.segment.judge.coverage_report import CoverageReport
+from kinectbench.stages.segment.judge.estimate import (
+    MAX_VOLUME_SHARE_PER_MM,
+    IouEstimate,
+    PoseError,
+    estimate_iou,
+    volume_share_per_mm,
+)
+from kinectbench.stages.segment.judge.frontiers import LEAST_UNDERSIDE_SHARE, Frontier
+from kinectbench.stages.segment.judge.method import method
+from kinectbench.stages.segment.solid.evidence import Rules
+from kinectbench.stages.segment.solid.solid import Solids, SolidShape
+
+GOOD_REPEATABILITY = 0.90
+MAX_UNKNOWN_SHARE = 0.15
+GOOD_ESTIMATED_IOU = 0.82
+# A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
+MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
+# A smaller piece is detached if so many voxels lie between it and the rest: a smaller gap may be a joint too
+# thin to be measured. Gaps are measured up to this distance (chosen by hand).
+DETACHED_VOXELS, FARTHEST_DETACHED_M = 3, 0.5
+# A handle or a speck that one half of the frames shows does not move a side of the box.
+BOX_LEFT_OUT = 0.005
+BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
+
+
+def surface_sigma_m(odd: Observation, even: Observation) -> float:
+    """Standard deviation of the surface fused from all frames, metres.
+
+    If the halves' errors are independent, their signed distances differ by twice the deviation of their mean:
+    the result is half the robust deviation of the difference near the surface. It is one voxel where the
+    halves share no surface.
+    """
+    near = (odd.weight > 0) & (even.weight > 0)
+    near &= np.abs(odd.tsdf + even.tsdf) < 2 * odd.grid.voxel_size_m
+    if not near.any():
+        return odd.grid.voxel_size_m
+    return float(1.4826 * np.median(np.abs(odd.tsdf[near] - even.tsdf[near])) / 2)
+
+
+def measure_quality(
+    chosen: Segmentation,
+    box: OrientedBox,
+    solids: Solids,
+    report: CoverageReport,
+    pose_error: PoseError,
+    frontiers: tuple[Frontier, ...],
+    rules: Rules,
+) -> QualityFile:
+    """Measure repeatability, the IoU of the two halves' solids, and the estimated IoU; gather the warnings.
+
+    Args:
+        chosen: floor and object.
+        box: `solid_box` of the solid from all frames.
+        solids: from all, from the odd and from the even frames.
+        report: what the recording could see of it; its warnings come first.
+        pose_error: the median error of the poses.
+        frontiers: openings that no frame saw into.
+        rules: by which the solids were made.
+    """
+    together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
+    repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
+    unknown, unknown_air = _unknown_shares(together)
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
+    unsupported = _unsupported(chosen, together)
+    advice = tuple(frontier.advice(report.first_rad) for frontier in frontiers)
+    fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
+    warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
+    boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
+    whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
+    return QualityFile(
+        format_version=1,
+        verdict="look at the warnings" if warnings else "good",
+        warnings=warnings,
+        doubts=(*report.choice_warnings, *unsupported),
+        repeatability_iou=round(repeatability, 4),
+        estimated_iou=round(estimate.value, 4),
+        estimated_iou_low=round(estimate.low, 4),
+        estimated_iou_high=round(estimate.high, 4),
+        estimated_iou_reasons=estimate.reasons,
+        frontiers=tuple(_frontier_part(frontier, report.first_rad) for frontier in frontiers),
+        surface_sigma_m=sigma_m,
+        unknown_share=round(unknown, 4),
+        unknown_air_share=round(unknown_air, 4),
+        underside=rules.underside,
+        underside_share=round(together.underside_share, 4),
+        volume_m3=round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
+        labels=LabelCounts(**{each.name.lower(): int((together.labels == each).sum()) for each in Label}),
+        box=whole,
+        box_odd=of_odd,
+        box_even=of_even,
+        selection=chosen.how,
+        good_frames=report.good_frames,
+        unseen_side=report.unseen_side,
+        moving=report.moving,
+        max_depth_m=report.max_depth_m,
+        beyond_share=report.beyond_share,
+        method=method(rules),
+    )
+
+
+def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
+    """Unknown volumes taken for inside and for air, as shares of the solid's."""
+    unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
+    return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
+
+
+def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
+    """A frontier as quality.json writes it: rounded."""
+    (length, width), (x, y, z), (u, v, w) = (
+        (round(value, 4) for value in vector)
+        for vector in (frontier.size_m, frontier.center_m, frontier.look_from)
+    )
+    return FrontierPart(
+        direction=frontier.direction,
+        area_m2=round(frontier.area_m2, 5),
+        size_m=(length, width),
+        center_m=(x, y, z),
+        look_from=(u, v, w),
+        advice=frontier.advice(first_rad),
+        volume_m3=round(frontier.volume_m3, 6),
+        inside_share=round(frontier.inside_share, 4),
+        solid_share=round(frontier.solid_share, 4),
+        underside=frontier.underside,
+    )
+
+
+def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
+    """The upright box around a solid, floor frame; without a yaw, the one of least ground area."""
+    points_floor = transform_points(floor.T_floor_world, shape.mesh.vertices)
+    return fit_box(points_floor, yaw_rad, BOX_LEFT_OUT)
+
+
+def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
+    """A line that asks about the underside where nobody said it and the answer decides much."""
+    share = shape.underside_share
+    if underside != "unseen" or share <= LEAST_UNDERSIDE_SHARE:
+        return ()
+    return (
+        f"{share:.0%} of the solid is a guess that one word decides: say in benchmark.yaml "
+        "`underside: closed` if no space behind the underside is open to the air, and it is known; or "
+        "`underside: open`",
+    )
+
+
+def _warnings(
+    unsupported: list[str],
+    shape: SolidShape,
+    repeatability: float,
+    estimate: IouEstimate,
+    advice: tuple[str, ...],
+    unknown: float,
+) -> list[str]:
+    """A line for people for each thing that is wrong with a solid.
+
+    `advice` already says what to record again; no line here contradicts it.
+    """
+    share_per_mm = volume_share_per_mm(shape.mesh)
+    why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"
+    closer = "" if advice else "; record from closer, and what was hidden from where it is seen"
+    around = ", as said above" if advice else ": show the camera all sides of the object"
+    lines = (
+        (
+            repeatability < GOOD_REPEATABILITY,
+            f"odd and even frames agree to IoU {repeatability:.3f} only: look at the trajectory and the mesh",
+        ),
+        (
+            estimate.value < GOOD_ESTIMATED_IOU,
+            f"the estimated IoU of the solid to the truth is {estimate.value:.2f}, lowered by: {why}{closer}",
+        ),
+        (
+            share_per_mm > MAX_VOLUME_SHARE_PER_MM,
+            f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "
+            "volume, and any IoU by as much",
+        ),
+        *((True, line) for line in unsupported),
+        (
+            unknown > MAX_UNKNOWN_SHARE,
+            f"{unknown:.0%} of the solid was never measured, and some camera could see it{around}",
+        ),
+    )
+    return [line for wrong, line in lines if wrong]
+
+
+def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
+    """Warnings of a solid, or of large pieces of it, in the air: something of it is missing."""
+    from scipy import ndimage
+
+    warnings = []
+    gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
+    if chosen.floor.found and gap_m > MAX_GAP_M:
+        warnings.append(
+            f"the solid begins {gap_m:.2f} m above the floor: what carries it gave no depth (black, glass or "
+            "mirror-like), or the box or the `floor` in benchmark.yaml is wrong; all is well if it stands on "
+            "something else"
+        )
+    labels, _ = ndimage.label(shape.solid, np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1))[1:]
+    pieces = int((sizes >= LARGE_PIECE_SHARE * sizes.sum()).sum())
+    if pieces > 1:
+        warnings.append(
+            f"the solid is in {pieces} large pieces that do not touch: what joins them gave no depth, or "
+            "they are several things: look at object/mesh.ply"
+        )
+    small = np.flatnonzero(sizes < LARGE_PIECE_SHARE * sizes.sum()) + 1
+    return warnings + detached_pieces(labels, small, sizes, shape.grid.voxel_size_m)
+
+
+def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: float) -> list[str]:
+    """A warning of the largest small piece that lies apart from all large ones.
+
+    Args:
+        labels: piece of each voxel, 0: none.
+        small: (k,) labels of the small pieces.
+        sizes: voxels of each piece, from label 1 on.
+        voxel_size_m: edge of a voxel.
+    """
+    from scipy import ndimage
+    from scipy.spatial import cKDTree
+
+    large = (labels > 0) & ~np.isin(labels, small)
+    if not len(small) or not large.any():
+        return []
+    outside = np.argwhere(large & ~ndimage.binary_erosion(large)) * voxel_size_m
+    tree = cKDTree(outside)
+    windows = ndimage.find_objects(labels)
+    apart: list[tuple[int, float]] = []
+    for piece in small.tolist():
+        window = windows[piece - 1]
+        first = np.array([part.start for part in window])
+        points = (np.argwhere(labels[window] == piece) + first) * voxel_size_m
+        gap_m, _ = nearest_within(tree, points, FARTHEST_DETACHED_M)
+        if gap_m > (DETACHED_VOXELS + 0.5) * voxel_size_m:
+            apart.append((int(sizes[piece - 1]), gap_m))
+    if not apart:
+        return []
+    size, gap_m = max(apart)
+    far = f"{1000 * gap_m:.0f} mm" if np.isfinite(gap_m) else f"more than {FARTHEST_DETACHED_M:g} m"
+    what = f"a loose piece of {1e6 * size * voxel_size_m**3:.0f} cm³ lies {far} from the rest of the object"
+    others = f", one of {len(apart)}" if len(apart) > 1 else ""
+    return [
+        f"{what}{others}: perhaps a scrap of a neighbour; look at object/mesh.ply, or give a box without it; "
+        f"{LOOK}"
+    ]

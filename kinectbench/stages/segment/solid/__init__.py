@@ -1,0 +1,1 @@
+"""Classify the voxels around the object and make it a closed solid."""

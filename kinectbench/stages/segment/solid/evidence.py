@@ -1,0 +1,293 @@
+"""Classify voxels as free, near a surface or unseen, and find those that a camera could see."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
+from kinectbench.core.types import Bools, Float32, Float64, Int64, Underside
+from kinectbench.core.voxels.distance import distance_within_m
+from kinectbench.core.voxels.lines_of_sight import FROM_BELOW, count_seen, directions
+from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
+from kinectbench.core.voxels.seeable import line_space, swept_from_outside
+
+# A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
+LEAST_WEIGHT_SHARE = 0.015
+# An unseen voxel is free if so many frames, and this share of the frames that look at the object, see through
+# it: along edges depth wanders, and a few frames seem to see through the last millimetres of a board.
+MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
+# A voxel that lies farther behind a measured surface may be on the far side of a thin wall.
+SHELL_M = 0.0125
+# A line of sight ends within so many voxels of a measured surface, on both sides. If it ended in the whole
+# band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
+SHEET_VOXELS = 1.2
+
+# Number of lines of sight: for the solid, and for solids that are only compared with one another.
+FINE: Final = 1600
+COARSE: Final = 400
+# Lines of this share of the width reach slits that whole lines do not reach. The voxels there are unknown,
+# not air: a gap that was measured too narrow, by up to half a line, stays a gap.
+NARROWER = 0.5
+
+
+@dataclass(frozen=True)
+class FloorLayers:
+    """Layers of an upright grid about the floor, from the grid's bottom up.
+
+    Attributes:
+        below: layers below the floor.
+        contact: layers above it in which the floor and the object look alike.
+        low: layers above those. A surface there belongs to the object only if it goes on above them.
+    """
+
+    below: int
+    contact: int
+    low: int = 0
+
+    @property
+    def first(self) -> int:
+        """The first layer in which surface may be the object's."""
+        return self.below + self.contact
+
+    @property
+    def cut(self) -> int:
+        """The first layer in which any surface is not the floor."""
+        return self.first + self.low
+
+
+# Where the object is on no known plane, nothing is known of what lies below it.
+NO_LAYERS = FloorLayers(below=0, contact=0)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The parameters by which a solid is made from what the frames saw; lengths in metres.
+
+    Attributes:
+        layers: of the grid about the floor.
+        ray_width_m: width of the frames' rays at the object; 0 = narrow.
+        limits: of the sensor; they define air.
+        underside: what a person says of it.
+        stands: False: the object stands on no plane, and cameras may be anywhere.
+    """
+
+    layers: FloorLayers
+    ray_width_m: float = 0.0
+    limits: SensorLimits = DEFAULT_LIMITS
+    underside: Underside = "unseen"
+    stands: bool = True
+
+    def enlarged(self, scale: float) -> "Rules":
+        """The same rules in a world that is 1 / scale times as large."""
+        return replace(self, ray_width_m=self.ray_width_m / scale, limits=self.limits.enlarged(scale))
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoxelEvidence:
+    """The class of each voxel, in the grid's shape.
+
+    Attributes:
+        signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
+        observed: bool, a surface is near.
+        free: bool, seen to be empty.
+        near_surface: bool, behind a surface by at most `SHELL_M`: the object's.
+        excluded: bool, cannot be the object.
+        unseen: bool, none of the last three.
+        sight: uint8, how a camera could see the voxel past the measured surfaces
+            (`core.voxels.lines_of_sight`).
+        closed: bool, unseen, and no camera could see it, or a person says that it is closed: the object's.
+        underside: bool, unseen, and only lines that look up reach it, whatever a person says.
+        contact: the layers right above the floor.
+        low_plate: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
+        surface: bool, what ends a line of sight.
+        heights_m: (nz,) float32, heights of the layers' middles above the plane it stands on; None: no plane.
+    """
+
+    signed_m: Float32
+    observed: Bools
+    free: Bools
+    near_surface: Bools
+    excluded: Bools
+    unseen: Bools
+    sight: NDArray[np.uint8]
+    closed: Bools
+    underside: Bools
+    contact: slice
+    low_plate: Bools
+    surface: Bools
+    heights_m: Float32 | None
+
+    @property
+    def unknown(self) -> Bools:
+        """Unseen voxels that a camera could see."""
+        return self.unseen & ~self.closed
+
+
+def classify_voxels(
+    observation: Observation, excluded: Bools, rules: Rules, *, roughly: bool = False
+) -> VoxelEvidence:
+    """Classify the voxels, and find which of the unseen ones a camera could see.
+
+    Args:
+        observation: TSDF and votes on an upright grid.
+        excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
+        rules: by which the solid is made.
+        roughly: with fewer lines of sight, for solids that are only compared with one another.
+    """
+    voxel_m, layers = observation.grid.voxel_size_m, rules.layers
+    contact = slice(layers.below, layers.first)
+    observed = _observed(observation)
+    signed_m = _signed_distance_m(observation, rules.ray_width_m)
+    free = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
+    behind = observed & ~free
+    own = behind & ~excluded
+    detached, low_plate = _detached(own, _low_plates(signed_m, own, free, layers, voxel_m), layers)
+    excluded = excluded | detached
+    sheet_m = np.float32(SHEET_VOXELS * voxel_m)
+    surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
+    surface &= ~excluded
+    # Next to the floor nothing can be measured: what stands above goes on down to it.
+    surface[:, :, : layers.first] = (surface[:, :, layers.first] | low_plate)[:, :, None]
+    above = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * voxel_m
+    heights_m = above.astype(np.float32) if rules.stands else None
+    sight = look(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
+    near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
+    near_surface[:, :, : layers.first] = False
+    near_surface[:, :, layers.first - 1] |= low_plate & ~excluded[:, :, layers.first - 1]
+    unseen = ~(free | near_surface | excluded)
+    unseen[:, :, : layers.below] = False
+    underside = unseen & (sight == FROM_BELOW)
+    closed = unseen & (sight == 0)
+    standing = near_surface[:, :, contact.stop] | unseen[:, :, contact.stop] | low_plate
+    solid = near_surface[:, :, contact.stop] | closed[:, :, contact.stop] | low_plate
+    unseen[:, :, contact] &= standing[:, :, None]
+    excluded[:, :, contact] |= ~standing[:, :, None] & ~free[:, :, contact]
+    closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
+    underside[:, :, contact] = (
+        unseen[:, :, contact] & underside[:, :, contact.stop, None] & ~solid[:, :, None]
+    )
+    if rules.underside == "closed":
+        closed |= underside
+    return VoxelEvidence(
+        signed_m=signed_m,
+        observed=observed,
+        free=free,
+        near_surface=near_surface,
+        excluded=excluded,
+        unseen=unseen,
+        sight=sight,
+        closed=closed,
+        underside=underside,
+        contact=contact,
+        low_plate=low_plate,
+        surface=surface,
+        heights_m=heights_m,
+    )
+
+
+def _observed(observation: Observation) -> Bools:
+    """Whether a surface is near each voxel, which more than a few rays measured."""
+    near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
+    weights = observation.weight[near & (observation.weight > 0)]
+    least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
+    return np.asarray(observation.weight > least)
+
+
+def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
+    """Whether a voxel lies farther behind a surface than the surface accounts for.
+
+    That is `SHELL_M`, or one and a half voxels if that is more, by the fused distance and by the distance to
+    the nearest voxel in front of a surface: far behind a surface, the fused distance is too short.
+    """
+    shell_m = max(SHELL_M, 1.5 * voxel_m)
+    # A surface lies half a voxel from the voxels on both of its sides.
+    shown_m = shell_m + voxel_m / 2
+    far = distance_within_m(in_front, voxel_m, shown_m + voxel_m) > shown_m
+    return np.asarray(behind & (far | (tsdf_m < -np.float32(shell_m))))
+
+
+def _low_plates(signed_m: Float32, behind: Bools, free: Bools, layers: FloorLayers, voxel_m: float) -> Bools:
+    """Columns (nx, ny) whose surface lies above the contact layers and below the middle of the next layer.
+
+    No voxel above the contact layers is behind the surface of a plate that ends there.
+    """
+    if layers.contact == 0:
+        return np.zeros(behind.shape[:2], bool)
+    top = layers.first - 1
+    above = signed_m[:, :, top] < -np.float32(voxel_m / 2)
+    return np.asarray(behind[:, :, top] & free[:, :, layers.first] & above)
+
+
+def _detached(behind: Bools, low_plate: Bools, layers: FloorLayers) -> tuple[Bools, Bools]:
+    """Find low voxels that are connected (26 neighbours) to nothing above: they are not the object's.
+
+    Returns:
+        The detached ones of `behind` in the low layers, and the columns of `low_plate` that are not detached.
+    """
+    from scipy import ndimage
+
+    detached = np.zeros_like(behind)
+    # One layer above them is enough to see what goes on there.
+    low = np.concatenate([low_plate[:, :, None], behind[:, :, layers.first : layers.cut + 1]], axis=2)
+    pieces, count = ndimage.label(low, np.ones((3, 3, 3)))
+    held = np.zeros(count + 1, dtype=bool)
+    held[pieces[:, :, -1]] = True
+    held[0] = False
+    detached[:, :, layers.first : layers.cut] = (low & ~held[pieces])[:, :, 1:-1]
+    return detached, held[pieces[:, :, 0]]
+
+
+def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
+    """Signed distance of the surface where a voxel was observed, corrected by the votes."""
+    voxel_m = observation.grid.voxel_size_m
+    trust = trust_in_votes(ray_width_m, voxel_m)
+    return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
+
+
+def _least_free_votes(observation: Observation) -> int:
+    """The number of frames that must see through a voxel that was never observed near a surface."""
+    looking = int((observation.free.astype(np.uint32) + observation.surface).max())
+    return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
+
+
+def look(
+    surface: Bools, heights_m: Float32 | None, voxel_m: float, limits: SensorLimits, count: int
+) -> NDArray[np.uint8]:
+    """How a camera could see each voxel: uint8 of `core.voxels.lines_of_sight`, 0 where it could not.
+
+    Args:
+        surface: bool (nx, ny, nz), upright: measured surface, which ends a line.
+        heights_m: (nz,) heights of the layers' middles above the plane it stands on; None: no plane.
+        voxel_m: edge of a voxel, metres.
+        limits: of the sensor.
+        count: number of directions.
+    """
+    return swept_from_outside(surface, heights_m, voxel_m, narrow(limits), directions(count))
+
+
+def narrow(limits: SensorLimits) -> SensorLimits:
+    """The limits of narrower lines of sight, which also find slits."""
+    return replace(limits, line_width_m=NARROWER * limits.line_width_m)
+
+
+def rim_voxels(limits: SensorLimits, voxel_m: float) -> int:
+    """Half the width of a line of sight, in voxels, at least one."""
+    return max(1, round(narrow(limits).line_width_m / 2 / voxel_m))
+
+
+def seen_from(
+    surface: Bools,
+    heights_m: Float32 | None,
+    voxel_m: float,
+    limits: SensorLimits,
+    pieces: NDArray[np.int32],
+    to_camera: Float64,
+) -> Int64:
+    """How many voxels of each of k pieces could be seen along each direction: (n, k + 1).
+
+    `pieces` has the number of each voxel's piece, from 1 on, or 0; `to_camera` (n, 3) are unit vectors of the
+    upright frame; `surface` and `heights_m` are as for `look`.
+    """
+    return count_seen(line_space(surface, heights_m, voxel_m, narrow(limits)), to_camera, pieces)

@@ -1,0 +1,221 @@
+"""Make a closed solid: free voxels are air, and voxels that no camera could see are the object."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.errors import ShapeError
+from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
+from kinectbench.core.geometry.mesh import isosurface
+from kinectbench.core.types import Bools, Float32
+from kinectbench.core.voxels.observation import Observation
+from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
+from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
+
+SMOOTHING_VOXELS = 0.7
+SPECK_SHARE = 0.02
+
+# A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
+LEG_HEIGHT_M, LEG_GAP_M = 0.05, 0.1
+# The upper end of a piece: its columns in so many layers below its highest cell.
+LEG_END_LAYERS = 3
+# So many of these columns must find the object above them.
+LEG_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class SolidShape:
+    """The object as a solid; all arrays have the grid's shape.
+
+    Attributes:
+        grid: upright; a cell boundary lies at z = 0 of the floor.
+        solid: bool, occupied.
+        labels: uint8, see `Label`.
+        probability: float32 in [0, 1], that the voxel is occupied.
+        mesh: closed surface of `solid`, smooth where it was measured, world frame, metres.
+        underside: bool, unseen, and only lines of sight that look up reach it.
+    """
+
+    grid: Grid
+    solid: Bools
+    labels: NDArray[np.uint8]
+    probability: Float32
+    mesh: TriangleMesh
+    underside: Bools
+
+    @property
+    def underside_share(self) -> float:
+        """The share of the solid that a person's word about its underside decides."""
+        return int((self.underside & self.solid).sum()) / max(1, int(self.solid.sum()))
+
+    def restored(self, grid: Grid, scale: float) -> "SolidShape":
+        """The same solid in a world that is `scale` times as large, on the grid given."""
+        if scale == 1:
+            return self
+        return replace(self, grid=grid, mesh=TriangleMesh(self.mesh.vertices * scale, self.mesh.faces))
+
+
+@dataclass(frozen=True)
+class Solids:
+    """The solids of all, of the odd and of the even frames.
+
+    Attributes:
+        whole: from all frames.
+        odd: from the odd frames alone.
+        even: from the even frames alone.
+        surface_sigma_m: standard deviation of the surface of all frames, metres.
+    """
+
+    whole: SolidShape
+    odd: SolidShape
+    even: SolidShape
+    surface_sigma_m: float
+
+
+def solidify(observation: Observation, excluded: Bools, rules: Rules) -> SolidShape:
+    """Make a solid of some of the frames, for comparison: classify roughly, then `make_solid`.
+
+    Raises:
+        ShapeError: nothing is left.
+    """
+    return make_solid(observation, classify_voxels(observation, excluded, rules, roughly=True), rules)
+
+
+def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> SolidShape:
+    """Decide for every voxel whether it is occupied, and label how that is known.
+
+    A free voxel is empty. A voxel right behind a measured surface is occupied, and so is one that no camera
+    could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor, the lowest
+    occupied layer and low plates are extruded down to the floor. Legs whose upper end was hidden are carried
+    up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are
+    dropped, and voids are filled.
+
+    Args:
+        observation: TSDF and votes on an upright grid.
+        evidence: the class of each voxel.
+        rules: by which the solid is made.
+
+    Raises:
+        ShapeError: nothing is left.
+    """
+    from scipy import ndimage
+
+    excluded, contact, below = evidence.excluded, evidence.contact, rules.layers.below
+    voxel_m = observation.grid.voxel_size_m
+    guess = inside_probability(evidence, rules, voxel_m)
+    solid = evidence.near_surface | evidence.closed | (evidence.unknown & (guess > 0.5))
+    # Extruded down to the floor, and for now beyond it, so that smoothing does not round the feet.
+    standing = solid[:, :, contact.stop] | evidence.low_plate
+    solid[:, :, : contact.stop] = standing[:, :, None] & ~excluded[:, :, : contact.stop]
+    solid = carried_up(solid, evidence.free | excluded, contact.stop, voxel_m)
+    field = _smooth_field(evidence, _without_specks(solid), voxel_m)
+    empty = excluded.copy()
+    empty[:, :, :below] = True
+    # A void without a 6-connected way out is filled: no camera can have looked into it.
+    solid = ndimage.binary_fill_holes(_without_specks((field < 0) & ~empty)) & ~empty
+    if not solid.any():
+        raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
+    labels = _label(observation, evidence, solid, below)
+    probability = _probability(voxel_m, evidence, guess, solid)
+    probability[:, :, :below] = 0
+    mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
+    return SolidShape(observation.grid, solid, labels, probability, mesh, evidence.underside)
+
+
+def _label(observation: Observation, evidence: VoxelEvidence, solid: Bools, below: int) -> NDArray[np.uint8]:
+    """One label per voxel, by what its state rests on."""
+    near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
+    measured = evidence.observed & near & ~evidence.free
+    labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
+    labels[~solid & evidence.free] = Label.FREE
+    labels[~solid & (evidence.near_surface | evidence.excluded)] = Label.OTHER
+    labels[solid & evidence.closed] = Label.INTERIOR
+    labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
+    labels[:, :, :below] = Label.OTHER
+    return labels
+
+
+def _without_specks(solid: Bools) -> Bools:
+    """Drop 6-connected pieces smaller than 2 % of the largest."""
+    from scipy import ndimage
+
+    pieces, _ = ndimage.label(solid)
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    keep = (sizes > 0) & (sizes >= SPECK_SHARE * sizes.max())
+    return np.asarray(keep[pieces])
+
+
+def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
+    """The occupancy probability: the guess where nothing was measured, else by the signed distance."""
+    probability = np.where(evidence.unseen, guess, measured_probability(evidence.signed_m, voxel_m))
+    # Decisions of the rules above (floor contact, specks, neighbours) stay.
+    decided = np.where(solid, probability <= 0.5, probability >= 0.5)
+    return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)
+
+
+def _smooth_field(evidence: VoxelEvidence, solid: Bools, voxel_size_m: float) -> Float32:
+    """A smoothed signed field, metres, negative in `solid`.
+
+    Its magnitude is the distance where that was measured, and a constant step elsewhere. The Gaussian takes
+    the sensor's noise off the surface; a wider one would thin slats and narrow the masks.
+    """
+    from scipy import ndimage
+
+    step = np.float32(voxel_size_m)
+    # The distance is trusted only next to the surface; farther away it belongs to another surface.
+    distance_m = np.abs(evidence.signed_m)
+    magnitude = np.where(evidence.observed & (distance_m < 2 * step), distance_m, step)
+    magnitude = np.clip(magnitude, np.float32(0.1) * step, step)
+    field = np.where(solid, -magnitude, magnitude)
+    return np.asarray(ndimage.gaussian_filter(field, SMOOTHING_VOXELS, mode="nearest", truncate=3.0))
+
+
+def _closed_mesh(field: Float32, grid: Grid) -> TriangleMesh:
+    """Marching cubes of a signed field padded by empty cells, so that the surface is closed."""
+    step = np.float32(grid.voxel_size_m)
+    # A field of exactly 0 would make triangles without area.
+    away = np.where(field < 0, np.minimum(field, -0.02 * step), np.maximum(field, 0.02 * step))
+    mesh = isosurface(np.pad(away, 1, constant_values=step).astype(np.float32))
+    points_grid = (mesh.vertices - 0.5) * grid.voxel_size_m
+    return TriangleMesh(transform_points(grid.T_world_grid, points_grid), mesh.faces)
+
+
+def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: float) -> Bools:
+    """Carry legs that end in the unseen below the largest piece straight up to it.
+
+    From above, a seat hides the upper end of a leg that stands back from its edge: a seat in the air was
+    measured, and sticks on the floor.
+
+    Args:
+        solid: bool (nx, ny, nz), upright; extruded down to the floor.
+        seen_empty: bool, cells that cannot be filled.
+        floor_layer: the lowest layer above the floor in which pieces are separate.
+        voxel_size_m: edge of a cell.
+    """
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(solid)
+    if count < 2:
+        return solid
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    main = int(np.argmax(sizes))
+    largest = pieces == main
+    reach = round(LEG_GAP_M / voxel_size_m)
+    filled = solid.copy()
+    for piece, (x, y, z) in enumerate(ndimage.find_objects(pieces), start=1):
+        stands = z.start <= floor_layer and (z.stop - floor_layer) * voxel_size_m >= LEG_HEIGHT_M
+        if piece == main or not stands:
+            continue
+        end = slice(z.stop - LEG_END_LAYERS, z.stop)
+        columns = (pieces[x, y, end] == piece).any(axis=2)
+        gap = slice(end.start, z.stop + reach)
+        above = np.logical_or.accumulate(largest[x, y, gap], axis=2)
+        open_below = ~np.logical_or.accumulate(seen_empty[x, y, gap] & (pieces[x, y, gap] != piece), axis=2)
+        carried = columns & (above & open_below).any(axis=2)
+        if carried.sum() >= LEG_SHARE * columns.sum():
+            filled[x, y, gap] |= carried[:, :, None] & ~above
+    return filled
