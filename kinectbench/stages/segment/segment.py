@@ -71,7 +71,7 @@ def segment(
     else:  # only the object's own depth was fused
         chosen = segment_masked_scene(scene, trajectory, given_box, hint)
     resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
-    with chosen.floor.said_in_errors():
+    with chosen.floor.explained_in_errors():
         grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given_box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})

@@ -78,7 +78,8 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
             f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}"
         )
     T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
-    T_now_then = T_floor_camera @ invert_rigid(_matrix(was))
+    T_then_camera = rigid(rotation_from_quaternion_xyzw(np.array(was[3:])), was[:3])
+    T_now_then = T_floor_camera @ invert_rigid(T_then_camera)
     there = transform_points(T_now_then, box.corners_floor())
     moved_m = float(np.linalg.norm(there - box.corners_floor(), axis=1).max())
     if moved_m <= SAME_M * scale:
@@ -102,7 +103,3 @@ def _pose(T: Float64) -> Pose:
     x, y, z = (float(value) for value in T[:3, 3])
     qx, qy, qz, qw = (float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3]))
     return x, y, z, qx, qy, qz, qw
-
-
-def _matrix(pose: Pose) -> Float64:
-    return rigid(rotation_from_quaternion_xyzw(np.array(pose[3:])), pose[:3])

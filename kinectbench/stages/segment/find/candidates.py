@@ -66,16 +66,10 @@ class Candidates:
 def find_candidates(
     mesh: TriangleMesh, trajectory: Trajectory, settings: FloorCuts, hint: FloorHint = NOTHING_KNOWN
 ) -> Candidates:
-    """Find what stands on the floor: connected pieces, and their parts where there is a gap.
+    """Find what stands on the floor of a fused scene: connected pieces, and their parts where there is a gap.
 
-    The fused surface is cut into pieces thrice, at gaps of 60 mm, 40 mm and 15 mm, or what the mesh resolves;
-    less where cameras are nearer than 1 m. A piece that a finer cut leaves whole counts once.
-
-    Args:
-        mesh: the fused scene, world frame.
-        trajectory: poses of the frames.
-        settings: seed, floor cut and low cut.
-        hint: what is known of the floor.
+    The surface is cut into pieces thrice, at gaps of 60 mm, 40 mm and 15 mm, or what the mesh resolves; less
+    where cameras are nearer than 1 m. A piece that a finer cut leaves whole counts once.
 
     Raises:
         SegmentationError: nothing that stands on the floor is large enough.

@@ -102,7 +102,7 @@ class Floor:
         return (*self.against, *self.choice.warnings())
 
     @contextmanager
-    def said_in_errors(self) -> Iterator[None]:
+    def explained_in_errors(self) -> Iterator[None]:
         """Within the block, a `SegmentationError` also says what speaks against a person's plane."""
         try:
             yield
@@ -193,8 +193,7 @@ def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
     """Whether a plane has so much surface, and so many cameras above, that it must be the floor.
 
-    A wall that is looked at from above resembles a floor that is looked at steeply upside down: it is not
-    plain.
+    A wall that is looked at from above resembles a floor that is looked at steeply upside down: that is none.
     """
     upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
     seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE

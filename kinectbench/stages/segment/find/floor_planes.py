@@ -25,18 +25,14 @@ from kinectbench.stages.segment.find.planes import (
 
 # Planes tried for each way of holding the cameras.
 CANDIDATES = 6
-# A plane has at least this share of the points, and so many: the normal of fewer says little (chosen by
-# hand).
+# A plane has this share of the points, and so many: the normal of fewer says little (chosen by hand).
 MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
-# A camera looks down on a plane from this height on. A few cameras may not, as poses are off (chosen by
-# hand).
+# A camera looks down on a plane from this height on. Some do not: poses are off (chosen by hand).
 MIN_CAMERA_HEIGHT_M, MIN_ABOVE_SHARE = 0.1, 0.8
-# Surface farther below a plane than so many times the distance of its inliers (50 mm) is lower. The distance
-# grows where surface is farther from the cameras than what they look at: noise grows with the square of the
-# distance.
+# Surface farther below a plane than so many times the distance of its inliers (50 mm) is lower. Far from the
+# cameras that distance grows: noise grows with the square of the distance.
 BELOW_INLIERS = 2.5
-# The distance of a point from the cameras is measured to so many of them, as a search visits all (chosen by
-# hand).
+# A point's distance is measured to so many of the cameras, as a search visits all (chosen by hand).
 SOME_CAMERAS = 40
 # An object hides what is below its support. This much may be seen right below a plane, as a share of the
 # plane's own points. Measured: floors and tables 0 to .02, a table of a noisy recording .13; the tops of
@@ -44,7 +40,7 @@ SOME_CAMERAS = 40
 MAX_UNDER_SHARE = 0.17
 # Weights of the evidence by how the cameras are held: mostly with the upper edge up, more rarely on their
 # left or right side, seldom looking steeply down (chosen by hand).
-HELD = (1.0, 0.2, 0.2, 0.02)
+FACING_WEIGHTS = (1.0, 0.2, 0.2, 0.02)
 # A plane is refined with the surface within this distance, near what the cameras look at.
 NEAR_PLANE_M = 0.1
 FOCUS_M = 1.2
@@ -61,7 +57,7 @@ TAKEN = "the plane that was taken for the floor"
 GIVE = "if that is not what the object stands on, give its plane: `floor: {plane_world: [a, b, c, d]}`"
 
 Reason = Literal["", "turned", "cameras", "clutter", "top", "less", "lower", "higher"]
-# Why a plane is not the floor: the first three hold whatever other planes there are.
+# Why a plane is not the floor: the first three hold by themselves, the others mean that another one is.
 REASONS: dict[Reason, str] = {
     "turned": "its normal is not up, however the cameras were held",
     "cameras": "too few of the cameras look down on it",
@@ -109,7 +105,7 @@ class PlaneCandidate:
         They are the surface on it, the cameras above it, and the surface that does not lie lower. The product
         is less if the cameras are not held as usual.
         """
-        return self.inlier_share * self.above_share * (1 - self.below_share) * HELD[self.way]
+        return self.inlier_share * self.above_share * (1 - self.below_share) * FACING_WEIGHTS[self.way]
 
 
 @dataclass(frozen=True)

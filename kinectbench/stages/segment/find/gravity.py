@@ -21,14 +21,12 @@ MAX_GAP_S = 1.0
 MIN_AGREEMENT = 0.9
 # A plane's normal is up by gravity within 26 degrees: ramps, drift and a sloping yard (chosen by hand).
 MIN_GRAVITY_COSINE = 0.9
-# It is up within 53 degrees of where the cameras' upper edges point, or an edge beside of a phone held
-# upright.
+# It is up within 53 degrees of the cameras' upper edges, or of an edge beside where phones are held upright.
 MIN_UP_COSINE = 0.6
-# It is up for cameras that look down on it more steeply, at most 37 degrees off: the rest of the quarter
-# turn.
+# It is up for cameras that look down on it more steeply, at most 37 degrees off.
 MIN_DOWN_COSINE = 0.8
 # The normal of a wall that is looked at straight on is square to all four edges, or tips to the lower one
-# where cameras look down a little. The normal of a floor looked at from 84 degrees leans by this much.
+# where cameras look down a little. That of a floor looked at from 84 degrees down leans by this much.
 MIN_HELD_COSINE = 0.1
 
 # Which of the unit normals (n, 3), world frame, may be those of a floor: (n,) bool.
@@ -120,9 +118,7 @@ def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Tests of which normals may be a floor's, in the order in which planes are tried.
-
-    A floor by an earlier test is accepted before one by a later test.
+    """Tests of which normals may be a floor's: a floor by an earlier test is accepted before one by a later.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.

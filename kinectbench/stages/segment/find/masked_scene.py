@@ -19,7 +19,7 @@ from kinectbench.stages.segment.find.select import CELL_M, connected, fit_box
 # Pieces with a smaller share of the surface are specks that masks let through (chosen by hand).
 LEAST_SHARE = 0.05
 # The unseen part of a hand-held object may reach lower than the measured surface: z = 0 lies this much below
-# that, times the cameras' distance in metres.
+# that, times `distance_scale`.
 BELOW_M = 0.03
 NOTHING_FUSED = (
     "no object found: within the masks nothing was fused; do the masks lie on the object, and is its depth "
@@ -37,12 +37,6 @@ def segment_masked_scene(
 
     The floor frame is level by a person's plane, by gravity, or else as the cameras were held. A person's
     plane is z = 0; else z = 0 lies below the measured surface.
-
-    Args:
-        mesh: the fused surface, world frame.
-        trajectory: poses of the frames, in the object's world.
-        given_box: a person's, floor frame, or None.
-        hint: gravity, and a person's plane.
 
     Raises:
         SegmentationError: nothing was fused, or the box holds nothing of it.

@@ -37,8 +37,7 @@ NO_FLOOR = (
     "no floor was found: z = 0 is the lowest surface in view, level by gravity or, where that is not known, "
     "as the cameras were held"
 )
-# A floor in view has a tenth of a scene's surface and more; a floor without depth, hardly any (chosen by
-# hand).
+# A floor in view has a tenth of a scene's surface and more; without depth, hardly any (chosen by hand).
 LEAST_ON_PLANE = 0.01
 PLANE_IS_EMPTY = (
     "nothing that was measured lies on the plane of `floor` in benchmark.yaml: give it in metres in the "
@@ -261,7 +260,7 @@ def find_floor_and_object(
             it was chosen in another floor frame.
     """
     scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
-    with scene.floor.said_in_errors():
+    with scene.floor.explained_in_errors():
         return _find_on_floor(scene, mesh, trajectory, given_box, settings)
 
 
@@ -287,7 +286,7 @@ def _find_on_floor(
     chosen, feet, box = result.chosen, result.feet, result.box
     own = chosen[scene.owner]
     cells = np.floor(points_floor / (CELL_M * scale)).astype(np.int64)
-    chose = Selection(
+    selection = Selection(
         vertices_floor[(left & own) | feet] / scale,
         vertices_floor[left & ~own & ~feet] / scale,
         enlarged_box(box, 1 / scale),
@@ -297,7 +296,7 @@ def _find_on_floor(
         scale,
     )
     of_floor = scene.floor.warnings if scene.floor.found else (NO_FLOOR,)
-    lines = (*of_floor, *choice_warnings(chose))
+    lines = (*of_floor, *choice_warnings(selection))
     if scene.floor.given and not scene.floor.against and scene.floor.inlier_share < LEAST_ON_PLANE:
         lines = (PLANE_IS_EMPTY, *lines)
     how = "automatic" if given_box is None else "box"

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.segment.find.select import GROUNDED_M, SMALL_CELLS, connected, fit_box
 
 INLIER_M = 0.02
@@ -105,18 +105,13 @@ def _noise_m(distance_m: Float64, inlier_m: float) -> float:
 
 
 def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
-    """Whether a thing stands on a plane where the cameras look, and the plane is larger than it.
+    """Whether a thing stands on a plane (4,) where the cameras look, and the plane is larger than it.
 
     The plane is twice as long as the thing; or it goes on all around the thing, and the cameras look at the
-    thing. A thing that only reaches past a table, such as a lamp beside it, has its foot outside of the
-    plane.
-
-    Args:
-        plane: (4,), its unit normal up.
-        surface: of the scene.
+    thing. A thing that only reaches past a table, such as a lamp beside it, has its foot outside the plane.
     """
     height_m = surface.points_world @ plane[:3] + plane[3]
-    focus_m = float(surface.focus_world @ plane[:3] + plane[3])
+    focus_m = surface.focus_above_m(plane)
     if focus_m < -FOCUS_BELOW_M:
         return False
     T_level_world = floor_frame(plane)
@@ -161,5 +156,4 @@ def _nearest_piece(points: Float64, focus: Float64, cell_m: float) -> Float64 | 
     distance_m[np.bincount(label) < SMALL_CELLS] = np.inf
     if not np.isfinite(distance_m).any():
         return None
-    nearest: Bools = label == np.argmin(distance_m)
-    return np.asarray(points[nearest])
+    return np.asarray(points[label == np.argmin(distance_m)])

@@ -84,12 +84,7 @@ def other_floor(
 ) -> tuple[str, ...]:
     """A line for people if the frames by themselves show another floor than the fused scene does.
 
-    Args:
-        floor: of the fused scene.
-        sequence: the recording.
-        trajectory: its poses.
-        hint: what is known of the floor; a person's plane was judged by the scene (`find_floor`).
-        max_depth_m: farther depth is ignored, metres.
+    Depth beyond `max_depth_m` is ignored. A person's plane was already judged by the scene (`find_floor`).
     """
     frames = trajectory.good_frames
     if hint.plane_world is not None or not floor.found or len(frames) < 2:

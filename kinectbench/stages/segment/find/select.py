@@ -44,7 +44,7 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
     Returns:
         (n,) int32, from 1; not every number need occur.
     """
-    return _with_hanging(connected(points_floor, cell_m, through_faces), points_floor)
+    return _with_floating_merged(connected(points_floor, cell_m, through_faces), points_floor)
 
 
 def connected(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
@@ -66,7 +66,7 @@ def standing(label: Int32, points_floor: Float64) -> Bools:
     return np.asarray(lowest_m <= GROUNDED_M)
 
 
-def _with_hanging(label: Int32, points_floor: Float64) -> Int32:
+def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
     """Labels (n,) with floating pieces merged into their nearest standing piece."""
     from scipy.spatial import cKDTree
 

@@ -35,8 +35,7 @@ LEVEL_COSINE, PLATE_RATIO, MIN_PLATE_POINTS, LOWEST_SHARE = 0.9, 1.2, 40, 0.05
 # What passes before something is nearer by so many standard deviations of its depth, or so much: two depths
 # differ by less from noise alone in all but a few of a thousand pixels (chosen by hand).
 NEARER_SIGMAS, NEARER_M = 4.0, 0.01
-# The visible part of a standing object begins within this height of the floor; that of a hand-held one does
-# not.
+# What is seen of a standing object begins within this height of the floor; of a hand-held one, higher.
 HANGS_M = 0.06
 MOVES = (
     "`segment_by: turntable` needs a camera that stands still before an object that turns, and here {what}; "

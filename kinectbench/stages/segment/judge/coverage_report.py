@@ -27,8 +27,7 @@ SEEN_WITHIN_RAD = np.radians(75.0)
 MIN_FRAMES = 10
 # Real floors scatter by up to 6 mm; a surface that scatters by 20 mm is not taken for a plane.
 MAX_FLOOR_NOISE_M = 0.010
-# So much of the depth around the object may be dropped without a warning: a corner of the grid (chosen by
-# hand).
+# This share of the depth around the object may be dropped: a corner of the grid (chosen by hand).
 MAX_BEYOND_SHARE = 0.01
 
 
@@ -120,8 +119,7 @@ class CoverageReport:
 def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
     """The widest gap between the cameras (n, 4, 4), n > 0, around the object, seen from above.
 
-    A side within 75 degrees of a camera's direction counts as seen: a gap of 150 degrees hides nothing
-    upright.
+    A side within 75 degrees of a camera's direction is seen: a gap of 150 degrees hides nothing upright.
     """
     x, y, _ = (T_floor_camera[:, :3, 3] - center_floor).T
     angles = np.sort(np.arctan2(y, x))
@@ -172,13 +170,8 @@ def coverage_report(
 ) -> CoverageReport:
     """Report what is wrong with the recording: poses, an unseen side, few frames, movement, range, choice.
 
-    Args:
-        sequence: the recording.
-        trajectory: its poses.
-        scene: the fused surface, world frame.
-        chosen: floor and object.
-        grid: around the object.
-        max_depth_m: how far depth makes surface in it.
+    `scene` is the fused surface, `grid` lies around the object, and depth makes surface in it up to
+    `max_depth_m`.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]

@@ -121,12 +121,12 @@ def estimate_iou(
     least = max(0.0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
     expected = _expected(shape)
     value = expected.iou(missing)
-    coins = COIN_SIGMAS * _regions_sigma(shape, expected)
+    spread = COIN_SIGMAS * _regions_sigma(shape, expected)
     guessed = _Volumes(expected.known, 1 - expected.known, 0.0)
     return IouEstimate(
         value,
-        max(0.0, expected.iou(most) - coins),
-        min(guessed.iou(least), expected.iou(least) + coins),
+        max(0.0, expected.iou(most) - spread),
+        min(guessed.iou(least), expected.iou(least) + spread),
         _reasons(frontiers, per_mm, shifted, pose_error.checked),
     )
 

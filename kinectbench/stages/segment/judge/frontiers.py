@@ -19,8 +19,7 @@ from kinectbench.stages.segment.solid.solid import SolidShape
 
 Direction = Literal["up", "side", "down"]
 
-# A frontier is reported if the volume behind it is this share of the solid's, and if it is so large (chosen
-# by hand).
+# A frontier is reported from this share of the solid's volume and this area on (chosen by hand).
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
 # The report asks about the underside if the answer decides this share of the solid (chosen by hand).
 LEAST_UNDERSIDE_SHARE = 0.05
@@ -31,8 +30,7 @@ VIEW_DIRECTIONS = 100
 # Directions that show this share of what the best one shows are as good. The one nearest to this elevation,
 # at which a person holds a camera, is taken (chosen by hand).
 ENOUGH, CAMERA_ELEVATION_RAD = 0.8, np.radians(25.0)
-# Vertical components of a unit vector: straight above or below from the first, level between the others
-# (chosen by hand).
+# Vertical parts of a unit vector: steep from the first on, level between the others (chosen by hand).
 STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
 # Directions are reported in these steps: nobody walks around a thing more exactly (chosen by hand).
 TURN_STEP_DEG, HALF_TURN_DEG = 10, 180
@@ -90,10 +88,9 @@ class Frontier:
 
 
 def turned(towards_rad: float, first_rad: float) -> str:
-    """How far around the object a direction is from where the recording begins, facing it, in words.
+    """How far around the object a direction is from the first camera's, facing the object, in words.
 
-    Both angles are seen from above, counterclockwise from x of the floor frame; `first_rad` is the first
-    camera's.
+    Both angles are seen from above, counterclockwise from x of the floor frame.
     """
     turn_deg = np.degrees(np.angle(np.exp(1j * (towards_rad - first_rad))))
     rounded = TURN_STEP_DEG * round(abs(turn_deg) / TURN_STEP_DEG)
@@ -108,8 +105,7 @@ def turned(towards_rad: float, first_rad: float) -> str:
 def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
     """From where to look at a point `height_m` above the floor, in words.
 
-    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as for
-    `turned`.
+    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as in `turned`.
     """
     up, height = look_from[2], f"{100 * height_m:.0f} cm"
     towards = f"from {turned(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
@@ -127,13 +123,7 @@ def find_frontiers(
 
     A frontier is the part of a piece of unknown voxels (26 neighbours) that borders free space. It is looked
     into along the direction that shows most of the piece, or nearly so. Unknown layers thinner than a line of
-    sight have none, but for undersides.
-
-    Args:
-        shape: the solid.
-        evidence: the class of each of its voxels.
-        limits: of the sensor.
-        T_floor_grid: (4, 4), of its grid.
+    sight have none, but for undersides. `T_floor_grid` (4, 4) is of the solid's grid.
     """
     unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
     frontiers: list[Frontier] = []
