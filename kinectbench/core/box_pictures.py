@@ -25,7 +25,7 @@ WHOLE_WEIGHT = 2.0
 NEARER_BONUS_M = 0.1
 # Frames whose scores differ by less show a thing equally well: the sharpest one is taken.
 SIMILAR = 0.05
-USUAL_BLUR = 1.0
+TYPICAL_BLUR = 1.0
 NEAR_M = 0.05
 # Pairs of corners, in the order of `OrientedBox.corners_floor`, that share an edge.
 EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
@@ -125,7 +125,7 @@ def best_frame(shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> i
     scores = np.where(seen >= MIN_SEEN * seen.max(), WHOLE_WEIGHT * whole + seen + nearness, 0.0)
     blur = {row.frame: row.blur for row in trajectory.health.per_frame} if trajectory.health else {}
     similar = np.flatnonzero(scores > scores.max() - SIMILAR).tolist()
-    best = min(similar, key=lambda k: (blur.get(int(judged[k])) or USUAL_BLUR, -scores[k]))
+    best = min(similar, key=lambda k: (blur.get(int(judged[k])) or TYPICAL_BLUR, -scores[k]))
     return int(judged[best])
 
 

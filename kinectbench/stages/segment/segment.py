@@ -65,6 +65,7 @@ def segment(
         SegmentationError: no floor, no object, or a box with nothing in it.
         ShapeError: no solid can be made.
     """
+    # Find the object, and choose the grid around it.
     hint = floor_hint(sequence, trajectory, floor)
     if sequence.beside_m is None:
         chosen = find_floor_and_object(scene, trajectory, given_box, segmentation, hint)
@@ -76,6 +77,7 @@ def segment(
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
     chosen = _with_warnings_of_frames(chosen, sequence, trajectory, hint, max_depth_m)
+    # Fuse the frames into that grid, and decide what is solid.
     support = None if chosen.hangs else chosen.floor
     layers = floor_layers(support, segmentation, grid.voxel_size_m)
     ray_width_m = grid_ray_width_m(sequence.camera, trajectory, grid)
@@ -83,6 +85,7 @@ def segment(
     frames = _Frames(sequence, trajectory, fusion, progress)
     solids, frontiers = _make_solids(frames, grid, chosen, rules, resolution.scale)
     surround = frames.fused_around(grid, chosen)
+    # Judge the solid.
     report = coverage_report(sequence, trajectory, scene, chosen, grid, max_depth_m)
     box, pose_error = solid_box(solids.whole, chosen.floor), pose_error_of(trajectory)
     quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
@@ -126,7 +129,7 @@ class _Frames:
 def _make_solids(
     frames: _Frames, grid: Grid, chosen: Segmentation, rules: Rules, scale: float
 ) -> tuple[Solids, tuple[Frontier, ...]]:
-    """Make solids from all, from the odd and from the even frames, and find the openings that none saw into.
+    """Make solids of all, of the odd and of the even frames; find the openings that no frame saw into.
 
     The odd and the even frames are fused apart and then merged: the repeatability of the shape costs no
     further pass over the frames. The rules see the object in a world that is 1 / scale times as large.

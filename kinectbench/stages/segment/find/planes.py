@@ -19,7 +19,7 @@ MAX_NOISE_M = 0.02
 PARALLEL_COSINE = 0.97
 LOWER_M = 0.2
 # This share of the points has a neighbour within the spacing.
-USUAL_SHARE = 0.9
+SPACING_QUANTILE = 0.9
 
 # The focus may lie so far below the support of a flat thing: people aim no better than a finger's breadth.
 FOCUS_BELOW_M = 0.03
@@ -62,7 +62,7 @@ class Surface:
         from scipy.spatial import cKDTree
 
         points = self.points_world
-        return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], USUAL_SHARE))
+        return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], SPACING_QUANTILE))
 
     def focus_above_m(self, plane: Float64) -> float:
         """How far the focus is above a plane (4,)."""
