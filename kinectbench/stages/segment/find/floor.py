@@ -56,7 +56,6 @@ LEAST_UPSIDE_DOWN = 0.15
 LOWEST_SHARE = 0.001
 # The fused floor's surface strays from the plane by so many of its standard deviations at most.
 FLOOR_SIGMAS = 4.0
-
 GIVEN = "the plane that benchmark.yaml gives as `floor`"
 # The plane that is seen is the one given if it is off by at most this, or so many times its noise, and turned
 # by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).

@@ -59,17 +59,14 @@ class KnowsUp(Protocol):
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
         """The trajectory that came with it."""
-        ...
 
     @property
     def up_world(self) -> Float64 | tuple[float, float, float] | None:
         """(3,) unit: up in the frame of that trajectory, by gravity."""
-        ...
 
     @property
     def up_cameras(self) -> tuple[UpSample, ...]:
         """Up in some frames' own axes, by an accelerometer."""
-        ...
 
 
 def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:

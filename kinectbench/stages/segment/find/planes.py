@@ -20,7 +20,6 @@ PARALLEL_COSINE = 0.97
 LOWER_M = 0.2
 # This share of the points has a neighbour within the spacing.
 SPACING_QUANTILE = 0.9
-
 # The focus may lie so far below the support of a flat thing: people aim no better than a finger's breadth.
 FOCUS_BELOW_M = 0.03
 # A thing that stands on a plane rises so far above it.

@@ -23,7 +23,6 @@ SHELL_M = 0.0125
 # A line of sight ends within so many voxels of a measured surface, on both sides. If it ended in the whole
 # band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
 SHEET_VOXELS = 1.2
-
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.
 FINE: Final = 1600
 COARSE: Final = 400

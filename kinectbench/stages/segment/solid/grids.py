@@ -25,7 +25,6 @@ SURROUND_FACTOR = 4
 MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400
 # The sides of both grids are multiples of it: fusion works in blocks of 8.
 CUBE_VOXELS = 16
-
 # The rules for solids were chosen on furniture with these voxels. Larger ones are taken only where a person
 # says so. A small thing recorded from near is enlarged until it is as many voxels long as furniture.
 REFERENCE_VOXEL_M = 0.005

@@ -16,7 +16,6 @@ from kinectbench.stages.segment.solid.guess import inside_probability, measured_
 
 SMOOTHING_VOXELS = 0.7
 SPECK_SHARE = 0.02
-
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
 LEG_HEIGHT_M, LEG_GAP_M = 0.05, 0.1
 # The upper end of a piece: its columns in so many layers below its highest cell.
