@@ -42,7 +42,7 @@ class PoseError:
 
 def pose_error_of(trajectory: Trajectory) -> PoseError:
     """The median error of the poses; given poses that are trusted have none."""
-    median_m = trajectory.usual_pose_sigma_m
+    median_m = trajectory.median_pose_sigma_m
     if trajectory.source == "trust":
         return PoseError(0.0, median_m is not None)
     return PoseError(UNCHECKED_POSE_SIGMA_M if median_m is None else median_m, median_m is not None)

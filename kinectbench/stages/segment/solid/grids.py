@@ -77,7 +77,7 @@ def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Flo
     """The width of the frames' rays at a point (3,), at the cameras' median distance from it, metres."""
     cameras_world = trajectory.T_world_camera[trajectory.good_frames, :3, 3]
     distance_m = float(np.median(np.linalg.norm(cameras_world - middle_world, axis=1)))
-    return ray_width_m(camera, trajectory.usual_pose_sigma_m, distance_m)
+    return ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)
 
 
 def grid_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
