@@ -10,6 +10,7 @@ import typer
 
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.extras import missing_extra
 from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
@@ -136,7 +137,8 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
     shown = [row.summary for row in first]
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
-        console.object_lines(shown)
+        # `build` has said already what to record again (`do this first`).
+        console.object_lines(shown, frontiers=upto == "segment")
     if len(rows) > len(shown):
         current = sum(row.error is None and not row.made for row in rows)
         more = len(rows) - len(shown)
@@ -166,6 +168,8 @@ def build_recordings(
 
     With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
     """
+    if missing := missing_extra("build"):
+        raise SettingsError(missing)
     chosen = chosen_jobs(common, ids)
     if told:
         _tell_changed_settings(chosen, upto)

@@ -111,8 +111,13 @@ def waiting(what: str, holder: str) -> None:
     lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
 
 
-def object_lines(rows: "Sequence[RecordingSummary]") -> None:
-    """What the table has no room for: why an object's estimate is uncertain."""
+def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
+    """What the table has no room for: why an object's estimate is uncertain, and what to record again.
+
+    Args:
+        rows: a recording each.
+        frontiers: of those that were up to date say what to record again; of others the warnings say it.
+    """
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
     for row in rows:
@@ -122,6 +127,8 @@ def object_lines(rows: "Sequence[RecordingSummary]") -> None:
             out.print(Text(found), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
+        for frontier in (row.frontiers or ()) if frontiers and not row.made else ():
+            out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:

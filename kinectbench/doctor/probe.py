@@ -13,7 +13,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
 from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_color_bgr, image_header
-from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, check_size
+from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, check_color, check_size
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # A recording with more frames is read in runs: a long one in the middle, two at the ends to measure clock
@@ -163,22 +163,22 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
     damaged: list[str] = []
     refused: list[str] = []
     odd: dict[int, str] = {}
+    odd_color: dict[int, str] = {}
     for index in indices.tolist():
         try:
             frame = recording.frame(index)
             gathering.take(index, frame)
-            try:
-                check_size(frame, recording)
-            except OddImageError as error:
-                odd[index] = str(error)
+            for check, found in ((check_size, odd), (check_color, odd_color)):
+                try:
+                    check(frame, recording)
+                except OddImageError as error:
+                    found[index] = str(error)
         except RecordingError as error:
             whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
             (refused if whole else damaged).append(str(error))
-    if len(odd) < MAX_DAMAGED * len(
-        indices
-    ):  # a build leaves out this few; if there are more, their sizes are reported
-        return gathering.probe(damaged, [*refused, *odd.values()], odd)
-    return gathering.probe(damaged, refused)
+    if len(odd.keys() | odd_color.keys()) >= MAX_DAMAGED * len(indices):
+        odd = {}  # a build does not leave out so many; the check of depth reports their sizes
+    return gathering.probe(damaged, [*refused, *(odd_color | odd).values()], [*odd, *odd_color])
 
 
 def frames_to_read(count: int) -> NDArray[np.int64]:

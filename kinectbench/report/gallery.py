@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ from kinectbench.core import images
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import ReleaseError
-from kinectbench.core.extras import missing_extra
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
@@ -219,7 +219,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 
 def _picture(release: Release, target: Target) -> str:
     """The view as it was recorded: depth with the mask's outline, on its right colour; "" if not shown."""
-    if missing_extra("build"):  # the page does without pictures where nothing decodes them
+    if find_spec("cv2") is None:  # the page does without pictures where nothing decodes them
         return ""
     try:
         depth = images.depth_picture((depth_m(release, target) * 1000).astype(np.uint16))

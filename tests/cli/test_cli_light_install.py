@@ -63,6 +63,15 @@ def test_what_needs_the_extra_says_so_in_one_line(tmp_path: Path, command: tuple
     assert {entry.name for entry in tmp_path.iterdir()} <= {"sitecustomize.py", "__pycache__"}
 
 
+@pytest.mark.parametrize("command", [("score",), ("report",), ("baseline", "hull"), ("export", "x")])
+def test_a_command_that_builds_first_says_so_too(tmp_path: Path, command: tuple[str, ...]) -> None:
+    text = "name: a\nrecordings:\n  - {id: chair_01, path: chair_01, category: chair}\n"
+    (tmp_path / "benchmark.yaml").write_text(text)
+    done = kinectbench(tmp_path, tmp_path, *command)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert "pip install 'kinectbench[build]'" in done.stderr and not (tmp_path / "scores").exists()
+
+
 def test_the_map_of_extras_is_that_of_the_project() -> None:
     import tomllib
 

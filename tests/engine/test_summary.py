@@ -48,10 +48,12 @@ def row(root: Path, quality: dict, made: tuple[str, ...] = ()) -> RecordingSumma
     return summary(Job(SETTINGS, SETTINGS.recordings[0], root), Outcome("bin", made, current, None, 0.0))
 
 
-def told(rows: list[RecordingSummary], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def told(
+    rows: list[RecordingSummary], monkeypatch: pytest.MonkeyPatch, *, frontiers: bool = False
+) -> list[str]:
     shown = Console(width=160, record=True, file=io.StringIO())
     monkeypatch.setattr(console, "out", shown)
-    console.object_lines(rows)
+    console.object_lines(rows, frontiers=frontiers)
     return shown.export_text().splitlines()
 
 
@@ -61,7 +63,10 @@ def test_a_line_for_each_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         "bin: estimated IoU 0.74 (0.35 to 0.80); the interval in brackets is so wide because of:",
         "  an opening that nobody looked into",
         "  thin parts",
-    ]  # what is to be recorded again stands among the warnings
+    ]
+    # What was made in this run has it among its warnings.
+    assert told([row(tmp_path, ESTIMATE)], monkeypatch, frontiers=True) == [*lines, f"bin: {ADVICE}"]
+    assert told([row(tmp_path, ESTIMATE, ("segment",))], monkeypatch, frontiers=True) == lines
 
 
 def test_an_object_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

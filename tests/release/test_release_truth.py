@@ -1,5 +1,6 @@
 """What a release says of an object, forged and sealed again: `verify` makes it anew of the object's mesh."""
 
+import json
 import re
 import shutil
 from collections.abc import Callable
@@ -186,3 +187,20 @@ def test_cells_of_grids_that_are_no_cubes() -> None:
     assert not costs_too_much(corners[:, :2], faces, (40, 9))
     assert costs_too_much(corners[:, :2], np.tile(faces, (5000, 1)), (40, 9))
     assert voxelize_solid(corners, faces, Grid((40, 9, 8), 1.0, np.eye(4))).any()
+
+
+def test_a_volume_that_is_too_large_is_named(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Padding the volume does not switch the comparison off without a word."""
+    monkeypatch.setattr("kinectbench.release.check.truth_check.MOST_VOXELS", 10)
+    lines = verify(copy)
+    assert any(re.match(rf"{FOLDER}/volume\.npz: [\d x]+ voxels are too many", line) for line in lines)
+
+
+def test_objects_are_asked_for_whatever_the_settings_say(copy: Path) -> None:
+    for path in (copy / FOLDER).iterdir():
+        path.unlink()
+    stated = json.loads((copy / "benchmark.json").read_text())
+    stated["settings"] |= {"recordings": None, "views": None}
+    (copy / "benchmark.json").write_text(json.dumps(stated))
+    seal(copy)
+    assert f"{FOLDER}/mesh.ply: missing, a release of recordings has it" in verify(copy)

@@ -84,7 +84,7 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
     known = [value for value in values if value is not None]
     # Of a trajectory that is not good it is the lower end, so either may break the limit.
     low_iou, any_low = (
-        (values[0] or 1) < limits.min_estimated_iou,
+        (1 if values[0] is None else values[0]) < limits.min_estimated_iou,
         min([*known, 1]) < limits.min_estimated_iou,
     )
     unknown = (quality.unknown_share or 0) > limits.max_unknown_share

@@ -42,16 +42,22 @@ ACROSS = {"winding": ((0, 1),), "seeable": ((0, 1),), "six-rays": ((0, 1), (0, 2
 NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 
 
+class TooLargeError(ReleaseError):
+    """A volume that would take more than some hundred megabytes to be compared."""
+
+
 @dataclass(frozen=True)
 class ObjectTruth:
     """What a release has of an object.
 
     Attributes:
         mesh: its closed mesh, world frame, metres; None: there is none that can be read.
+        recorded: it has a volume, as objects of recordings have.
         cells: by name the voxels of its volume: "known", "unknown", "interior", "said"; none without it.
     """
 
     mesh: TriangleMesh | None = None
+    recorded: bool = False
     cells: Mapping[str, KnownGrid] = field(default_factory=dict)
 
 
@@ -73,16 +79,20 @@ def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> 
     if not len(mesh.faces):
         return ObjectTruth(), []
     faults = [f"{folder}{GLB}: {fault}" for fault in _glb_faults(contents, folder, whole, mesh)]
+    recorded = f"{folder}/{VOLUME}" in whole
     try:
         grid, solid, labels, underside = _volume(contents, _published(f"{folder}/{VOLUME}", whole))
+    except TooLargeError as error:
+        return ObjectTruth(mesh, recorded), [*faults, str(error)]
     except (ReleaseError, *UNREADABLE):
-        return ObjectTruth(mesh), faults
+        return ObjectTruth(mesh, recorded), faults
     faults += [f"{folder}/{VOLUME}: {fault}" for fault in _volume_faults(mesh, grid, solid, labels)]
     known = labels != Label.UNKNOWN
     cells = {"known": known, "unknown": ~known, "interior": labels == Label.INTERIOR}
     if underside.shape == labels.shape:
         cells["said"] = known & underside
-    return ObjectTruth(mesh, {name: known_grid(grid, which) for name, which in cells.items()}), faults
+    grids = {name: known_grid(grid, which) for name, which in cells.items()}
+    return ObjectTruth(mesh, recorded, grids), faults
 
 
 def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
@@ -103,7 +113,8 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, NDArray[Any], NDArray[
     """A volume's grid, solid, labels and underside.
 
     Raises:
-        ReleaseError: it is too large to be compared.
+        TooLargeError: it cannot be compared in bounded memory.
+        ReleaseError: it is not as it was published.
         UNREADABLE: one of these exceptions: it is damaged.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
@@ -111,7 +122,9 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, NDArray[Any], NDArray[
         arrays = arrays_of(file, VOLUME_BYTES, names, {"underside": np.zeros(0, bool)})
     solid, labels, size_m = arrays["solid"], arrays["labels"], arrays["voxel_size_m"]
     if labels.ndim != 3 or labels.size > MOST_VOXELS or max(labels.shape) > MOST_SIDE:
-        raise ReleaseError(f"{name}: too large to be compared")
+        raise TooLargeError(
+            f"{name}: {' x '.join(map(str, labels.shape))} voxels are too many: no pair is compared with it"
+        )
     T = arrays["T_world_grid"].reshape(4, 4)
     if solid.shape != labels.shape or not is_rigid(T) or not 0 < float(size_m) < np.inf:
         raise ValueError("its arrays have different shapes, or its grid is none")
@@ -170,7 +183,7 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
         truth: of its object.
     """
     if truth.mesh is not None:
-        yield from _full_problems(pair, truth.mesh, recorded=bool(truth.cells))
+        yield from _full_problems(pair, truth.mesh, recorded=truth.recorded)
     for name, said in (("known", pair.known), ("interior", pair.interior), ("said", pair.said)):
         if said is None or name not in truth.cells:
             continue

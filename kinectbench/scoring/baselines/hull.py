@@ -25,7 +25,7 @@ def hull(inputs: Inputs) -> Bools:
 def carved_hull(inputs: Inputs) -> Bools:
     """The convex hull of `partial_256` without what the view saw to be empty: (256, 256, 256) bool.
 
-    What one view alone tells for certain: a visual hull (Laurentini, TPAMI 1994) of depth.
+    The strongest of what one view alone tells without a prior: the hull may hold air that nobody saw.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved

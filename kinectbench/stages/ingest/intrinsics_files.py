@@ -34,7 +34,9 @@ YAML_BYTES, MOST_YAML = 64 << 10, 200
 YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
 # Other programs have something else under these: they count where they hold as many numbers as a camera has.
 LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
-YAML_DISTORTIONS = ("distortion_coefficients", "distortion", "dist_coeffs")
+YAML_DISTORTIONS = ("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "D", "d")
+# ORB-SLAM's k1, k2, p1, p2.
+YAML_POLYNOMIAL = re.compile(r"^[ \t]*Camera\d?\.[kp]\d[ \t]*:[ \t]*([-+.\deE]{1,30})", re.MULTILINE)
 YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
 # As ORB-SLAM has them (Camera.fx), and many others.
 YAML_FOCAL = re.compile(
@@ -44,7 +46,7 @@ YAML_FOCAL = re.compile(
 # 4x4 numbers, one a line, and what OpenCV writes before them (own choice).
 # What OpenCV and ROS write beside `data`.
 OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
-YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:(.*)"), 24
+YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Names of files that may hold intrinsics in a layout that is not read.
 LIKE_INTRINSICS = re.compile(
@@ -129,39 +131,65 @@ def _read_yaml(file: Path) -> Intrinsics | None:
     """The pinhole camera of a YAML file of OpenCV's, ROS's or others'; None if it holds none.
 
     Raises:
-        RecordingError: it names a matrix that does not hold one, as where a file was cut off.
+        RecordingError: it names a matrix that does not hold one, as where a file was cut off; or it holds two
+            cameras.
     """
     text = read_text(file, YAML_BYTES)
-    values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS))
+    values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS), file)
     sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
-    distorted = any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
+    polynomial = (_number(word) for word in YAML_POLYNOMIAL.findall(text))
+    distorted = any(polynomial) or any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
     note = f"{file}: its distortion is not taken away; if depth is not rectified, undistort it first"
     sizes["notes"] = (note,) if distorted else ()
     for key in (key for key in YAML_MATRICES if key in values):
         numbers = values[key]
-        if numbers is not None and len(numbers) == len(NEEDED):
+        if numbers is None:  # words: the name of another file, or another program's settings
+            continue
+        if len(numbers) == len(NEEDED):
             fx, fy, cx, cy = numbers
             return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, **sizes)
-        shape = MATRIX_SHAPES.get(len(numbers or ()))
+        shape = MATRIX_SHAPES.get(len(numbers))
         if shape is not None:
             K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
             return replace(K, **sizes)
-        if key not in LOOSE_KEYS or len(numbers or ()) > len(NEEDED):
-            held = "something else than numbers" if numbers is None else f"{len(numbers)} numbers"
+        if key not in LOOSE_KEYS or len(numbers) > len(NEEDED):
             raise RecordingError(
-                f"{file}: '{key}' holds {held}, not the nine of a pinhole matrix (or fx, fy, cx, cy): "
-                "correct it, or give fx, fy, cx, cy under `camera:`"
+                f"{file}: '{key}' holds {len(numbers)} numbers, not the nine of a pinhole matrix (or fx, fy, "
+                "cx, cy): correct it, or give fx, fy, cx, cy under `camera:`"
             )
-    said: dict[str, Any] = {key: parse_floats([word], str(file))[0] for key, word in YAML_FOCAL.findall(text)}
-    return Intrinsics(**said, **sizes) if said else None
+    said: dict[str, Any] = {}
+    for key, word in YAML_FOCAL.findall(text):
+        number = _number(word)
+        if number is not None and said.setdefault(key, number) != number:
+            raise _two_cameras(file, key)
+    return Intrinsics(**said, **sizes) if all(key in said for key in NEEDED) else None
 
 
-def _yaml_numbers(text: str, wanted: Collection[str]) -> dict[str, list[float] | None]:
-    """The numbers under some keys, in lists of any kind, or in the `data` of OpenCV's; None: not numbers."""
+def _number(word: str) -> float | None:
+    """The number that a word is; None if it is none."""
+    try:
+        return parse_floats([word], "")[0]
+    except RecordingError:
+        return None
+
+
+def _two_cameras(file: Path, key: str) -> RecordingError:
+    return RecordingError(
+        f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? Keep it "
+        "alone, or give fx, fy, cx, cy under `camera:`"
+    )
+
+
+def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
+    """The numbers under some keys, in lists of any kind, or in the `data` of OpenCV's; None: not numbers.
+
+    Raises:
+        RecordingError: a key of a matrix is there twice, with other numbers.
+    """
     lines, found = text.splitlines(), dict[str, list[float] | None]()
     for at, line in enumerate(lines):
         match = YAML_KEY.fullmatch(line)
-        if match is None or match[1] not in wanted or match[1] in found:
+        if match is None or match[1] not in wanted:
             continue
         parts = [match[2]]
         for below in lines[at + 1 : at + 1 + YAML_LINES]:
@@ -174,7 +202,10 @@ def _yaml_numbers(text: str, wanted: Collection[str]) -> dict[str, list[float] |
                 break
         words = " ".join(YAML_SIGNS.sub(" ", part) for part in parts).replace(OPENCV_TAG, " ").split()
         try:
-            found[match[1]] = parse_floats(words, "")
+            numbers: list[float] | None = parse_floats(words, "")
         except RecordingError:
-            found[match[1]] = None
+            numbers = None
+        before = found.setdefault(match[1], numbers)
+        if None not in (before, numbers) and before != numbers and match[1] in YAML_MATRICES:
+            raise _two_cameras(file, match[1])
     return found

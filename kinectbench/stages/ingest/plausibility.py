@@ -28,7 +28,6 @@ class FrameChecks:
     def __init__(self, recording: Recording) -> None:
         """Start before the first frame."""
         self._recording = recording
-        self._size_px = (recording.camera.width, recording.camera.height)
         self._every = max(1, len(recording) // SAMPLED_FRAMES)
         self._left_out: list[str] = []
         self._seen = 0
@@ -48,7 +47,7 @@ class FrameChecks:
             raise RecordingError(
                 f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase"
             )
-        suffix = self._check_color(frame)
+        suffix = check_color(frame, self._recording)
         self._last_stamp_ns = frame.stamp_ns
         self._look_at_depth(frame)
         return suffix
@@ -83,18 +82,6 @@ class FrameChecks:
         if self._empty:
             warnings.append(f"{len(self._empty)} depth images are empty, the first is {self._empty[0]}")
         return warnings
-
-    def _check_color(self, frame: RawFrame) -> str | None:
-        if frame.color is None:
-            return None
-        suffix, width, height = image_header(frame.color[1], f"colour of {frame.name}")
-        if self._recording.color_registered and (width, height) != self._size_px:
-            raise OddImageError(
-                f"{frame.name}: its colour is {width}x{height}, but its depth is {self._size_px[0]}x"
-                f"{self._size_px[1]}; in a recording whose colour is registered to depth "
-                f"(format {self._recording.format}) the sizes must agree"
-            )
-        return suffix
 
     def _look_at_depth(self, frame: RawFrame) -> None:
         if not frame.depth.any():
@@ -145,6 +132,25 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
             f"{frame.name}: depth is {width}x{height}, but the first frame's is "
             f"{camera.width}x{camera.height}: a recording must keep one size"
         )
+
+
+def check_color(frame: RawFrame, recording: Recording) -> str | None:
+    """The suffix that the colour image of a frame should have; None if it has no colour.
+
+    Raises:
+        DamagedImageError: the colour image is damaged.
+        OddImageError: it has another size than depth, to which it is registered.
+    """
+    if frame.color is None:
+        return None
+    suffix, width, height = image_header(frame.color[1], f"colour of {frame.name}")
+    size_px = recording.camera.width, recording.camera.height
+    if recording.color_registered and (width, height) != size_px:
+        raise OddImageError(
+            f"{frame.name}: its colour is {width}x{height}, but its depth is {size_px[0]}x{size_px[1]}; in a "
+            f"recording whose colour is registered to depth (format {recording.format}) the sizes must agree"
+        )
+    return suffix
 
 
 def trajectory_problem(recording: Recording) -> str:

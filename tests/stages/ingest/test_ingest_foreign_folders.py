@@ -95,13 +95,39 @@ def test_intrinsics_by_other_programs(
     assert any(note in line for line in recording.warnings) if note else recording.warnings == ()
 
 
+TWO = (("depth", 365.0), ("color", 540.0))
+KEYS, CAMERA_NUMBERS = ("fx", "fy", "cx", "cy"), (FX, FY, CX, CY)
+
+
+@pytest.mark.parametrize("text", ["K: {}\nD: [0.1, 0.2, 0, 0, 0]\n", "K: {}\nCamera.k1: 0.1\n"])
+def test_a_distortion_beside_a_matrix_is_named(tmp_path: Path, text: str) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "intrinsics.yaml").write_text(text.format(f"[{FX}, 0, {CX}, 0, {FY}, {CY}, 0, 0, 1]"))
+    assert any("its distortion is not taken away" in line for line in open_recording(folder).warnings)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         (f"K: [{FX}, 0, {CX}, 0, {FY}", r"intrinsics\.yaml: 'K' holds 5 numbers, not the nine"),
-        ("camera_matrix: {file: cam.npy}\n", "'camera_matrix' holds something else than numbers"),
-        (f"fx: {FX}\nfy: {FY}\n", r"does not say its intrinsics \(cx, cy\).*may stand in intrinsics\.yaml"),
+        ("camera_matrix: {file: cam.npy}\n", r"does not say its intrinsics.*may stand in intrinsics\.yaml"),
+        (f"fx: {FX}\nfy: {FY}\n", r"does not say its intrinsics.*may stand in intrinsics\.yaml"),
         ("k: 4\n", r"does not say its intrinsics \(fx, fy, cx, cy\).*may stand in intrinsics\.yaml"),
+        # Of two cameras none is taken.
+        (
+            "depth: {cx: 1}\n" + "".join(f"{c}:\n  fx: {f}\n  fy: {f}\n  cx: 3\n  cy: 2\n" for c, f in TWO),
+            r"intrinsics\.yaml: holds 'fx' more than once, with other numbers",
+        ),
+        (
+            "".join(
+                f"Camera{n}.{k}: {v + n}\n" for n in (1, 2) for k, v in zip(KEYS, CAMERA_NUMBERS, strict=True)
+            ),
+            r"holds 'fx' more than once",
+        ),
+        (
+            f"cam0:\n  intrinsics: [{FX}, {FY}, {CX}, {CY}]\ncam1:\n  intrinsics: [{FX}, {FY}, 1, 2]\n",
+            r"holds 'intrinsics' more than once",
+        ),
     ],
 )
 def test_intrinsics_that_are_not_whole_are_named(tmp_path: Path, text: str, words: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import HEIGHT, WIDTH, depth_image, png, write_folder
+from ingest_writers import HEIGHT, WIDTH, depth_image, jpeg, png, write_folder
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
@@ -116,3 +116,14 @@ def test_several_frames_of_another_kind_stop_build_and_inspect(tmp_path: Path, n
         write_sequence(open_recording(folder), tmp_path / "out")
     diagnosis, severities = looked_over(folder)
     assert severities == ["stops"] and diagnosis.stops
+
+
+def test_colour_of_another_size_stops_build_and_inspect(tmp_path: Path) -> None:
+    write_folder(tmp_path / "r", MANY)
+    small = np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.uint8)
+    for number in range(7, 12):
+        (tmp_path / f"r/color/{number}.jpg").write_bytes(jpeg(small))
+    with pytest.raises(RecordingError, match=r"its colour is .*5 of 24 frames cannot be used"):
+        write_sequence(open_recording(tmp_path / "r"), tmp_path / "out")
+    diagnosis, _ = inspect(tmp_path / "r")
+    assert diagnosis.stops and any("its colour is" in found.what for found in diagnosis.findings)

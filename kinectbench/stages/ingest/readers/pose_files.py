@@ -121,7 +121,7 @@ def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float6
 def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]]:
     """A row of each matrix, of rows of four values: four a pose, of which the last is 0 0 0 1, or three."""
     values = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in rows]
-    side = 4 if all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
+    side = 4 if len(values) > 3 and all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
     if len(rows) % side:
         raise RecordingError(
             f"{file}: holds {len(rows)} rows of four numbers, no whole number of matrices: write 4x4 "
