@@ -339,7 +339,7 @@ def test_the_baselines_stand_beside_a_method(command: Command, release: Release,
     alone = (tmp_path / "scores" / "scores.json").read_bytes()
     page = (tmp_path / "scores" / "index.html").read_text()
     assert shown.status == 0 and "hull (baseline)" in shown.out and "mine (baseline)" not in shown.out
-    assert page.count(">baseline</span>") == 3 * 6  # protocols, baselines
+    assert page.count(">baseline</span>") == 3 * 7  # protocols, baselines
     assert "kinectbench build" not in page and "score predictions/ --benchmark benchmark/" in page
     assert "min_containment" in page  # the release's own settings
     hidden = command(tmp_path, *score, "--no-baselines")
