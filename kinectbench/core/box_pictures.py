@@ -25,6 +25,7 @@ WHOLE_WEIGHT = 2.0
 NEARER_BONUS_M = 0.1
 # Frames whose scores differ by less show a thing equally well: the sharpest one is taken.
 SIMILAR = 0.05
+# Of a frame without a figure: blur is stated relative to the median frame (`relative_blur`).
 TYPICAL_BLUR = 1.0
 NEAR_M = 0.05
 # Pairs of corners, in the order of `OrientedBox.corners_floor`, that share an edge.

@@ -18,6 +18,7 @@ NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
 # A principal point farther from the centre (ratio of width or height) is not that of a full image.
 OFF_CENTRE = 0.15
 SAME_RATIO = 0.08
+# Between the sizes of sensors' own streams, such as 320, 512, 640, 1280 and 1920 pixels across.
 COMMON_SIZE_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
 NEARLY = 0.04
 MAX_ASPECT = 1.1

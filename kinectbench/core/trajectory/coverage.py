@@ -8,6 +8,7 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
+# Where optical axes never come close: from about as far people record furniture. Chosen by hand.
 TYPICAL_DISTANCE_M = 1.5
 # If the mean of the up vectors is shorter than this, they have no common direction.
 MIN_UPRIGHT = 0.1

@@ -15,6 +15,7 @@ SUBCELL_BITS = 16
 SUBCELL = 1 << SUBCELL_BITS
 # Four times what the finest mesh needs: a sphere of a million triangles has 2.3 million. 26 bytes each.
 MAX_CROSSINGS = 1 << 23
+# Faces whose boxes lie over one column of cells: 16 for each cell of a cube of 256. Chosen by hand.
 MAX_IN_A_COLUMN = 4096
 
 

@@ -1,7 +1,7 @@
 """Check what a release says of an object against its mesh: every pair's truth, and the volume.
 
-A recording's pairs are made of its mesh and its volume. All that they say of the object is computed anew, so
-no pair can be changed alone. Somebody who changes mesh, volume and pairs alike is found by `--rebuild` only.
+A recording's pairs are made of its mesh and its volume. All that they say of the object is computed again, so
+no pair can be changed alone. If mesh, volume and pairs are changed together, only `--rebuild` finds it.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -39,6 +39,7 @@ MAX_FAR_CELLS = 16 * FULL_CELLS
 MOST_VOXELS, MOST_SIDE = 64 << 20, 1024
 # Axes across the lines of each rule.
 ACROSS = {"winding": ((0, 1),), "seeable": ((0, 1),), "six-rays": ((0, 1), (0, 2), (1, 2))}
+# In place of the coarse grid around an object, which is not published: nothing is known by it.
 NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 
 
@@ -188,7 +189,7 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
         if said is None or name not in truth.cells:
             continue
         here = known_in(truth.cells[name], NOWHERE, pair.grid)
-        # Beyond the volume, what is known is told by a grid that no release has.
+        # Beyond the volume the coarse grid says what is known, and no release has it.
         beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~here
         if other := packed_count(here & ~said) + packed_count(beyond & said):
             yield f"{other} cells of '{name}' are not as its {VOLUME} has them"

@@ -1,7 +1,7 @@
 """`publish --isolate`: of each object whose truth is held back one view, and nothing else that tells of it.
 
 Views of one object can be registered with each other, and together they are its shape. What the other views
-have told of the object, or of where this one was taken, is not published with it either: the floor, the pose,
+show of the object, or of where this one was taken, is not published with it either: the floor, the pose,
 the background, the outline where the view has no depth, frames, stamps, hashes and settings.
 """
 
@@ -21,7 +21,8 @@ from kinectbench.core.storage import write_below
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.publish.held_back import DECIMALS
-from kinectbench.release.publish.rebuilt import MM_PER_M, PosedView
+from kinectbench.release.publish.rebuilt import PosedView
+from kinectbench.release.view_images import MM_PER_M
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
@@ -30,7 +31,7 @@ Row = TypeVar("Row", PairRow, ViewRow)
 VIEW = "000"
 # What is said of the recording of an isolated view.
 SETTINGS_KEYS = ("id", "object", "category", "split", "license", "source")
-# Of the colour image, which is encoded again (own choice).
+# Of the colour image, which is encoded again. Chosen by hand.
 JPEG_QUALITY = 95
 
 
@@ -47,7 +48,7 @@ class Isolated:
     left_out: tuple[str, ...] = ()
 
     def lines(self) -> Iterator[str]:
-        """What whoever publishes is told."""
+        """Lines for whoever publishes: what was left out."""
         if self.left_out:
             yield (
                 f"--isolate: {listed(self.left_out)} left out: one view of an object is published, which is "

@@ -137,8 +137,8 @@ def publish(
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
         info = ReleaseInfo.read(folder)
     # Whoever publishes is told the reasons, too.
-    told = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
-    warnings = tuple(dict.fromkeys((*told, *isolated.lines())))
+    named = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
+    warnings = tuple(dict.fromkeys((*named, *isolated.lines())))
     return replace(
         public, folder=out, warnings=warnings, private=private, private_sha256=whole.benchmark_sha256
     )

@@ -2,8 +2,8 @@
 
 Source: Dai et al., Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis, CVPR 2017, without
 its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`,
-described and written anew. The paper that is compared with here used occupancy in the place of distances: one
-channel in, one out, by cross-entropy.
+written here from their description. The paper that is compared with here used occupancy in place of
+distances: one channel in, one out, by cross-entropy.
 """
 
 import torch

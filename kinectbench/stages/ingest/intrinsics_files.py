@@ -42,11 +42,11 @@ YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
 YAML_FOCAL = re.compile(
     r"^[ \t]*(?:Camera\d?\.)?(fx|fy|cx|cy)[ \t]*:[ \t]*([-+.\deE]{1,30})[ \t]*(?:#.*)?$", re.MULTILINE
 )
-# A key, and what may stand between the numbers of its value. Of the lines below a key so many are looked at:
-# 4x4 numbers, one a line, and what OpenCV writes before them (own choice).
 # What OpenCV and ROS write beside `data`.
 OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
+# A key, and how many lines below it are read: 4x4 numbers, one a line, and what OpenCV writes before them.
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
+# What may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Names of files that may hold intrinsics in a layout that is not read.
 LIKE_INTRINSICS = re.compile(
