@@ -25,7 +25,7 @@ MOST_FILE_MB = 1000
 LONGEST_LINE = 1000
 # How each line of a command begins on standard error.
 OWN_LINES = ("error: ", "warning: ", "note: ", "failed: ", "waiting: ", "[")
-OWN_PARTS = (": error: ", ": warning: ", ": note: ")
+OWN_PARTS = (": error: ", ": warning: ", ": note: ", ": do this first: ")
 # Runs a command's arguments; returns its exit status.
 Call = Callable[[tuple[str, ...]], int]
 STACK, OUT, ERR = "stack.txt", "out.txt", "err.txt"
