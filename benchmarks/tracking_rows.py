@@ -3,7 +3,6 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from tracking_cases import RIVALS, Bar, Case
 from tracking_measure import Outcome
 
 import kinectbench
+from kinectbench.core.extras import package_version
 from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
 from kinectbench.core.types import Float64
 
@@ -163,7 +163,7 @@ def code_of(method: str) -> str:
     if method not in RIVALS:
         sources = [here / "tracking_measure.py", here / "tracking_distant.py"]
         sources += sorted(file for room in TRACKER for file in (PACKAGE / room).rglob("*.py"))
-    digest = hashlib.sha256(version("open3d").encode())
+    digest = hashlib.sha256(str(package_version("open3d")).encode())
     for source in sources:
         digest.update(source.read_bytes())
     return digest.hexdigest()

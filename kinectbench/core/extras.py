@@ -1,6 +1,7 @@
 """What is not installed with kinectbench alone, and which extra brings it."""
 
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
 # Top-level module -> extra of pyproject.toml.
@@ -13,6 +14,18 @@ EXTRA_OF: Mapping[str, str] = {
     "pyarrow": "tables",
     "torch": "methods",
 }
+# A package -> another distribution of the same modules (pyproject.toml installs one or the other).
+SAME_MODULES: Mapping[str, str] = {"open3d": "open3d-cpu"}
+
+
+def package_version(package: str) -> str | None:
+    """Version of an installed package, whichever distribution brought it; None if none did."""
+    for name in (package, SAME_MODULES.get(package, package)):
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            continue
+    return None
 
 
 def missing_module(error: ModuleNotFoundError) -> str | None:

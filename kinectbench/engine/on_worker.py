@@ -6,12 +6,12 @@ import pickle
 import time
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.errors import ClusterError
+from kinectbench.core.extras import package_version
 
 # What the bytes of a benchmark come from, beside kinectbench and Python.
 PACKAGES = (
@@ -30,15 +30,8 @@ MMAP_BYTES = 32 << 20
 def package_versions() -> Mapping[str, str]:
     """The versions here of all that the result of a task depends on; "none" for what is not installed."""
     return {"kinectbench": __version__, "Python": python_version()} | {
-        name: _version(name) for name in PACKAGES
+        name: package_version(name) or "none" for name in PACKAGES
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"
 
 
 @cache

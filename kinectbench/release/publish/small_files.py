@@ -3,7 +3,6 @@
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from kinectbench.core.artefacts.targets import (
     sums_text,
     targets_text,
 )
+from kinectbench.core.extras import package_version
 from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted import read_plain_text
@@ -207,11 +207,6 @@ def _seal(folder: Path, info: ReleaseInfo) -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of Python and of the packages that the data was computed with."""
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:  # another distribution of the same package
-            versions[name] = "unknown"
-    return versions
+    """Versions of Python and of the packages that the data was computed with; "unknown" if not installed."""
+    versions = {name: package_version(name) or "unknown" for name in PACKAGES}
+    return {"python": platform.python_version(), **versions}

@@ -7,13 +7,13 @@ test pass.
 import hashlib
 import json
 import platform
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.extras import package_version
 from kinectbench.core.storage import canonical_json, sha256_text
 from kinectbench.lab.simulate.objects import PAPER_FURNITURE, make_object
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
@@ -35,7 +35,7 @@ def machine() -> str:
             if line.startswith(("model name", "flags"))
         ]
         cpu = "\n".join(sorted(set(lines)))
-    return sha256_text(canonical_json([cpu, [version(name) for name in PACKAGES]]))[:16]
+    return sha256_text(canonical_json([cpu, [package_version(name) for name in PACKAGES]]))[:16]
 
 
 def spec_hash(name: str) -> str:
