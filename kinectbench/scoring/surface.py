@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
-from kinectbench.core.types import Float64
+from kinectbench.core.types import Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.truth import Truth
 
 if TYPE_CHECKING:  # numba is slow to load
-    from kinectbench.scoring.surface_kernels import Matched
+    from kinectbench.scoring.surface_kernels import Spread
 
 F_SCORE_MM = (10.0, 20.0)
 SIGMAS = 2.0
@@ -31,30 +31,34 @@ SAME = SurfaceMetrics(0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Distances:
-    """How far two surfaces are from each other, neither of them empty.
+    """How far the cells of two surfaces are from each other, neither of them empty.
 
     Attributes:
-        to_truth_mm: (n,) from each cell of the prediction's surface.
-        to_prediction_mm: (m,) from each cell of the truth's surface.
+        mm: (k,) the distances that there are between cells.
+        to_truth: (k,) how many cells of the prediction's surface have each.
+        to_prediction: (k,) how many cells of the truth's surface have each.
     """
 
-    to_truth_mm: Float64
-    to_prediction_mm: Float64
+    mm: Float64
+    to_truth: Int64
+    to_prediction: Int64
 
     def chamfer_mm(self) -> float:
         """Mean of the two mean distances."""
-        return float(self.to_truth_mm.mean() + self.to_prediction_mm.mean()) / 2
+        means = (float(self.mm @ cells) / int(cells.sum()) for cells in (self.to_truth, self.to_prediction))
+        return sum(means) / 2
 
     def f_score(self, tolerance_mm: float) -> float:
         """Harmonic mean of the shares of both surfaces within a tolerance; 0 if nothing is."""
-        precision = float((self.to_truth_mm <= tolerance_mm).mean())
-        recall = float((self.to_prediction_mm <= tolerance_mm).mean())
+        near = self.mm <= tolerance_mm
+        precision = int(self.to_truth[near].sum()) / int(self.to_truth.sum())
+        recall = int(self.to_prediction[near].sum()) / int(self.to_prediction.sum())
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def dice(self, tolerance_mm: float) -> float:
         """Share of the cells of both surfaces together within a tolerance."""
-        near = (self.to_truth_mm <= tolerance_mm).sum() + (self.to_prediction_mm <= tolerance_mm).sum()
-        return float(near) / (len(self.to_truth_mm) + len(self.to_prediction_mm))
+        cells = self.to_truth + self.to_prediction
+        return int(cells[self.mm <= tolerance_mm].sum()) / int(cells.sum())
 
 
 def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -> dict[str, SurfaceMetrics]:
@@ -69,30 +73,33 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
         By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
         is the grid's diagonal.
     """
-    from kinectbench.scoring.surface_kernels import Matched, matched, surface_of
+    from kinectbench.scoring.surface_kernels import spreads, surface_of
 
     ours, theirs = surface_of(predicted), surface_of(truth.full)
-    found, matches = dict[str, SurfaceMetrics](), dict[tuple[bool, str | None], tuple[Matched, Matched]]()
-    for name in protocols:
-        of = PROTOCOLS[name]
-        trusted = truth.distrusting(of.distrusts)
-        key = of.known, None if trusted is truth else of.distrusts
-        if key not in matches:  # one of several protocols that measure to the same cells
-            near, far = (each.within(trusted.known) if of.known else each for each in (ours, theirs))
-            matches[key] = matched(near, far), matched(far, near)
-        there, back = (each.within(~truth.seen) if of.hidden else each for each in matches[key])
-        found[name] = _metrics(there, back, truth)
-    return found
+    # Several protocols cut both surfaces to the same cells.
+    cut = {name: (PROTOCOLS[name].known, PROTOCOLS[name].distrusts) for name in protocols}
+    keys = list(dict.fromkeys(cut.values()))
+    everything = np.full_like(truth.known, 255)
+    masks = [truth.distrusting(distrusts).known if known else everything for known, distrusts in keys]
+    there = dict(zip(keys, spreads(ours, theirs, masks, ~truth.seen), strict=True))
+    back = dict(zip(keys, spreads(theirs, ours, masks, ~truth.seen), strict=True))
+    return {
+        name: _metrics(there[cut[name]][hidden], back[cut[name]][hidden], truth)
+        for name in protocols
+        for hidden in (int(PROTOCOLS[name].hidden),)
+    }
 
 
-def _metrics(there: "Matched", back: "Matched", truth: Truth) -> SurfaceMetrics:
+def _metrics(there: "Spread", back: "Spread", truth: Truth) -> SurfaceMetrics:
     """The metrics of the prediction's surface cells and of the truth's; `truth` is for its lengths."""
     if not len(there) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000
     if not len(there) or not len(back):
         return SurfaceMetrics(math.sqrt(3) * FULL_CELLS * voxel_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    between = Distances(np.sqrt(there.squared) * voxel_mm, np.sqrt(back.squared) * voxel_mm)
+    counts = np.zeros((2, max(len(there.cells), len(back.cells))), np.int64)
+    counts[0, : len(there.cells)], counts[1, : len(back.cells)] = there.cells, back.cells
+    between = Distances(np.sqrt(np.arange(counts.shape[1])) * voxel_mm, *counts)
     size_mm = size_cells(truth.full) * voxel_mm
     one_percent, two_percent, near, wide = 0.01 * size_mm, 0.02 * size_mm, *F_SCORE_MM
     return SurfaceMetrics(
@@ -102,7 +109,7 @@ def _metrics(there: "Matched", back: "Matched", truth: Truth) -> SurfaceMetrics:
         f_score_10mm=between.f_score(near),
         f_score_20mm=between.f_score(wide),
         surface_dice=between.dice(SIGMAS * truth.surface_sigma_m * 1000),
-        normal_consistency=(float(there.cosines.mean()) + float(back.cosines.mean())) / 2,
+        normal_consistency=(there.agreement / len(there) + back.agreement / len(back)) / 2,
     )
 
 

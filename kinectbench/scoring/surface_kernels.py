@@ -4,17 +4,20 @@ A shape has a hundred thousand surface cells, a prediction of noise eight millio
 small.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Bools, Float64, Int32
+from kinectbench.core.types import Bools, Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Packed
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
+# Cells that are matched at a time, at some 50 bytes each: a shape has fewer, noise takes 32 such parts.
+_PART_CELLS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,11 @@ class Cells:
     def __len__(self) -> int:
         return len(self.index)
 
+    def chosen(self, which: Bools) -> "Cells":
+        """Some of the cells, by a mask (n,); the boxes stay those of all."""
+        before = np.concatenate([[0], np.cumsum(which)]).astype(np.int32)
+        return Cells(self.index[which], before[self.start], self.box)
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -50,32 +58,80 @@ class Surface:
     moments: NDArray[np.int16]
 
     def within(self, mask: Packed) -> "Surface":
-        """The part of it that lies in a packed mask."""
+        """The part of it that lies in a packed mask; itself if all of it does."""
         packed = self.packed & mask
+        if np.array_equal(packed, self.packed):
+            return self
         return Surface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
+    def parts(self) -> Iterator["Surface"]:
+        """Pieces of whole blocks, of `_PART_CELLS` cells or little more."""
+        start, block = self.cells.start, 0
+        while block < len(self.cells.box):
+            first = start[block]
+            end = int(np.searchsorted(start, first + _PART_CELLS))
+            end = min(max(end, block + 1), len(self.cells.box))
+            of = slice(first, start[end])
+            cells = Cells(self.cells.index[of], start[block : end + 1] - first, self.cells.box[block:end])
+            yield Surface(self.packed, cells, self.moments[of])
+            block = end
 
-@dataclass(frozen=True)
-class Matched:
-    """The cells of one surface, each with the nearest cell of another.
+
+@dataclass
+class Spread:
+    """How far the cells of a surface are from another surface, and how well the normals agree.
 
     Attributes:
-        index: (n,) int32, the cells, x << 16 | y << 8 | z.
-        squared: (n,) int32, squared distance in cells.
-        cosines: (n,) float64, |n . n'| of the two normals; 1 where neither has one, 0 where one has.
+        cells: (k,) int64, how many cells have each squared distance in cells, up to the largest.
+        agreement: the sum of their |n . n'|, by `agreement`.
     """
 
-    index: Int32
-    squared: Int32
-    cosines: Float64
+    cells: Int64 = field(default_factory=lambda: np.zeros(1, np.int64))
+    agreement: float = 0.0
 
     def __len__(self) -> int:
-        return len(self.index)
+        return int(self.cells.sum())
 
-    def within(self, mask: Packed) -> "Matched":
-        """Those of its cells that lie in a packed mask, with the same nearest."""
-        chosen = is_set(mask, self.index)
-        return Matched(self.index[chosen], self.squared[chosen], self.cosines[chosen])
+    def add(self, squared: Int32, cosines: Float64) -> None:
+        """Count some more cells: their squared distances and |n . n'|, (n,) each."""
+        cells = np.bincount(squared, minlength=len(self.cells))
+        cells[: len(self.cells)] += self.cells
+        self.cells = cells
+        self.agreement += float(cosines.sum())
+
+
+def spreads(
+    queries: Surface, targets: Surface, masks: Sequence[Packed], hidden: Packed
+) -> list[tuple[Spread, Spread]]:
+    """How far one surface is from another, counted in parts of the grid.
+
+    The nearest cell in all of the other surface is the nearest of a part, too, if it lies there: only for the
+    other cells one is searched again.
+
+    Args:
+        queries: the surface whose cells are counted.
+        targets: the other surface.
+        masks: packed parts of the grid, to which both surfaces are cut.
+        hidden: packed; the second of the results holds only the queries in it.
+
+    Returns:
+        For each mask: the spread of the queries in it, and of those in `hidden`. If there are no targets all
+        distances and cosines are 0.
+    """
+    found = [(Spread(), Spread()) for _ in masks]
+    cut = [targets.within(mask) for mask in masks]
+    for part in queries.parts():
+        index = part.cells.index
+        everywhere, position, agreed = _matched(part, targets)
+        behind = is_set(hidden, index)
+        for mask, there, (whole, occluded) in zip(masks, cut, found, strict=True):
+            chosen, squared, cosines = is_set(mask, index), everywhere.copy(), agreed.copy()
+            again = chosen & ~is_set(mask, targets.cells.index[position]) if len(targets.cells) else chosen
+            some = Surface(part.packed, part.cells.chosen(again), part.moments[again])
+            squared[again], _, cosines[again] = _matched(some, there)
+            whole.add(squared[chosen], cosines[chosen])
+            occluded.add(squared[chosen & behind], cosines[chosen & behind])
+    return found
 
 
 def surface_of(solid: Packed) -> Surface:
@@ -85,18 +141,26 @@ def surface_of(solid: Packed) -> Surface:
     return Surface(packed, cells, moments(solid, cells.index))
 
 
-def matched(queries: Surface, targets: Surface) -> Matched:
-    """Each cell of one surface with the nearest of the other; zeros where the other is empty."""
-    index = queries.cells.index
-    if not len(targets.cells):
-        return Matched(index, np.zeros(len(index), np.int32), np.zeros(len(index)))
-    squared, found = nearest(queries.cells, targets.cells)
-    return Matched(index, squared, agreement(queries.moments, targets.moments, found))
+def _matched(queries: Surface, targets: Surface) -> tuple[Int32, Int32, Float64]:
+    """Squared distance, position in `targets` and |n . n'| of the nearest to each query; zeros if none is."""
+    n = len(queries.cells)
+    if not n or not len(targets.cells):
+        return np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n)
+    squared, position = nearest(queries.cells, targets.cells)
+    return squared, position, agreement(queries.moments, targets.moments, position)
 
 
 def is_set(packed: Packed, index: Int32) -> Bools:
     """Which of some cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
-    bits: Bools = (packed.reshape(-1)[index >> 3] << (index & 7).astype(np.uint8)) & 128 != 0
+    bits: Bools = _is_set(np.ascontiguousarray(packed).reshape(-1), index)
+    return bits
+
+
+@njit(cache=True, nogil=True)
+def _is_set(packed, index):  # type: ignore[no-untyped-def]
+    bits = np.empty(len(index), np.bool_)
+    for n in range(len(index)):
+        bits[n] = packed[index[n] >> 3] & (128 >> (index[n] & 7)) != 0
     return bits
 
 
@@ -253,7 +317,10 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def agreement(first, second, found):  # type: ignore[no-untyped-def]
-    """(n,) float64: |n . n'| of moments (n, 3) and of the rows `found` of others; of zeros see `Matched`."""
+    """(n,) float64: |n . n'| of moments (n, 3) and of the rows `found` of others.
+
+    1 where neither has a normal (both moments are zero), 0 where one has none.
+    """
     cosines = np.empty(len(first))
     for n in range(len(first)):
         a, b, c = np.float64(first[n, 0]), np.float64(first[n, 1]), np.float64(first[n, 2])
