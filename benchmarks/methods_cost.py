@@ -28,11 +28,11 @@ def measured(name: str, device: str, threads: int, step: bool) -> dict[str, Any]
     import torch
     from torch.utils.flop_counter import FlopCounterMode
 
-    from kinectbench.scoring.methods.config_file import find_config
-    from kinectbench.scoring.methods.data import Batch
-    from kinectbench.scoring.methods.grids import TruthBatch
-    from kinectbench.scoring.methods.registry import make_network
-    from kinectbench.scoring.methods.steps import Learner
+    from kinectbench.networks.config_file import find_config
+    from kinectbench.networks.data import Batch
+    from kinectbench.networks.grids import TruthBatch
+    from kinectbench.networks.registry import make_network
+    from kinectbench.networks.steps import Learner
 
     torch.set_num_threads(threads)
     config = find_config("3d-recgan++-code" if name == "3d-recgan++" else name)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values, unpack
+from kinectbench.networks.trained import Trained, folder_of, open_trained
+from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.baselines.inputs import MEAN_CELLS, Inputs, Training, up_in_grid
 from kinectbench.scoring.baselines.registry import BASELINES
 from kinectbench.scoring.counts import protocol_counts, tally
-from kinectbench.scoring.methods.trained import Trained, folder_of, open_trained
-from kinectbench.scoring.methods.validate import completed
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.truth import read_parts, read_truth
 from kinectbench.scoring.uncertainty import student_interval

@@ -150,10 +150,10 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
     """IoU of each test object at each threshold after training, then those of validation: rows of objects."""
     import torch
 
-    from kinectbench.scoring.methods.config import MethodSettings
-    from kinectbench.scoring.methods.data import PairFile, batches
-    from kinectbench.scoring.methods.registry import make_network
-    from kinectbench.scoring.methods.steps import Learner
+    from kinectbench.networks.config import MethodSettings
+    from kinectbench.networks.data import PairFile, batches
+    from kinectbench.networks.registry import make_network
+    from kinectbench.networks.steps import Learner
 
     torch.set_num_threads(1)
     config = MethodSettings.model_validate(
@@ -190,8 +190,8 @@ def learn(way: str, seed: int, steps: int, root: Path, names: dict[str, list[str
 
 def _curve(network: Any, folder: Path, config: Any) -> list[float]:
     """Mean IoU over an object's views at each of the seventeen thresholds, against the exact shape."""
+    from kinectbench.networks.validate import completed
     from kinectbench.scoring.counts import protocol_counts, tally
-    from kinectbench.scoring.methods.validate import completed
     from kinectbench.scoring.metrics import ious
     from kinectbench.scoring.truth import read_parts, read_truth
 

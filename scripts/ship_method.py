@@ -4,7 +4,7 @@
 
 The weights are halved first, and judged as they are shipped, on test pairs of the releases given (see
 benchmarks/trained_method.py). `kinectbench predict <name> RELEASE` then runs them. The method's folder,
-kinectbench/scoring/methods/trained/<name>/, holds the configuration, the weights, how they came to be, the
+kinectbench/networks/trained/<name>/, holds the configuration, the weights, how they came to be, the
 course as a picture, and the figures that it is shipped for.
 """
 
@@ -19,10 +19,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from kinectbench.core.artefacts.method import TrainingFile
-from kinectbench.scoring.methods.config_file import read_config
-from kinectbench.scoring.methods.run_folder import CONFIG, CURVES
-from kinectbench.scoring.methods.trained import FOLDER, open_trained
-from kinectbench.scoring.methods.weights import FILE, read_weights, write_weights
+from kinectbench.networks.config_file import read_config
+from kinectbench.networks.run_folder import CONFIG, CURVES
+from kinectbench.networks.trained import FOLDER, open_trained
+from kinectbench.networks.weights import FILE, read_weights, write_weights
 
 MOST_BYTES = 6_000_000
 FIGURES = "figures.json"

@@ -73,9 +73,9 @@ def make_method(folder: Path) -> None:
     from small_method import RECORDINGS, TINY
     from synthetic_release import publish_synthetic
 
+    from kinectbench.networks.config_file import read_config
+    from kinectbench.networks.train import train
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.config_file import read_config
-    from kinectbench.scoring.methods.train import train
 
     folder.mkdir()
     release = open_release(publish_synthetic(folder, RECORDINGS).folder)
@@ -187,7 +187,7 @@ def _bundle(entries: bytes, handles: int = 1) -> bytes:
 
 
 def _block(entries: bytes) -> bytes:
-    from kinectbench.scoring.methods.crc32c import masked_crc32c
+    from kinectbench.networks.crc32c import masked_crc32c
 
     content = entries + bytes(4) + (1).to_bytes(4, "little") + b"\0"
     return content + masked_crc32c(content).to_bytes(4, "little")

@@ -12,15 +12,15 @@ from kinectbench.cli.common import Common, takes
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.method import UnfinishedFile
     from kinectbench.core.types import Split
+    from kinectbench.networks.trained import Trained
     from kinectbench.release.release import Release as OpenRelease
-    from kinectbench.scoring.methods.trained import Trained
 
 Word = TypeVar("Word", bound=str)
 
 
 def _known_configs(incomplete: str) -> list[str]:
     """Names for the shell to complete."""
-    from kinectbench.scoring.methods.config_file import packaged_configs
+    from kinectbench.networks.config_file import packaged_configs
 
     return [name for name in packaged_configs() if name.startswith(incomplete)]
 
@@ -56,15 +56,15 @@ def train(
 ) -> None:
     """Train a network on a release; run it again to go on where it stopped."""
     from kinectbench.cli import console
-    from kinectbench.scoring.methods.registry import require_torch
+    from kinectbench.networks.registry import require_torch
 
     require_torch()
     from kinectbench.core.artefacts.method import TrainingFile
     from kinectbench.core.untrusted import printable
+    from kinectbench.networks.config_file import find_config
+    from kinectbench.networks.data import unknown_objects
+    from kinectbench.networks.train import train as run
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.config_file import find_config
-    from kinectbench.scoring.methods.data import unknown_objects
-    from kinectbench.scoring.methods.train import train as run
     from kinectbench.settings.words import listed
 
     if minutes is not None and math.isnan(minutes):
@@ -116,14 +116,14 @@ def predict(
 ) -> None:
     """Write a trained network's predictions, and method.json beside them; or score them at once."""
     from kinectbench.cli import console
-    from kinectbench.scoring.methods.registry import require_torch
+    from kinectbench.networks.registry import require_torch
 
     require_torch()
+    from kinectbench.networks.predict import PRECISIONS, SPLITS, notes, run_of
+    from kinectbench.networks.predict import predict as run
+    from kinectbench.networks.processes import chosen_device
+    from kinectbench.networks.trained import folder_of, open_trained
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.methods.predict import PRECISIONS, SPLITS, notes, run_of
-    from kinectbench.scoring.methods.predict import predict as run
-    from kinectbench.scoring.methods.processes import chosen_device
-    from kinectbench.scoring.methods.trained import folder_of, open_trained
 
     chosen = _chosen("--precision", precision, PRECISIONS)[0]
     splits = SPLITS if split is None else _chosen("--split", split, SPLITS)
@@ -182,8 +182,8 @@ def _score(
     from kinectbench.core.artefacts.gallery import write_gallery
     from kinectbench.core.artefacts.scores import SCORES_JSON
     from kinectbench.core.voxels.resample import HALF_PIXEL
+    from kinectbench.networks.score_predicted import as_written, score_predicted
     from kinectbench.report.gallery import loaded_cells
-    from kinectbench.scoring.methods.score_predicted import as_written, score_predicted
 
     with console.bar(f"predict and score {trained.config.name}") as progress:
         table = score_predicted(
@@ -217,10 +217,10 @@ def convert(
     from dataclasses import asdict
 
     from kinectbench.core.errors import SettingsError
-    from kinectbench.scoring.methods.registry import require_torch
+    from kinectbench.networks.registry import require_torch
 
     require_torch()
-    from kinectbench.scoring.methods.convert import CONVERTERS
+    from kinectbench.networks.convert import CONVERTERS
 
     if kind not in CONVERTERS:
         raise SettingsError(f"no kind of checkpoint '{kind}': choose {', '.join(CONVERTERS)}")

@@ -6,13 +6,13 @@ import numpy as np
 
 from kinectbench.core.types import Float32
 
-RELEASED = Path(__file__).parents[1] / "scoring" / "methods" / "recgan_released" / "model.cptk.index"
+RELEASED = Path(__file__).parents[1] / "networks" / "recgan_released" / "model.cptk.index"
 
 
 def narrow_recgan() -> dict[str, Float32]:
     """Random values for all tensors of a network of a sixteenth of the channels, as TensorFlow lays them."""
-    from kinectbench.scoring.methods.convert import mapping
-    from kinectbench.scoring.methods.tensor_bundle import open_bundle
+    from kinectbench.networks.convert import mapping
+    from kinectbench.networks.tensor_bundle import open_bundle
 
     bundle = open_bundle(RELEASED)
     sizes = {

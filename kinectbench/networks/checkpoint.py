@@ -1,0 +1,210 @@
+"""checkpoint.pt: a training as it is, in PyTorch's own format. It may come from anybody, or be damaged.
+
+What is read is bounded by the network that it is for, and nothing of it is taken before all was looked at.
+"""
+
+import pickle
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from torch import Tensor
+
+from kinectbench.core.artefacts.benchmark import SHA256
+from kinectbench.core.artefacts.method import TrainingRow
+from kinectbench.core.untrusted import open_plain, size_of
+from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
+from kinectbench.networks.network import Network
+
+# What is raised of a file that is damaged: torch unpickles in Python, where hostile bytes fail anyhow.
+DAMAGED = (
+    *DAMAGED_ZIP,
+    OSError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    ArithmeticError,
+    MemoryError,
+    pickle.UnpicklingError,
+)
+PICKLE = "data.pkl"
+# A tensor is described in some 300 bytes, a row of the course in some 200 (own choice).
+TENSOR_BYTES, ROW_BYTES, SLACK_BYTES = 2 << 10, 1 << 10, 64 << 10
+# Of each value the network's, and two of Adam's.
+COPIES = 3
+# A loss is a float32.
+MOST_LOSS = float(torch.finfo(torch.float32).max)
+ADAM = {"step", "exp_avg", "exp_avg_sq"}
+
+Sha256 = Annotated[str, Field(pattern=SHA256)]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(ge=0)]
+Loss = Annotated[float, Field(ge=-MOST_LOSS, le=MOST_LOSS)]
+
+
+class _Checked(BaseModel):
+    """Of exactly these keys and types, without NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+
+
+class StoredState(_Checked):
+    """How far a training is; validated with the steps of the whole training as `context`."""
+
+    step: Count
+    rows: list[TrainingRow]
+    sums: dict[Literal["loss", "reconstruction", "discriminator", "steps"], float]
+    best_iou: Annotated[float, Field(ge=-1, le=1)]
+    best_step: Count
+    seconds: Positive
+
+    @field_validator("step")
+    @classmethod
+    def _within(cls, step: int, info: ValidationInfo) -> int:
+        if step > (info.context or 0):
+            raise ValueError("more steps than the training has")
+        return step
+
+    @field_validator("rows", mode="before")
+    @classmethod
+    def _few(cls, rows: Any, info: ValidationInfo) -> Any:
+        if not isinstance(rows, list) or len(rows) > info.data.get("step", 0):
+            raise ValueError("more rows than steps")
+        return [TrainingRow.model_validate(row) for row in rows]
+
+    @model_validator(mode="after")
+    def _adds_up(self) -> Self:
+        steps = [row.step for row in self.rows]
+        if steps != sorted(set(steps)) or (steps and not 0 < steps[0] <= steps[-1] <= self.step):
+            raise ValueError("rows that are not in order")
+        losses = [loss for row in self.rows for loss in (row.loss, row.reconstruction, row.discriminator)]
+        ious = [value for row in self.rows for value in (row.validation_iou, row.threshold)]
+        if any(loss is not None and abs(loss) > MOST_LOSS for loss in losses):
+            raise ValueError("a loss that is too large")
+        if any(value is not None and not 0 <= value <= 1 for value in ious):
+            raise ValueError("an IoU that is none")
+        if self.best_step > self.step or not 0 <= self.sums.get("steps", 0) <= self.step:
+            raise ValueError("more steps than were done")
+        return self
+
+
+class Checkpoint(_Checked):
+    """The whole content; `state` and the tensors are looked at by `checked_state` and `set_values`.
+
+    Attributes:
+        benchmarks_sha256: releases that are learnt from, in order.
+        config_sha256: of the configuration; older files lack it.
+        network: values by name.
+        optimisers: their state dictionaries; of these the settings are not taken, the configuration has them.
+        state: how far it is.
+    """
+
+    benchmarks_sha256: list[Sha256]
+    config_sha256: Sha256 | None = None
+    network: dict[str, Tensor]
+    optimisers: list[dict[str, Any]]
+    state: dict[str, Any]
+
+
+def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Checkpoint:
+    """Read a checkpoint that may come from anybody.
+
+    Args:
+        path: of the file.
+        network: that it is for: a larger file is refused.
+        steps: of the whole training: each has a row of the course at most.
+        device: where its tensors come to lie.
+
+    Raises:
+        DAMAGED: one of these, if it is missing, damaged, or of another kind.
+    """
+    shapes = network.state_dict()
+    tensors = (COPIES + 1) * len(shapes)
+    pickled = SLACK_BYTES + TENSOR_BYTES * tensors + ROW_BYTES * steps
+    values = COPIES * sum(values.numel() * values.element_size() for values in shapes.values())
+    most = values + pickled + TENSOR_BYTES * tensors
+    with open_plain(path) as file:
+        if size_of(file) > 2 * most:
+            raise ValueError("larger than a checkpoint of this network")
+        for entry in open_zip(file, tensors + 16, most).infolist():
+            if entry.compress_type != zipfile.ZIP_STORED:  # torch writes no other, and would unpack it
+                raise ValueError("packed")
+            if entry.filename.endswith(PICKLE) and entry.file_size > pickled:
+                raise ValueError("a course that is too long")
+        file.seek(0)
+        content = torch.load(file, map_location=device, weights_only=True)
+    if not isinstance(content, dict):
+        raise ValueError("no checkpoint")
+    return Checkpoint.model_validate({**content, "network": dict(content["network"])})
+
+
+def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
+    """How far a training of so many steps is.
+
+    Raises:
+        ValueError: as no such training can be.
+    """
+    return StoredState.model_validate(checkpoint.state, context=steps)
+
+
+def set_values(
+    checkpoint: Checkpoint, network: Network, optimisers: Iterable[torch.optim.Optimizer], step: int
+) -> None:
+    """Give a network and its optimisers their values.
+
+    Raises:
+        ValueError, KeyError: they are another network's, or what no training of so many steps leaves.
+    """
+    own = network.state_dict()
+    if set(own) != set(checkpoint.network):
+        raise ValueError("another network's")
+    for name, values in checkpoint.network.items():
+        _check(values, own[name], name.endswith("running_var"))
+    pairs = list(zip(optimisers, checkpoint.optimisers, strict=True))
+    for optimiser, stored in pairs:
+        _check_adam(stored["state"], optimiser, step)
+    network.load_state_dict(checkpoint.network)
+    for optimiser, stored in pairs:
+        settings = optimiser.state_dict()["param_groups"]
+        optimiser.load_state_dict({"state": stored["state"], "param_groups": settings})
+        _lay_out(optimiser)
+
+
+def _check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
+    """Refuse what Adam does not keep of each parameter after so many steps."""
+    parameters = optimiser.param_groups[0]["params"]
+    if not isinstance(state, dict) or not set(state) <= set(range(len(parameters))):
+        raise ValueError("an optimiser of other parameters")
+    for index, kept in state.items():
+        if not isinstance(kept, dict) or set(kept) != ADAM:
+            raise ValueError("another optimiser's")
+        _check(kept["step"], torch.zeros(()), True)
+        if kept["step"].item() > step:
+            raise ValueError("an optimiser of more steps than were done")
+        _check(kept["exp_avg"], parameters[index])
+        _check(kept["exp_avg_sq"], parameters[index], True)
+
+
+def _check(values: Any, like: Tensor, positive: bool = False) -> None:
+    """Refuse what is no tensor of this shape and kind with finite values."""
+    if not isinstance(values, Tensor) or values.layout != torch.strided:
+        raise ValueError("no tensor")
+    if (values.shape, values.dtype) != (like.shape, like.dtype):
+        raise ValueError("a tensor of another shape or kind")
+    if not torch.isfinite(values).all() or (positive and bool((values < 0).any())):
+        raise ValueError("values that no training leaves")
+
+
+def _lay_out(optimiser: torch.optim.Optimizer) -> None:
+    """Have what an optimiser keeps lie in memory as its parameters do, as if it had been made with them.
+
+    Otherwise sums are rounded in another order, and the course is another one.
+    """
+    for parameter, kept in optimiser.state.items():
+        for name, values in kept.items():
+            if isinstance(values, Tensor) and values.shape == parameter.shape:
+                kept[name] = torch.empty_like(parameter).copy_(values)

@@ -1,0 +1,224 @@
+"""The checkpoint of 3D-RecGAN++'s authors as a method that `predict` runs; no TensorFlow is needed.
+
+Their tensors are channels-last; rows of full layers are in the order x, y, z, channel. Source: the released
+`Model_released/model.cptk` of Yang7879/3D-RecGAN-extended (MIT).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.method import TrainingFile
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import replaced_file, sha256_file
+from kinectbench.core.types import Float32
+from kinectbench.core.untrusted import printable
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.config_file import find_config
+from kinectbench.networks.recae import BOTTOM_CELLS, DECODER, ENCODER
+from kinectbench.networks.recgan import CHANNELS
+from kinectbench.networks.registry import make_network
+from kinectbench.networks.run_folder import prepare
+from kinectbench.networks.tensor_bundle import StoredTensor, TensorBundle, open_bundle
+from kinectbench.networks.trained import open_trained
+from kinectbench.networks.weights import FILE, write_weights
+
+# The name of the method that comes out, and the packaged configuration that it follows.
+NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code"
+SUFFIX = ".index"
+# What Adam keeps of each value, and of its own steps: needed to train on only.
+OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_power_1", "beta2_power_1")
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """How a tensor of the checkpoint becomes one of the network.
+
+    Attributes:
+        name: in the network.
+        axes: the order in which a convolution's axes are taken; None of other tensors.
+        rows: which axis of a full layer runs over cells and channels; None of other tensors.
+    """
+
+    name: str
+    axes: tuple[int, ...] | None = None
+    rows: int | None = None
+
+    def arranged(self, values: Float32) -> Float32:
+        """The values in the network's order."""
+        if self.axes is not None:
+            return np.ascontiguousarray(values.transpose(self.axes))
+        if self.rows is not None:
+            values = _channels_first(values, self.rows)
+        return np.ascontiguousarray(values.T)  # of a vector it is the vector
+
+    def stored_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """The shape in the checkpoint of what has `shape` in the network."""
+        if self.axes is not None:
+            return tuple(shape[self.axes.index(axis)] for axis in range(len(shape)))
+        return tuple(reversed(shape))
+
+
+def _channels_first(values: Float32, axis: int) -> Float32:
+    """An axis in the order x, y, z, channel in the order channel, x, y, z."""
+    first = np.moveaxis(values, axis, 0)
+    cells = first.reshape(*3 * (BOTTOM_CELLS,), -1, *first.shape[1:])
+    return np.moveaxis(np.moveaxis(cells, 3, 0).reshape(first.shape), 0, axis)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What became of a checkpoint.
+
+    Attributes:
+        folder: of the method.
+        tensors: that fitted.
+        generator, discriminator: values of each.
+        optimiser: tensors of the optimiser, which are not needed.
+        left_out: other tensors that are in no such network, with their shapes.
+    """
+
+    folder: Path
+    tensors: int
+    generator: int
+    discriminator: int
+    optimiser: int
+    left_out: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """What is to be told, one line each."""
+        fitted = (
+            f"{self.tensors} tensors fit: generator {self.generator:,}, discriminator {self.discriminator:,}"
+        )
+        left = [f"left out: {name}" for name in self.left_out]
+        return [f"{fitted}; {self.optimiser} of the optimiser are not needed", *left, f"wrote {self.folder}"]
+
+
+# Of both kinds of convolution: the two kinds of channels change places and come first.
+CHANNELS_FIRST = (4, 3, 0, 1, 2)
+
+
+def mapping() -> dict[str, Mapped]:
+    """Every tensor of the network by its name in the checkpoint.
+
+    A convolution is [x, y, z, in, out] there and [out, in, x, y, z] here; a transposed one [x, y, z, out, in]
+    and [in, out, x, y, z].
+    """
+    found: dict[str, Mapped] = {}
+    parts = [(f"aeu/e{k + 1}", f"down.{k}") for k in range(len(ENCODER))]
+    parts += [(f"aeu/d{k + 1}", f"up.{k}") for k in range(len(DECODER))]
+    parts += [("aeu/dlast", f"up.{len(DECODER)}")]
+    parts += [(f"dis/d{k + 1}", f"discriminator.layers.{k}") for k in range(len(CHANNELS))]
+    for theirs, ours in parts:
+        found |= {
+            f"{theirs}_w": Mapped(f"{ours}.weight", CHANNELS_FIRST),
+            f"{theirs}_b": Mapped(f"{ours}.bias"),
+        }
+    return found | {
+        "aeu/fc1_w": Mapped("to_vector.weight", rows=0),
+        "aeu/fc1_b": Mapped("to_vector.bias"),
+        "aeu/fc2_w": Mapped("from_vector.weight", rows=1),
+        "aeu/fc2_b": Mapped("from_vector.bias", rows=0),
+    }
+
+
+def convert_recgan(model: Path, out: Path) -> Conversion:
+    """Convert a checkpoint.
+
+    Args:
+        model: a folder with `<name>.index` and `<name>.data-00000-of-00001`, or the index.
+        out: the method's folder.
+
+    Raises:
+        StorageError: there is no checkpoint, a file of it is missing or damaged, or a line for each tensor
+            that does not fit.
+        SettingsError: `out` is another training's.
+    """
+    bundle = open_bundle(find_index(model))
+    config = fitting_config(bundle.tensors, bundle.index)
+    shapes = {n: tuple(v.shape) for n, v in make_network(config.network, device="meta").state_dict().items()}
+    names = mapping()
+    problems = misfits(bundle.tensors, {name: to.stored_shape(shapes[to.name]) for name, to in names.items()})
+    if problems:
+        raise StorageError(*(f"{bundle.index}: {problem}" for problem in problems))
+    arrays = {to.name: to.arranged(bundle.read(name)) for name, to in names.items()}
+    prepare(out, config)
+    write_weights({name: arrays[name] for name in shapes}, out / FILE)
+    _write_training(bundle, arrays, config, out)
+    open_trained(out)  # what was written is a method
+    generator = sum(values.size for name, values in arrays.items() if not name.startswith("discriminator."))
+    others = [name for name in bundle.tensors if name not in names]
+    optimiser = [name for name in others if name.endswith(OF_THE_OPTIMISER)]
+    left_out = tuple(
+        f"{printable(n)} {bundle.tensors[n].shape}" for n in others if not n.endswith(OF_THE_OPTIMISER)
+    )
+    discriminator = sum(values.size for values in arrays.values()) - generator
+    return Conversion(out, len(arrays), generator, discriminator, len(optimiser), left_out)
+
+
+def find_index(model: Path) -> Path:
+    """The one index of a checkpoint in a folder.
+
+    Raises:
+        StorageError: there is none, or there are several.
+    """
+    if model.suffix == SUFFIX:
+        return model
+    if not model.is_dir():
+        raise StorageError(f"{model}: no such folder; wanted one that holds a checkpoint")
+    found = sorted(model.glob(f"*{SUFFIX}"))
+    if len(found) != 1:
+        what = f"{len(found)} checkpoints" if found else "no checkpoint"
+        raise StorageError(
+            f"{model}: {what} there; wanted one <name>{SUFFIX} with its <name>.data-00000-of-00001"
+        )
+    return found[0]
+
+
+def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSettings:
+    """The configuration of the network whose first layer is as wide as the checkpoint's.
+
+    Raises:
+        StorageError: it is none of 3D-RecGAN++.
+    """
+    first = tensors.get("aeu/e1_w")
+    channels = first.shape[-1] if first is not None and first.shape else 0
+    if not 0 < channels <= ENCODER[0]:
+        raise StorageError(f"{index}: no checkpoint of 3D-RecGAN++: 'aeu/e1_w' is missing or too wide")
+    values = find_config(CONFIG).model_dump()
+    values["name"] = NAME
+    values["network"] |= {"channel_divisor": ENCODER[0] // channels, "axes": "recgan"}
+    return MethodSettings.model_validate(values)
+
+
+def misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tuple[int, ...]]) -> list[str]:
+    """A line for each tensor that is missing or of another shape."""
+    lines = []
+    for name, shape in wanted.items():
+        if name not in tensors:
+            lines.append(f"'{name}' is missing")
+        elif tensors[name].shape != shape:
+            lines.append(f"'{name}' is {tensors[name].shape} where the network needs {shape}")
+    return lines
+
+
+def _write_training(
+    bundle: TensorBundle, arrays: Mapping[str, NDArray[Any]], config: MethodSettings, out: Path
+) -> None:
+    file = TrainingFile(
+        name=config.name,
+        config_sha256=config.sha256,
+        parameter_count=sum(values.size for values in arrays.values()),
+        source=f"checkpoint of TensorFlow, {bundle.index.name} with SHA-256 {sha256_file(bundle.index)}",
+    )
+    with replaced_file(out / TrainingFile.FILE) as temporary:
+        temporary.write_text(file.text(), encoding="utf-8")
+
+
+# The checkpoints that are read, by the name that the command takes.
+CONVERTERS: Mapping[str, Callable[[Path, Path], Conversion]] = {"recgan": convert_recgan}

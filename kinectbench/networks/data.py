@@ -1,0 +1,171 @@
+"""The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.threads import ahead, using_threads
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.grids import TruthBatch
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.truth import read_parts
+
+# Batches are read by one thread while the one before is learnt from.
+READING_THREADS = 2
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some pairs.
+
+    Attributes:
+        partial: (b, 1, 64, 64, 64) float32.
+        truth: of the same pairs.
+    """
+
+    partial: Tensor
+    truth: TruthBatch
+
+
+class PairFile(NamedTuple):
+    """Where a pair of a release lies, and what it must be."""
+
+    path: Path
+    sha256: str
+
+
+def training_targets(
+    releases: Sequence[Release], leave_out: Collection[str] = ()
+) -> tuple[tuple[Release, Target], ...]:
+    """The pairs that are learnt from, of one release after another.
+
+    Args:
+        releases: different ones.
+        leave_out: objects that are not learnt from.
+
+    Raises:
+        ReleaseError: a release has no training pairs, or their truth is held back; or it is given twice; or
+            an object is learnt from in one and tested on in another.
+    """
+    found: list[tuple[Release, Target]] = []
+    for release in releases:
+        release.require_truth(("train",))
+        targets = [target for target in release.split("train") if target.object not in leave_out]
+        if not targets:
+            raise ReleaseError(
+                f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair "
+                "--train 40 --validation 4 --test 8` makes some"
+            )
+        found += ((release, target) for target in targets)
+    _check_apart(releases, {target.object for _, target in found})
+    return tuple(found)
+
+
+def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[str]:
+    """Names that are no object of any of the releases, such as a mistyped one that is to be left out."""
+    objects = {target.object for release in releases for target in release.targets}
+    return [name for name in names if name not in objects]
+
+
+def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
+    """Refuse a release that is there twice, and objects that are learnt from here and tested on there."""
+    if len({release.benchmark_sha256 for release in releases}) < len(releases):
+        raise ReleaseError("--data: the same release is given twice; leave one out")
+    for release in releases:
+        held = {target.object for target in release.targets if target.split != "train"}
+        if shared := sorted(held.intersection(learnt)):
+            raise ReleaseError(
+                f"{release.folder}: {shared[0]} is to be tested on, and learnt from in another release of "
+                "--data; name it in training.leave_out, or make both releases with the same numbers of models"
+            )
+
+
+def validation_pairs(releases: Sequence[Release], most: int) -> tuple[PairFile, ...]:
+    """Up to `most` pairs of the validation splits, spread evenly over them."""
+    pairs = [
+        PairFile(release.pair_path(target), target.sha256)
+        for release in releases
+        for target in release.open_split("validation")
+    ]
+    count = min(most, len(pairs))
+    return tuple(pairs[int((k + 0.5) * len(pairs) / count)] for k in range(count))
+
+
+def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
+    """Which pairs a step learns from: every epoch is a shuffle of its own, and steps go on over its end."""
+    shuffled: dict[int, NDArray[np.int64]] = {}
+    found = []
+    for place in range(step * batch, (step + 1) * batch):
+        epoch, index = divmod(place, pairs)
+        if epoch not in shuffled:
+            shuffled[epoch] = np.random.default_rng([seed, epoch]).permutation(pairs)
+        found.append(int(shuffled[epoch][index]))
+    return found
+
+
+def steps_in_all(pairs: int, config: MethodSettings) -> int:
+    """Steps of a whole training."""
+    return math.ceil(pairs * config.training.epochs / config.training.batch)
+
+
+def batches(
+    pairs: Sequence[PairFile],
+    config: MethodSettings,
+    steps: range,
+    device: str,
+    part: tuple[int, int] = (0, 1),
+) -> Iterator[Batch]:
+    """Yield the batch of each step, the next one read ahead.
+
+    Args:
+        pairs: of the training splits.
+        config: how many make a batch, and in which axes.
+        steps: that are wanted.
+        device: where the tensors come to lie.
+        part: rank and number of processes that share each batch.
+
+    Raises:
+        ReleaseError: a pair is missing or changed.
+    """
+    training, (rank, size) = config.training, part
+
+    def made(step: int) -> tuple[NDArray[np.bool_], ...]:
+        chosen = pairs_of_step(step, len(pairs), training.batch, training.seed)[rank::size]
+        read = [_grids(pairs[index], config) for index in chosen]
+        return tuple(np.stack(grids) for grids in zip(*read, strict=True))
+
+    with using_threads(READING_THREADS):
+        for partial, *truth in ahead(made, steps):
+            full, *known = (bits_tensor(grid, device) for grid in truth)
+            yield Batch(as_tensor(partial, device), TruthBatch(full, known[0] if known else None))
+
+
+def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
+    """A pair's partial view, full shape and, where the unknown is left out, what is known."""
+    names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
+    parts = read_parts(pair.path, pair.sha256, names)
+    return [turned(unpack(part), config) for part in parts]
+
+
+def turned(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
+    """A grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
+    return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
+
+
+def bits_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
+    """Grids (b, n, n, n) as (b, 1, n, n, n) bool."""
+    return torch.from_numpy(np.ascontiguousarray(grids)).to(device)[:, None]
+
+
+def as_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
+    """Grids (b, n, n, n) as (b, 1, n, n, n) float32."""
+    return bits_tensor(grids, device).float()

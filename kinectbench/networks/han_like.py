@@ -1,0 +1,218 @@
+"""`han-like`: a global network at 32^3 and a local one on patches of 32^3, up to 256^3, after Han et al.
+
+Source: Han et al., High-Resolution Shape Completion Using Deep Neural Networks for Global Structure and Local
+Geometry Inference, ICCV 2017, as far as its description goes: projected depth images through an LSTM beside a
+3-D fully convolutional network, then patches of 32^3 with the global structure as guidance, trained end to
+end. The paper's layer sizes could not be established. Those below are ours, chosen so that there are 7.5 M
+parameters, the number that 3D-RecGAN++'s table states; so are the loss, the choice of patches and the six
+directions of projection.
+"""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Generator, Tensor, nn
+from torch.nn import functional
+
+from kinectbench.networks.grids import TruthBatch, reduced_partial
+from kinectbench.networks.layers import KERNEL, Doubling, narrowed, xavier
+from kinectbench.networks.network import Network
+
+# All of these are ours.
+GLOBAL_CELLS, PATCH_CELLS, OUTPUT_CELLS = 32, 32, 256
+PATCHES = OUTPUT_CELLS // PATCH_CELLS
+GLOBAL_CHANNELS, LOCAL_CHANNELS = (48, 96, 192), (36, 72, 144)
+IMAGE_CHANNELS, IMAGE_VECTOR, CONTEXT_VECTOR, CONTEXT_CHANNELS = (16, 32, 64), 176, 256, 32
+BOTTOM_CELLS = 4
+TAUGHT_PATCHES = 8
+# A patch whose coarse probabilities are all below, or all above one minus it, stays as coarse as it is.
+DECIDED = 0.02
+
+
+class Downward(nn.ModuleList):
+    """Convolutions 4^3 of stride 2; gives the outputs of all of them."""
+
+    def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
+        """Channels in, and after each convolution."""
+        layers = zip([inputs, *channels], channels, strict=False)
+        super().__init__(nn.Conv3d(a, b, KERNEL, stride=2, padding=1) for a, b in layers)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Every level, the finest first."""
+        levels = []
+        for layer in self:
+            x = functional.leaky_relu(layer(x), 0.2)
+            levels.append(x)
+        return levels
+
+
+class Upward(nn.Module):
+    """Transposed convolutions with skips back to the finest level, and one voxel's logit at the end."""
+
+    def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
+        """Channels in, and of the levels of `Downward`, the finest first."""
+        super().__init__()
+        outputs = [*reversed(channels[:-1]), channels[0]]
+        skips = [0, *reversed(channels[:-1])]
+        self.layers = nn.ModuleList(
+            Doubling(below + skip, above)
+            for below, skip, above in zip([inputs, *outputs], skips, outputs, strict=False)
+        )
+        self.last = nn.Conv3d(channels[0], 1, 3, padding=1)
+
+    def forward(self, x: Tensor, levels: list[Tensor]) -> Tensor:
+        """Logits of the side that `Downward` began with."""
+        finer = [None, *reversed(levels[:-1])]
+        for layer, level in zip(self.layers, finer, strict=True):
+            x = functional.relu(layer(x if level is None else torch.cat([x, level], dim=1)))
+        return self.last(x)
+
+
+class Views(nn.Module):
+    """Depth images of the partial view from six sides, one after another through an LSTM."""
+
+    def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
+        """Channels of the images' convolutions; vectors are divided by `divisor`."""
+        super().__init__()
+        vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
+        self.convolutions = nn.ModuleList(
+            nn.Conv2d(a, b, KERNEL, stride=2, padding=1)
+            for a, b in zip([1, *channels], channels, strict=False)
+        )
+        self.to_vector = nn.Linear(channels[-1] * 8 * 8, vector)
+        self.lstm = nn.LSTM(vector, context, batch_first=True)
+        self.from_context = nn.Linear(context, narrowed(CONTEXT_CHANNELS, divisor) * BOTTOM_CELLS**3)
+
+    def forward(self, partial: Tensor) -> Tensor:
+        """Context (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
+        x = depth_images(partial).flatten(0, 1)
+        for layer in self.convolutions:
+            x = functional.relu(layer(x))
+        vectors = functional.relu(self.to_vector(x.flatten(1))).unflatten(0, (len(partial), 6))
+        _, (last, _) = self.lstm(vectors)
+        return functional.relu(self.from_context(last[0])).unflatten(1, (-1, *3 * [BOTTOM_CELLS]))
+
+
+class HanLike(Network):
+    """7.5 M parameters: `coarse` at 32^3 from views and volume, `patch` of 32^3 at 256^3's resolution."""
+
+    def __init__(self, divisor: int = 1) -> None:
+        """Hidden channels and vectors are divided by `divisor`."""
+        super().__init__(input_cells=64, output_cells=OUTPUT_CELLS)
+        wide, local, images = (
+            tuple(narrowed(count, divisor) for count in counts)
+            for counts in (GLOBAL_CHANNELS, LOCAL_CHANNELS, IMAGE_CHANNELS)
+        )
+        self.views = Views(images, divisor)
+        self.volume_down = Downward(1, wide)
+        bottom = wide[-1] + narrowed(CONTEXT_CHANNELS, divisor)
+        self.volume_up = Upward(bottom, wide)
+        self.patch_down = Downward(2, local)
+        self.guidance = nn.Linear(bottom + 3, local[-1])
+        self.patch_up = Upward(local[-1], local)
+        xavier(self)
+
+    def coarse(self, partial: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits (b, 1, 32, 32, 32), and the global structure (b, c) that guides patches."""
+        levels = self.volume_down(reduced_partial(partial, GLOBAL_CELLS))
+        bottom = torch.cat([levels[-1], self.views(partial)], dim=1)
+        return self.volume_up(bottom, levels), bottom.mean(dim=(2, 3, 4))
+
+    def patch(self, cells: Tensor, structure: Tensor, corners: Tensor) -> Tensor:
+        """Logits (p, 1, 32, 32, 32) of patches.
+
+        Args:
+            cells: (p, 2, 32, 32, 32) float32, coarse probability and partial view, resampled to 256^3.
+            structure: (p, c) of the shape that each patch is of.
+            corners: (p, 3) int64, which patch along each axis.
+        """
+        levels = self.patch_down(cells)
+        place = (corners.to(cells.dtype) + 0.5) / PATCHES - 0.5
+        guided = levels[-1] + self.guidance(torch.cat([structure, place], dim=1))[:, :, None, None, None]
+        return self.patch_up(guided, levels)
+
+    def taught(
+        self, partial: Tensor, truth: TruthBatch, generator: Generator
+    ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """The coarse grid, then some patches of each shape that its surface passes."""
+        logits, structure = self.coarse(partial)
+        target, weight = truth.at(GLOBAL_CELLS)
+        yield logits, target, weight
+        targets, weights = truth.at(OUTPUT_CELLS)
+        probability = logits.sigmoid()
+        for index in range(len(partial)):
+            corners = _drawn(target[index, 0], generator)
+            cells = patch_inputs(probability[index], partial[index], corners)
+            yield (
+                self.patch(cells, structure[[index] * len(corners)], corners),
+                _cut(targets[index], corners),
+                _cut(weights[index], corners),
+            )
+
+    def forward(self, partial: Tensor) -> Tensor:
+        """Logits (b, 1, 256, 256, 256): patches where the coarse grid is undecided, elsewhere that itself."""
+        logits, structure = self.coarse(partial)
+        probability = logits.float().sigmoid()
+        out = functional.interpolate(logits.float(), size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
+        for index in range(len(partial)):
+            corners = torch.nonzero(_undecided(probability[index, 0]))
+            for some in corners.split(TAUGHT_PATCHES):
+                inputs = patch_inputs(probability[index], partial[index], some)
+                found = self.patch(inputs, structure[[index] * len(some)], some)
+                for cells, (i, j, k) in zip(found, (some * PATCH_CELLS).tolist(), strict=True):
+                    ends = (slice(i, i + PATCH_CELLS), slice(j, j + PATCH_CELLS), slice(k, k + PATCH_CELLS))
+                    out[(index, slice(None), *ends)] = cells.to(out.dtype)
+        return out
+
+
+def depth_images(partial: Tensor) -> Tensor:
+    """Distance to the first set cell from six sides, in [0, 1], 1 where there is none: (b, 6, 1, n, n)."""
+    count = partial.shape[-1]
+    images = []
+    for axis in (2, 3, 4):
+        for grid in (partial, partial.flip(axis)):
+            first = grid.argmax(dim=axis).to(partial.dtype) / count
+            images.append(torch.where(grid.amax(dim=axis) > 0, first, torch.ones_like(first)))
+    return torch.stack(images, dim=1)
+
+
+def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tensor:
+    """What the local network sees of patches: (p, 2, 32, 32, 32).
+
+    Args:
+        probability: (1, 32, 32, 32) coarse; resampled trilinearly, its outermost cells repeated outwards.
+        partial: (1, 64, 64, 64); each cell becomes 4^3.
+        corners: (p, 3) int64, which patch along each axis.
+    """
+    # One cell more on each side than a patch has: its own cells then come out as of the whole grid.
+    around = functional.pad(probability[None], [1] * 6, mode="replicate")[0]
+    coarse = _cut(around, corners, GLOBAL_CELLS // PATCHES, 2)
+    scale = PATCH_CELLS * PATCHES // GLOBAL_CELLS
+    wide = functional.interpolate(coarse, scale_factor=scale, mode="trilinear", align_corners=False)
+    inner = slice(scale, scale + PATCH_CELLS)
+    seen = functional.interpolate(_cut(partial, corners, partial.shape[-1] // PATCHES), size=PATCH_CELLS)
+    return torch.cat([wide[:, :, inner, inner, inner], seen], dim=1)
+
+
+def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
+    """Patches (p, c, n, n, n) of a grid (c, m, m, m): `cells` apart, n = `cells` + `more`."""
+    n = cells + more
+    places = (corners * cells).tolist()
+    return torch.stack([grid[:, i : i + n, j : j + n, k : k + n] for i, j, k in places])
+
+
+def _undecided(probability: Tensor) -> Tensor:
+    """Patches (8, 8, 8) bool where a coarse grid (32, 32, 32), a cell around included, is not decided."""
+    cells = GLOBAL_CELLS // PATCHES
+    highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
+    lowest = -functional.max_pool3d(-probability[None, None], cells + 2, cells, 1)[0, 0]
+    return (highest > DECIDED) & (lowest < 1 - DECIDED)
+
+
+def _drawn(target: Tensor, generator: Generator) -> Tensor:
+    """Corners (p, 3) of some patches that a coarse truth (32, 32, 32) does not decide, or of any."""
+    corners = torch.nonzero(_undecided(target))
+    if not len(corners):
+        corners = torch.nonzero(torch.ones(3 * (PATCHES,), device=target.device))
+    order = torch.randperm(len(corners), generator=generator, device=generator.device)
+    return corners[order[:TAUGHT_PATCHES].to(corners.device)]

@@ -1,0 +1,48 @@
+"""The reconstruction losses: of every voxel, weighted or not, with a share of it that counts."""
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from kinectbench.networks.config import LossSettings
+
+# Keeps the logarithm finite, as the authors' code does.
+TINY = 1e-8
+
+
+def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
+    """The sum over all supervised parts of each one's mean loss a voxel, in nats.
+
+    Args:
+        parts: logits, targets in [0, 1] and weights, of one shape each.
+        settings: which loss.
+    """
+    losses = [
+        _mean(voxel_losses(logits.float(), target, settings), weight) for logits, target, weight in parts
+    ]
+    return torch.stack(losses).sum()
+
+
+def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tensor:
+    """The loss of each voxel, in nats.
+
+    Weighted (equation 3 of the paper): -alpha y log p - (1 - alpha) (1 - y) log(1 - p). With a floor, as in
+    the authors' code, p is held above it, and what lies below learns nothing.
+    """
+    if settings.kind == "cross-entropy":
+        return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    if settings.probability_floor > 0:
+        p = logits.sigmoid().clamp(min=settings.probability_floor)
+        hit, miss = -(p + TINY).log(), -(1 - p + TINY).log()
+    else:
+        hit, miss = functional.softplus(-logits), functional.softplus(logits)
+    return settings.alpha * target * hit + (1 - settings.alpha) * (1 - target) * miss
+
+
+def _mean(losses: Tensor, weight: Tensor) -> Tensor:
+    """The mean by weight; 0 where nothing counts."""
+    if weight.stride() == (0,) * weight.dim() or not weight.numel():  # a single 1 that was expanded
+        return losses.mean()
+    return (losses * weight).sum() / weight.sum().clamp(min=1.0)

@@ -1,0 +1,43 @@
+"""What every network is: a module with the sides of its grids, and what it is taught."""
+
+from collections.abc import Iterator
+
+from torch import Generator, Tensor, nn
+
+from kinectbench.networks.grids import TruthBatch, reduced_partial
+
+
+class Network(nn.Module):
+    """A network that completes shapes; its forward pass gives logits.
+
+    Attributes:
+        input_cells: side of the partial view that it takes; views are reduced to it.
+        output_cells: side of the grid that it gives.
+    """
+
+    def __init__(self, *, input_cells: int, output_cells: int) -> None:
+        """State the sides."""
+        super().__init__()
+        self.input_cells, self.output_cells = input_cells, output_cells
+
+    def taught(
+        self, partial: Tensor, truth: TruthBatch, generator: Generator
+    ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """Logits, their targets in [0, 1] and the weights of these, in as many parts as are supervised.
+
+        Args:
+            partial: (b, 1, 64, 64, 64) float32.
+            truth: of the same pairs.
+            generator: of whatever is left to chance.
+        """
+        logits = self(reduced_partial(partial, self.input_cells))
+        yield logits, *truth.at(self.output_cells)
+
+    def completed(self, partial: Tensor) -> Tensor:
+        """Probabilities (b, 1, n, n, n) float32 of partial views (b, 1, 64, 64, 64) float32."""
+        return self(reduced_partial(partial, self.input_cells)).float().sigmoid()
+
+    @property
+    def parameter_count(self) -> int:
+        """Values that are learnt."""
+        return sum(values.numel() for values in self.parameters())

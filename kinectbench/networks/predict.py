@@ -1,0 +1,226 @@
+"""Predictions of a trained network for the pairs of a release, as any method's, with their method.json."""
+
+import resource
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.types import Progress, Split
+from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
+from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
+from kinectbench.core.voxels.resample import upsampled_planes
+from kinectbench.engine.locks import locked
+from kinectbench.networks.allocator import memory_kept
+from kinectbench.networks.prediction_folder import PredictionFolder
+from kinectbench.networks.run_folder import hardware, make_folder
+from kinectbench.networks.trained import Trained
+from kinectbench.networks.validate import completed
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.packed_prediction import packed
+
+Precision = Literal["packed", "float16"]
+SPLITS: tuple[Split, ...] = ("validation", "test")
+# How probabilities are written: packed (see `packed_prediction`), or all that the network gives.
+PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
+# Of deflate. float16 at 256^3 take 26 MB: to squeeze them further costs more time than to make them. Packed
+# ones take 6.7 MB by level 1, 6.1 MB by 4 and 5.8 MB by 6, in 0.15, 0.25 and 0.85 s a view.
+LEVEL, PACKED_LEVEL = 1, 4
+
+
+def predict(
+    trained: Trained,
+    release: Release,
+    out: Path,
+    *,
+    threshold: float | None = None,
+    precision: Precision = "packed",
+    splits: Sequence[Split] = SPLITS,
+    device: str = "cpu",
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Path:
+    """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
+
+    What was stopped goes on where it was, and what is complete is left, if all that decides the bytes is the
+    same still (`UnfinishedFile`); else what is there is removed first.
+
+    Args:
+        trained: the network, on its device.
+        release: what is predicted.
+        out: a folder of methods.
+        threshold: predictions are packed bits, set above it; None: probabilities.
+        precision: of probabilities at 256^3: "packed" or "float16"; coarser ones are float16.
+        splits: of "validation" and "test".
+        device: that the network is on.
+        progress: called with (pairs done, pairs in all).
+        say: called with a line where another run's predictions are removed, or another run is waited for.
+
+    Returns:
+        The method's folder.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+        SettingsError: no pair is of these splits, or the folder holds predictions for another release, or
+            none that `predict` wrote.
+        StorageError: the disk is full or read-only.
+    """
+    wanted = release.of_splits([split for split in SPLITS if split in splits])
+    folder = out / trained.config.name
+    make_folder(folder)
+    run = run_of(trained, release, threshold, precision, device)
+    every = [target for split in SPLITS for target in release.split(split)]
+
+    def waiting(holder: str) -> None:
+        if say:
+            say(f"{folder}: waiting for {holder}")
+
+    with locked(folder, waiting=waiting):
+        kept = PredictionFolder(folder, run, every, wanted, say)
+        seconds = _write_all(kept, trained, release, run, wanted, device, progress)
+        kept.finish(method_of(trained, release, run, seconds, device))
+    return folder
+
+
+def run_of(
+    trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
+) -> UnfinishedFile:
+    """All that decides the bytes of the predictions; arguments as of `predict`."""
+    # What is written as it is has no key: such folders of earlier versions stay current.
+    is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
+    coded = {"precision": precision} if is_fine and precision == "packed" else {}
+    return UnfinishedFile(
+        version=__version__,
+        benchmark_sha256=release.benchmark_sha256,
+        config_sha256=trained.config.sha256,
+        weights_sha256=trained.weights_sha256,
+        threshold=threshold,
+        torch=str(torch.__version__),
+        hardware=hardware(device),
+        **coded,
+    )
+
+
+def _write_all(
+    kept: PredictionFolder,
+    trained: Trained,
+    release: Release,
+    run: UnfinishedFile,
+    targets: Sequence[Target],
+    device: str,
+    progress: Progress | None,
+) -> list[float]:
+    """Predict what is not there; arguments as of `predict`.
+
+    Returns:
+        The seconds that the network took, of each view.
+    """
+    waiting = [target for target in targets if not kept.holds(target)]
+    seconds = []
+    # A file is squeezed and written while the network completes the next view.
+    with memory_kept(), ThreadPoolExecutor(1) as writer:
+        written: Future[None] | None = None
+        for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
+            probability, took = completed_target(trained, release, target, device)
+            seconds.append(took)
+            if written:
+                written.result()
+            written = writer.submit(_write, kept, target, probability, run)
+            if progress:
+                progress(done, len(targets))
+        if written:
+            written.result()
+    return seconds
+
+
+def completed_target(
+    trained: Trained, release: Release, target: Target, device: str
+) -> tuple[NDArray[np.float16], float]:
+    """The network's probabilities for a pair, (n, n, n), and the seconds that it took.
+
+    Raises:
+        PairError, ReleaseError: the pair cannot be read.
+    """
+    where = str(release.pair_path(target))
+    pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
+    started = time.perf_counter()
+    probability = completed(trained.network, unpack(pair.partial), trained.config, device)
+    return probability, time.perf_counter() - started
+
+
+def _write(
+    kept: PredictionFolder, target: Target, probability: NDArray[np.float16], run: UnfinishedFile
+) -> None:
+    kept.write(target, prediction_bytes(probability, run))
+
+
+def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
+    """A prediction's file: probabilities, packed or as they are, or bits at 256^3 along the last axis."""
+    if run.threshold is not None:
+        planes = upsampled_planes(probability)
+        return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
+    if run.precision == "packed" and (arrays := packed(probability)):
+        return npz_bytes(arrays, level=PACKED_LEVEL)
+    return npz_bytes({"prediction": probability}, level=LEVEL)
+
+
+def notes(trained: Trained, release: Release) -> list[str]:
+    """What a reader of the scores must know, a line each: test objects that were learnt, other framings."""
+    training = trained.training
+    found = []
+    learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))
+    if learnt:
+        found.append(f"learnt from {len(learnt)} of the test objects, such as {learnt[0]}: no fair scores")
+    framing = release.metadata.framing
+    if training.framings and framing not in training.framings:
+        found.append(
+            f"learnt in framing {' and '.join(training.framings)}, and predicts in framing {framing}"
+        )
+    return found
+
+
+def method_of(
+    trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
+) -> MethodFile:
+    """What method.json says of a run; `seconds` that the network took, of each view."""
+    config, training = trained.config, trained.training
+    return MethodFile(
+        name=config.name,
+        benchmark_sha256=release.benchmark_sha256,
+        version=f"kinectbench {__version__}",
+        inputs=("depth", "mask", "intrinsics", "framing"),
+        parameter_count=trained.running_parameters,
+        settings={
+            "config": config.model_dump(mode="json"),
+            "config_sha256": config.sha256,
+            "weights_sha256": trained.weights_sha256,
+            "threshold": run.threshold,
+            "precision": run.precision,
+            "torch": run.torch,
+        },
+        training=training.model_dump(
+            mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
+        )
+        | {"notes": notes(trained, release)},
+        # Bits are set already, whatever threshold they are held against.
+        threshold=training.threshold if run.threshold is None else None,
+        hardware=run.hardware,
+        seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
+        peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),
+    )
+
+
+def _peak_bytes(device: str) -> float:
+    """Most memory so far: of the GPU, or of this process."""
+    if device.startswith("cuda"):
+        return float(torch.cuda.max_memory_allocated(device))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else peak * 1024)

@@ -1,0 +1,98 @@
+"""The networks by name, imported when one is made. A new one is a file and a line in `NETWORKS`.
+
+One of the user's own needs neither: a configuration says where its class is.
+"""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.untrusted import printable
+from kinectbench.networks.config import GENERATORS, NetworkName, NetworkSettings
+
+if TYPE_CHECKING:
+    from kinectbench.networks.network import Network
+
+# module and class
+NETWORKS: Mapping[NetworkName, tuple[str, str]] = {
+    "3d-recgan++": ("recgan", "RecGAN"),
+    "3d-recae": ("recae", "RecAE"),
+    "3d-epn": ("epn", "EPN"),
+    "varley": ("varley", "Varley"),
+    "han-like": ("han_like", "HanLike"),
+}
+
+
+def require_torch() -> None:
+    """Refuse to go on without torch.
+
+    Raises:
+        KinectBenchError: it is not installed; the line says how it is.
+    """
+    try:
+        import_module("torch")
+    except ImportError:
+        raise KinectBenchError(
+            "train, predict and convert need PyTorch: pip install 'kinectbench[methods]'"
+        ) from None
+
+
+def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") -> "Network":
+    """Make a network with its first values, which depend on the seed alone.
+
+    Args:
+        settings: which, and how large.
+        seed: of the values.
+        device: where they come to lie; "meta" gives shapes without values.
+
+    Raises:
+        SettingsError: the class of the user's own is not found, or is no network.
+    """
+    import torch
+
+    from kinectbench.networks.recae import RecAE
+
+    kind = _class_of(settings)
+    sides = (settings.output_cells,) if settings.kind in GENERATORS else ()
+    with torch.random.fork_rng(devices=[]), torch.device("meta" if device == "meta" else "cpu"):
+        torch.manual_seed(seed)
+        network = kind(settings.channel_divisor, *sides)
+        if isinstance(network, RecAE) and settings.initial_weights == "he":
+            network.start_by_he()
+    if device == "meta":
+        return network
+    # Channels beside each other: a step on the CPU takes two thirds of the time, a view three quarters.
+    for values in network.parameters():
+        if values.dim() == 5:
+            values.data = values.data.contiguous(memory_format=torch.channels_last_3d)
+    return network.to(device)
+
+
+def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
+    """The class of a network; errors as those of `make_network`."""
+    if settings.kind == "own":
+        return _own_class(settings.class_path or "")
+    module, name = NETWORKS[settings.kind]
+    found: Callable[..., Network] = getattr(import_module(f"kinectbench.networks.{module}"), name)
+    return found
+
+
+def _own_class(path: str) -> "Callable[..., Network]":
+    """A class by its path. It may be a stranger's word: nothing but a subclass of `Network` is called."""
+    from kinectbench.networks.network import Network
+
+    module, _, name = path.partition(":")
+    try:
+        found = getattr(import_module(module), name, None)
+    except (ImportError, SyntaxError) as error:
+        raise SettingsError(
+            f"network.class_path {path}: cannot be imported ({printable(str(error))}); install it, or name "
+            "the folder it lies in by PYTHONPATH"
+        ) from error
+    if not (isinstance(found, type) and issubclass(found, Network)):
+        raise SettingsError(
+            f"network.class_path {path}: no class of that name there that is a subclass of "
+            "kinectbench.networks.network.Network"
+        )
+    return found

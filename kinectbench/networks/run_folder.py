@@ -1,0 +1,207 @@
+"""A training's folder: its configuration, a checkpoint to go on from, weights, course and curves."""
+
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
+from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.storage import replaced_file, storage_errors
+from kinectbench.core.untrusted import quoted, read_plain_text
+from kinectbench.networks.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.config_file import read_config, write_config
+from kinectbench.networks.curves import curves_png
+from kinectbench.networks.data import steps_in_all
+from kinectbench.networks.steps import Learner, Losses
+from kinectbench.networks.weights import FILE as WEIGHTS
+from kinectbench.networks.weights import arrays_of_network, write_weights
+
+# So many keys that differ are named.
+SHOWN = 3
+CPU_INFO = Path("/proc/cpuinfo")
+CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
+
+
+@dataclass
+class State:
+    """How far a training is; with the learner's values all that its course depends on.
+
+    Attributes:
+        step: steps that were done.
+        rows: of the course so far.
+        sums: losses summed since the last row, and their number as `steps`.
+        best_iou: the best validation IoU so far, and its step.
+        seconds: of training.
+    """
+
+    step: int = 0
+    rows: list[TrainingRow] = field(default_factory=list)
+    sums: Losses = field(default_factory=dict)
+    best_iou: float = -1.0
+    best_step: int = 0
+    seconds: float = 0.0
+
+    def add(self, losses: Losses) -> None:
+        """Count a step that was done."""
+        self.step += 1
+        for name, value in {**losses, "steps": 1.0}.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder where there is none.
+
+    Raises:
+        StorageError: the way to it holds a file, or the disk cannot be written.
+    """
+    try:
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise StorageError(f"{folder}: the way to it holds a file; choose another folder") from None
+
+
+def _differences(before: MethodSettings, now: MethodSettings) -> str:
+    """The first keys whose values differ, with both values."""
+    old, new = (dict(_flat(config.model_dump(mode="json"))) for config in (before, now))
+    keys = [key for key in (old | new) if old.get(key) != new.get(key)]
+    told = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
+    return "; ".join(told) + (f"; and {len(keys) - SHOWN} more" if len(keys) > SHOWN else "")
+
+
+def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, and their values."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield before + key, value
+
+
+def prepare(folder: Path, config: MethodSettings) -> None:
+    """Make the folder, or see that it is of the same configuration.
+
+    Raises:
+        SettingsError: another configuration is trained there.
+    """
+    make_folder(folder)
+    path = folder / CONFIG
+    if path.exists():
+        before = read_config(path)
+        trained, where = before.sha256, f": {_differences(before, config)}"
+    else:  # somebody removed it; what was made with it is there still
+        course = TrainingFile.read_if_there(folder)
+        trained, where = course.config_sha256 if course else config.sha256, ""
+    if trained != config.sha256:
+        raise SettingsError(f"{folder}: trained with other settings{where}; choose another folder")
+    with replaced_file(path) as temporary:
+        write_config(config, temporary)
+
+
+def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
+    """Write the checkpoint, the course and, unless `validate` keeps the best ones, the weights.
+
+    Args:
+        folder: of the training.
+        learner: its values.
+        state: how far it is.
+        facts: of training.json that do not change; the releases must be the same to go on.
+        config: what is kept.
+    """
+    latest = config.training.keep == "last" or state.best_step == 0  # of the best the course takes care
+    if latest:
+        write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
+    content = {
+        "benchmarks_sha256": benchmarks(facts),
+        "config_sha256": config.sha256,
+        "network": learner.network.state_dict(),
+        "optimisers": [optimiser.state_dict() for optimiser in learner.optimisers],
+        "state": {**vars(state), "rows": [row.json_value() for row in state.rows]},
+    }
+    with replaced_file(folder / CHECKPOINT) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
+    step = state.step if latest else state.best_step
+    course = TrainingFile(
+        name=config.name,
+        config_sha256=config.sha256,
+        steps=state.step,
+        weights_step=step,
+        seconds=round(state.seconds, 3),
+        rows=tuple(state.rows),
+        **facts,
+    )
+    with replaced_file(folder / TrainingFile.FILE) as temporary:
+        temporary.write_text(course.text(), encoding="utf-8")
+    with replaced_file(folder / CURVES) as temporary:
+        temporary.write_bytes(curves_png(config.name, state.rows))
+
+
+def benchmarks(facts: dict[str, Any]) -> list[str]:
+    """The releases that are learnt from, in order, by `benchmark_sha256`."""
+    return [facts["benchmark_sha256"], *facts["further_benchmarks_sha256"]]
+
+
+def check_weights_are_there(folder: Path, config: MethodSettings, state: State) -> None:
+    """Refuse to go on where the best weights are gone, which no later step brings back.
+
+    Raises:
+        StorageError: they are.
+    """
+    if config.training.keep == "best" and state.best_step and not (folder / WEIGHTS).is_file():
+        raise StorageError(f"{folder / WEIGHTS}: gone; remove {CHECKPOINT} beside it to train from the start")
+
+
+def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
+    """How far the training in a folder is; the learner gets its values. From the start if there is none.
+
+    Raises:
+        SettingsError: it learns from another release, or with other settings than those of the folder.
+        StorageError: the checkpoint is damaged.
+    """
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return State()
+    config = read_config(folder / CONFIG)
+    steps = steps_in_all(facts["pairs"], config)
+    try:
+        content = read_checkpoint(path, learner.network, steps, device)
+    except DAMAGED as error:
+        raise _damaged(path) from error
+    if content.benchmarks_sha256 != benchmarks(facts):
+        named = ", ".join(f"{sha256[:8]}…" for sha256 in content.benchmarks_sha256[:20])
+        raise SettingsError(f"{folder}: was trained on another release ({named}); choose another folder")
+    if content.config_sha256 not in (None, config.sha256):
+        raise SettingsError(f"{folder}: trained with other settings; choose another folder")
+    try:
+        state = checked_state(content, steps)
+        set_values(content, learner.network, learner.optimisers, state.step)
+    except DAMAGED as error:
+        raise _damaged(path) from error
+    return State(**dict(state))
+
+
+def _damaged(path: Path) -> StorageError:
+    return StorageError(f"{path}: cannot be read; remove it to train from the start")
+
+
+def hardware(device: str) -> str:
+    """What a network runs on, in words."""
+    if device.startswith("cuda"):
+        return str(torch.cuda.get_device_name(device))
+    threads = torch.get_num_threads()
+    return f"{_processor()}, {threads} thread{'s' * (threads != 1)}"
+
+
+def _processor() -> str:
+    """The processor's model where Linux tells it, else its kind."""
+    try:
+        lines = read_plain_text(CPU_INFO).splitlines()
+    except (OSError, UnicodeDecodeError):
+        return platform.machine()
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models and models[0] else platform.machine()

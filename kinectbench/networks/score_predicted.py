@@ -1,0 +1,90 @@
+"""Score a trained network without files: each view is counted as soon as it is predicted."""
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.method import UnfinishedFile
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.types import Progress, Split
+from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
+from kinectbench.networks.allocator import memory_kept
+from kinectbench.networks.predict import SPLITS, completed_target, method_of
+from kinectbench.networks.trained import Trained
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.api import Scorer
+from kinectbench.scoring.counts import Prediction
+from kinectbench.scoring.dataset import Dataset
+from kinectbench.scoring.declared import method_lines
+from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
+
+
+def score_predicted(
+    trained: Trained,
+    release: Release,
+    run: UnfinishedFile,
+    *,
+    splits: Sequence[Split] = SPLITS,
+    surface: bool = True,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> ScoreTable:
+    """The table that `score` makes of what `predict` writes, but for the hashes of files; nothing is written.
+
+    Nothing is kept of a run that is stopped, either.
+
+    Args:
+        trained: the network, on its device.
+        release: the truth.
+        run: of `run_of`: how predictions would be written.
+        splits: of "validation" and "test"; without "validation" thresholds are the network's own, or 0.5.
+        surface: whether surface metrics are computed; they take most of the time.
+        device: that the network is on.
+        progress: called with (pairs done, pairs in all).
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read, or its truth is held back.
+        PredictionError: the network gave what is no probability.
+    """
+    method = method_of(trained, release, run, (), device)
+    scorer = Scorer(
+        Dataset(release, release.targets),
+        method=trained.config.name,
+        surface=surface,
+        own_threshold=method.threshold,
+    )
+    targets = [target for split in SPLITS if split in splits for target in release.split(split)]
+    # One view is counted while the network completes the next; they are counted in their order.
+    with memory_kept(), ThreadPoolExecutor(1) as counter:
+        counted: Future[None] | None = None
+        for done, target in enumerate(targets, start=1):
+            prediction = as_written(trained, release, run, target, device)
+            if counted:
+                counted.result()
+            counted = counter.submit(scorer.update, target.name, prediction)
+            if progress:
+                progress(done, len(targets))
+        if counted:
+            counted.result()
+    table = scorer.result()
+    warnings = (*table.warnings, *method_lines(release.folder, method, release))
+    return table.model_copy(update={"warnings": warnings, "run_sha256": run.sha256})
+
+
+def as_written(
+    trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
+) -> Prediction:
+    """What a reader would find in the file of a pair's prediction; errors as of `completed_target`."""
+    probability, _ = completed_target(trained, release, target, device)
+    return _read_again(probability, run)
+
+
+def _read_again(probability: NDArray[np.float16], run: UnfinishedFile) -> Prediction:
+    if run.threshold is not None:
+        bits = [plane > run.threshold for plane in upsampled_planes(probability, convention=HALF_PIXEL)]
+        return np.stack(bits)
+    if run.precision == "packed" and (arrays := packed(probability)):
+        return unpacked(arrays[LEVELS], arrays[CODES])
+    return probability

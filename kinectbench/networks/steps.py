@@ -1,0 +1,128 @@
+"""One optimisation step: the generator's alone, or the discriminator's and then the generator's."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Generator, Tensor, nn
+from torch.optim import Adam
+
+from kinectbench.core.errors import KinectBenchError
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.data import Batch
+from kinectbench.networks.losses import reconstruction_loss
+from kinectbench.networks.network import Network
+from kinectbench.networks.processes import average_buffers, average_gradients
+from kinectbench.networks.recae import RecAE
+from kinectbench.networks.recgan import RecGAN, discriminator_loss
+
+# Means of each step's losses, by name.
+Losses = dict[str, float]
+
+
+class StepError(KinectBenchError):
+    """A training that cannot go on."""
+
+
+class Learner:
+    """A network with its optimisers; a step's chance comes from the seed and the step's number alone.
+
+    Attributes:
+        network: that learns.
+        optimisers: Adam of the network and, for 3d-recgan++, of its discriminator.
+    """
+
+    def __init__(self, network: Network, config: MethodSettings, device: str, part: tuple[int, int]) -> None:
+        """Nothing was learnt yet; `part` is rank and number of processes."""
+        self.network, self._config, self._device = network, config, device
+        self._rank, self._size = part
+        rate = config.training.learning_rate
+        self.optimisers: Sequence[Adam]
+        if isinstance(network, RecGAN):
+            assert config.adversarial is not None
+            mine, theirs = network.generator_parameters(), list(network.discriminator.parameters())
+            self.optimisers = (Adam(mine, lr=rate), Adam(theirs, lr=config.adversarial.learning_rate))
+        else:
+            self.optimisers = (Adam(list(network.parameters()), lr=rate),)
+        self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
+
+    def step(self, batch: Batch, number: int, epoch: int, share: float = 0.0) -> Losses:
+        """Learn from a batch; the losses are those before it.
+
+        Args:
+            batch: of this process.
+            number: of the step, from 0.
+            epoch: decides the learning rate, where it is halved.
+            share: of the whole training that is done, in [0, 1); decides it where it follows a cosine.
+        """
+        self.network.train()
+        for optimiser, rate in zip(self.optimisers, self._rates, strict=True):
+            optimiser.param_groups[0]["lr"] = rate * self._rate_factor(epoch, share)
+        generator = torch.Generator(self._device)
+        generator.manual_seed(_mixed(self._config.training.seed, number, self._rank))
+        if isinstance(self.network, RecGAN):
+            return self._adversarial(self.network, batch, generator)
+        with self._autocast():
+            parts = list(self._taught(batch, generator))
+        loss = reconstruction_loss(parts, self._config.loss)
+        self._descend(loss, 0)
+        return {"loss": loss.item()}
+
+    def _rate_factor(self, epoch: int, share: float) -> float:
+        """What the learning rates are multiplied by."""
+        training = self._config.training
+        halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
+        return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
+
+    def _taught(self, batch: Batch, generator: Generator) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        cells = self._config.loss.tile_cells
+        if cells:
+            assert isinstance(self.network, RecAE)
+            return self.network.taught_tiles(batch.partial, batch.truth, generator, cells)
+        return self.network.taught(batch.partial, batch.truth, generator)
+
+    def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
+        """A step of the discriminator, then one of the generator with what it predicted before."""
+        settings = self._config.adversarial
+        assert settings is not None
+        with self._autocast():
+            (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
+        # Where the unknown is masked, the truth says "empty" and so does this: nothing is learnt there.
+        fake = logits.float().sigmoid() * weight
+        with self._autocast():
+            told = discriminator_loss(
+                network.discriminator, batch.partial, fake.detach(), target, settings, generator
+            )
+        self._descend(told, 1)
+        rebuilt = reconstruction_loss([(logits, target, weight)], self._config.loss)
+        with self._autocast():
+            fooled = -network.discriminator(batch.partial, fake).mean()
+        loss = settings.loss_scale * (settings.beta * rebuilt + (1 - settings.beta) * fooled)
+        self._descend(loss, 0)
+        return {
+            "loss": loss.item(),
+            "reconstruction": rebuilt.item(),
+            "discriminator": told.item(),
+        }
+
+    def _descend(self, loss: Tensor, index: int) -> None:
+        """One step of one optimiser; the other's gradients are not kept."""
+        if not torch.isfinite(loss):
+            raise StepError("the loss is no number any more; choose a lower learning rate, and train anew")
+        optimiser = self.optimisers[index]
+        self.network.zero_grad(set_to_none=True)
+        loss.backward()
+        parameters: list[nn.Parameter] = optimiser.param_groups[0]["params"]
+        average_gradients(parameters, self._size)
+        optimiser.step()
+        average_buffers(self.network, self._size)
+
+    def _autocast(self) -> torch.autocast:
+        wanted = self._config.training.precision == "bfloat16"
+        return torch.autocast(self._device.partition(":")[0], torch.bfloat16, enabled=wanted)
+
+
+def _mixed(seed: int, step: int, rank: int) -> int:
+    """A seed of its own for each step and process (63 bits)."""
+    mixed = (seed * 1_000_003 + step) * 1_000_003 + rank
+    return mixed & (2**63 - 1)

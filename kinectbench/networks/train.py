@@ -1,0 +1,296 @@
+"""Train a network on the pairs of releases; whatever stops it, the same course goes on from there."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from kinectbench.core.artefacts.method import TrainingRow
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.engine.interrupts import interrupts_held
+from kinectbench.engine.locks import locked
+from kinectbench.networks.allocator import memory_kept
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.data import (
+    Batch,
+    PairFile,
+    batches,
+    steps_in_all,
+    training_targets,
+    validation_pairs,
+)
+from kinectbench.networks.processes import agreed, chosen_device, joined, mean_of_all, wait_for_all
+from kinectbench.networks.registry import make_network
+from kinectbench.networks.run_folder import (
+    State,
+    check_weights_are_there,
+    hardware,
+    make_folder,
+    prepare,
+    restore,
+    save,
+)
+from kinectbench.networks.steps import Learner, Losses, StepError
+from kinectbench.networks.validate import validation_iou
+from kinectbench.networks.weights import FILE as WEIGHTS
+from kinectbench.networks.weights import arrays_of_network, write_weights
+from kinectbench.release.release import Release, Target
+
+# A run that is killed loses no more than this; 2 GB are written in some seconds (own choice).
+SAVE_EVERY_S = 300.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training that is under way in this process.
+
+    Attributes:
+        config: of the method.
+        pairs: that are learnt from.
+        validation: pairs that are looked at.
+        folder: of the training.
+        device: where the network lies.
+        part: rank and number of processes.
+        learner: network and optimisers.
+        state: how far it is.
+        facts: what training.json says whatever happens.
+    """
+
+    config: MethodSettings
+    pairs: Sequence[PairFile]
+    validation: Sequence[PairFile]
+    folder: Path
+    device: str
+    part: tuple[int, int]
+    learner: Learner
+    state: State
+    facts: dict[str, Any]
+
+    @property
+    def steps(self) -> int:
+        """Steps of the whole training."""
+        return steps_in_all(len(self.pairs), self.config)
+
+    def save(self) -> None:
+        """Write what is needed to go on; one process does it for all."""
+        if self.part[0] == 0:
+            save(self.folder, self.learner, self.state, self.facts, self.config)
+
+
+def train(
+    config: MethodSettings,
+    releases: Sequence[Release],
+    folder: Path,
+    *,
+    minutes: float | None = None,
+    device: str | None = None,
+    wait: bool = True,
+    progress: Progress | None = None,
+    watch: Callable[[TrainingRow], None] | None = None,
+) -> State:
+    """Train a network, or go on where an earlier run in the same folder stopped.
+
+    On one machine, with the same number of threads, a training gives the same weights however often it was
+    stopped. torchrun starts it in several processes, which share each batch.
+
+    Args:
+        config: of the method.
+        releases: their train splits are learnt from, their validation splits looked at.
+        folder: of the training.
+        minutes: stop after so long; default: when all epochs are done.
+        device: "cpu", "cuda" or another name of torch's; default: the GPU if there is one.
+        wait: whether to wait for another run in the folder, or to stop.
+        progress: called with (steps done, steps in all).
+        watch: called with each row of the course.
+
+    Returns:
+        How far it is.
+
+    Raises:
+        ReleaseError: a pair is missing or changed, or nothing can be learnt from.
+        SettingsError: the folder is another training's, or there is no such device.
+        StorageError: the disk is full or read-only, or the checkpoint is damaged.
+    """
+    targets = training_targets(releases, config.training.leave_out)
+    pairs = [PairFile(release.pair_path(target), target.sha256) for release, target in targets]
+    validation = validation_pairs(releases, config.training.validation_pairs)
+    if config.training.keep == "best" and not validation:
+        raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
+    where = chosen_device(device)
+    make_folder(folder)
+    with memory_kept(), _deterministic(where), joined(where) as part:
+        _check_shared(config.training.batch, part[1])
+        with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
+            if part[0] == 0:
+                prepare(folder, config)
+            wait_for_all(part[1])  # only now is the folder nobody else's
+            network = make_network(config.network, config.training.seed, where)
+            learner = Learner(network, config, where, part)
+            facts = _facts_of(releases, targets)
+            facts |= {"parameter_count": network.parameter_count, "hardware": hardware(where)}
+            state = restore(folder, learner, facts, where)
+            check_weights_are_there(folder, config, state)
+            facts["steps_in_all"] = steps_in_all(len(pairs), config)
+            made = Training(config, pairs, validation, folder, where, part, learner, state, facts)
+            _run(made, minutes, progress, watch)
+            return state
+
+
+def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, Any]:
+    """What training.json says of the pairs that are learnt from."""
+    return {
+        "benchmark_sha256": releases[0].benchmark_sha256,
+        "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
+        "framings": tuple(sorted({release.metadata.framing for release in releases})),
+        "objects": tuple(sorted({target.object for _, target in targets})),
+        "pairs": len(targets),
+    }
+
+
+def _check_shared(batch: int, processes: int) -> None:
+    """Refuse a batch that processes cannot share evenly."""
+    if batch % processes:
+        raise SettingsError(
+            f"training.batch: {batch} pairs cannot be shared by {processes} processes; choose a multiple"
+        )
+
+
+@contextmanager
+def _deterministic(device: str) -> Iterator[None]:
+    """Within the block torch gives the same bits every time; on a GPU it warns of what cannot."""
+    kept = (
+        torch.are_deterministic_algorithms_enabled(),
+        torch.is_deterministic_algorithms_warn_only_enabled(),
+        torch.backends.cudnn.benchmark,
+        torch.utils.deterministic.fill_uninitialized_memory,
+    )
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # or else products on a GPU vary
+    torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
+    torch.backends.cudnn.benchmark = False
+    # Nothing here is read before it is written; to fill it costs 5 % of a step.
+    torch.utils.deterministic.fill_uninitialized_memory = False
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(kept[0], warn_only=kept[1])
+        torch.backends.cudnn.benchmark = kept[2]
+        torch.utils.deterministic.fill_uninitialized_memory = kept[3]
+
+
+def _run(
+    training: Training,
+    minutes: float | None,
+    progress: Progress | None,
+    watch: Callable[[TrainingRow], None] | None,
+) -> None:
+    """Step by step until all is done or the time is over; what was done is saved whatever ends it."""
+    config, state, device = training.config, training.state, training.device
+    started = saved = time.monotonic()
+    steps = range(state.step, training.steps)
+    if (
+        not steps
+        and state.rows
+        and state.rows[-1].step == state.step
+        and (training.folder / WEIGHTS).exists()
+    ):
+        return
+    try:
+        _look_if_due(training, watch)  # the run before may have been stopped there
+        for batch in batches(training.pairs, config, steps, device, training.part):
+            with interrupts_held():  # a step is done whole or not at all
+                before = time.monotonic()
+                epoch = state.step * config.training.batch // len(training.pairs)
+                state.add(_stepped(training, batch, epoch))
+                state.seconds += time.monotonic() - before
+            _look_if_due(training, watch)
+            if progress:
+                progress(state.step, training.steps)
+            now = time.monotonic()
+            over = minutes is not None and now - started >= 60 * minutes
+            if agreed(over, training.part[1], device):
+                break
+            if now - saved >= SAVE_EVERY_S:
+                training.save()
+                saved = time.monotonic()
+    except StepError:  # half a step was done: what was saved before stands
+        raise
+    except (KeyboardInterrupt, KinectBenchError):
+        with interrupts_held():
+            training.save()
+        raise
+    training.save()
+
+
+def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
+    """One step.
+
+    Raises:
+        StepError: memory is full, or the loss is no number.
+    """
+    step = training.state.step
+    try:
+        with _memory_told():
+            return training.learner.step(batch, step, epoch, step / training.steps)
+    except RuntimeError as error:
+        if training.part[1] == 1:
+            raise
+        raise StepError(
+            "another process of this training has stopped; run all again, it goes on from what was saved"
+        ) from error
+
+
+@contextmanager
+def _memory_told() -> Iterator[None]:
+    """Within the block memory that is full is told in one line, of a GPU or of the machine."""
+    try:
+        yield
+    except (torch.OutOfMemoryError, MemoryError) as error:
+        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # as torch says it of the CPU
+            raise
+        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+
+
+def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
+    """Add a row to the course where it is time for one, if it is not there yet."""
+    state, every = training.state, training.config.training.validate_every_steps
+    due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
+    if due and not (state.rows and state.rows[-1].step == state.step):
+        row = _look(training)
+        if watch and training.part[0] == 0:
+            watch(row)
+
+
+def _look(training: Training) -> TrainingRow:
+    """Look at the validation pairs and add a row to the course; the best weights are kept, if asked for.
+
+    It may be interrupted while it looks: nothing has changed then, and it looks again.
+    """
+    config, state = training.config, training.state
+    found: dict[str, float] = {}
+    if training.validation:
+        with _memory_told():
+            iou, threshold = validation_iou(
+                training.learner.network, training.validation, config, training.device
+            )
+        found = {"validation_iou": round(iou, 6), "threshold": threshold}
+    with interrupts_held():
+        if training.validation and iou > state.best_iou:
+            state.best_iou, state.best_step = iou, state.step
+            if config.training.keep == "best" and training.part[0] == 0:
+                write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
+        count = state.sums.pop("steps")
+        losses = {name: value / count for name, value in state.sums.items()}
+        losses = mean_of_all(losses, training.part[1], training.device)
+        state.sums.clear()
+        epoch = round(state.step * config.training.batch / len(training.pairs), 6)
+        row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
+        state.rows.append(row)
+    return row

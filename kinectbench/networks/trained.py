@@ -1,0 +1,95 @@
+"""A trained network: from a training's folder, or by its name from those that the package holds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.core.artefacts.method import TrainingFile
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import sha256_file
+from kinectbench.core.untrusted import printable
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.config_file import packaged_configs, read_config
+from kinectbench.networks.network import Network
+from kinectbench.networks.recgan import RecGAN
+from kinectbench.networks.registry import make_network
+from kinectbench.networks.run_folder import CONFIG
+from kinectbench.networks.weights import (
+    FILE,
+    bytes_of,
+    check_fit,
+    headers_of,
+    set_weights,
+    shapes_of_network,
+)
+from kinectbench.settings.words import listed
+
+# A folder for each network that is shipped, as `train` writes it, without its checkpoint.
+FOLDER = Path(__file__).parent / "trained"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A network with its weights.
+
+    Attributes:
+        config: of the method.
+        network: on its device.
+        weights_sha256: of weights.npz.
+        training: how they came to be.
+    """
+
+    config: MethodSettings
+    network: Network
+    weights_sha256: str
+    training: TrainingFile
+
+    @property
+    def running_parameters(self) -> int:
+        """Parameters that take part in a prediction: no discriminator does."""
+        if isinstance(self.network, RecGAN):
+            return sum(values.numel() for values in self.network.generator_parameters())
+        return self.network.parameter_count
+
+
+def packaged_methods() -> tuple[str, ...]:
+    """Names of the networks that the package holds with their weights, sorted."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE}")))
+
+
+def folder_of(name: str) -> Path:
+    """The folder of a method by its path, or by its name in the package.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    if name in packaged_methods():
+        return FOLDER / name
+    folder = Path(name)
+    if not (folder / CONFIG).is_file():
+        if name in packaged_configs():
+            raise SettingsError(
+                f"{name}: a configuration of the package, which comes without weights; train it: "
+                f"`kinectbench train {name} --data RELEASE --out FOLDER`, and predict with FOLDER"
+            )
+        known = packaged_methods()
+        more = f", and no method of the package: {listed(known)}" if known else ""
+        raise SettingsError(f"{printable(name)}: no folder of `kinectbench train` or `convert`{more}")
+    return folder
+
+
+def open_trained(folder: Path, device: str = "cpu") -> Trained:
+    """Read a trained network.
+
+    Raises:
+        SettingsError: its configuration is wrong.
+        StorageError: its weights are missing, damaged, or another network's.
+    """
+    config = read_config(folder / CONFIG)
+    training = TrainingFile.read(folder)
+    path = folder / FILE
+    shapes = shapes_of_network(make_network(config.network, device="meta"))
+    # Before there is a network, which may be large.
+    check_fit(shapes, headers_of(path, bytes_of(shapes)), str(path))
+    network = make_network(config.network)
+    set_weights(network, path)
+    return Trained(config, network.to(device).eval(), sha256_file(path), training)

@@ -1,0 +1,53 @@
+"""How good a network is on validation pairs, counted as predictions are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.data import PairFile, as_tensor, turned
+from kinectbench.networks.network import Network
+from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
+from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.truth import read_parts, read_truth
+
+PROTOCOL = "known"
+
+
+def completed(
+    network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
+) -> NDArray[np.float16]:
+    """The prediction (n, n, n) float16 in [0, 1] of a partial view (64, 64, 64), both in the grid's axes."""
+    network.eval()
+    with torch.inference_mode():
+        tensor = as_tensor(turned(partial, config)[None], device)
+        wanted = config.training.precision == "bfloat16"
+        with torch.autocast(device.partition(":")[0], torch.bfloat16, enabled=wanted):
+            probability = network.completed(tensor)
+    values: NDArray[np.float16] = probability[0, 0].half().cpu().numpy()
+    return np.ascontiguousarray(turned(values, config))
+
+
+def validation_iou(
+    network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
+) -> tuple[float, float]:
+    """The highest mean IoU over some pairs, protocol known, and the threshold that it is reached at.
+
+    Args:
+        network: that is judged.
+        pairs: at least one.
+        config: axes and precision.
+        device: where the network lies.
+    """
+    curves = []
+    for path, sha256 in pairs:
+        (partial,) = read_parts(path, sha256, ("partial",))
+        prediction = completed(network, unpack(partial), config, device)
+        counted = tally(prediction, read_truth(path, sha256))
+        curves.append(ious(protocol_counts(counted, PROTOCOL)))
+    mean = np.mean(curves, axis=0)
+    best = int(np.argmax(mean))
+    return float(mean[best]), THRESHOLDS[best]

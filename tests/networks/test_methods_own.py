@@ -1,0 +1,80 @@
+"""A network of the user's own: trained and run as the others are; what is no network is never called."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_benchmark import Run
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.networks.config import NetworkSettings
+from kinectbench.networks.registry import make_network
+from kinectbench.release.release import Release
+
+Command = Callable[..., Run]
+CODE = """
+from pathlib import Path
+from torch import nn
+from kinectbench.networks.network import Network
+
+class Mine(Network):
+    def __init__(self, divisor=1):
+        super().__init__(input_cells=32, output_cells=32)
+        self.layer = nn.Conv3d(1, 1, 3, padding=1)
+
+    def forward(self, partial):
+        return self.layer(partial)
+
+def called(*arguments):
+    raise SystemExit("was called")
+"""
+CONFIG = """\
+name: mine
+network: {kind: own, class_path: "my_nets:Mine"}
+loss: {kind: cross-entropy}
+training: {batch: 2, epochs: 1, validate_every_steps: 2, validation_pairs: 1}
+"""
+
+
+@pytest.fixture
+def nets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder on Python's path with the module, and the configuration beside it."""
+    (tmp_path / "my_nets.py").write_text(CODE)
+    (tmp_path / "broken_nets.py").write_text("class Mine(:")
+    (tmp_path / "mine.yaml").write_text(CONFIG)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_it_is_trained_predicts_and_is_scored(command: Command, nets: Path, learning: Release) -> None:
+    benchmark = str(learning.folder)
+    trained = command(nets, "train", "mine.yaml", "--data", benchmark, "--out", "run", "--device", "cpu")
+    assert trained.status == 0, trained.err
+    assert json.loads((nets / "run" / "training.json").read_text())["parameter_count"] == 28
+    made = command(nets, "predict", "run", benchmark, "--device", "cpu")
+    assert (made.status, made.out) == (0, "wrote predictions/mine\n")
+    with np.load(nets / "predictions" / "mine" / "chair_03" / "000.npz") as arrays:
+        assert arrays["prediction"].shape == (32, 32, 32)
+    words = ("--benchmark", benchmark, "--no-surface", "--no-baselines")
+    assert command(nets, "score", "predictions", *words).status == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        (
+            "no_such_module:Mine",
+            "cannot be imported .*No module named 'no_such_module'.*; install it, or name",
+        ),
+        ("broken_nets:Mine", "cannot be imported"),
+        ("my_nets:Other", "no class of that name there that is a subclass of kinectbench"),
+        ("my_nets:called", "no class of that name there"),
+        ("my_nets:Path", "no class of that name there"),
+    ],
+)
+def test_what_is_no_network_is_told_and_not_called(nets: Path, path: str, words: str) -> None:
+    with pytest.raises(SettingsError, match=words) as error:
+        make_network(NetworkSettings(kind="own", class_path=path))
+    assert len(error.value.lines) == 1 and "\n" not in str(error.value)
