@@ -171,8 +171,9 @@ def once_killed(task: int, say: Say) -> int:
 
 def test_once_the_culprit_is_known_all_processes_are_at_work_again() -> None:
     found = dict(Pool(2).outcomes(once_killed, list(range(6)), Listener()))
-    assert isinstance(found.pop(0), Lost)
-    assert len(set(found.values())) == 2
+    assert isinstance(found[0], Lost)
+    # The second task may have ended in the first pool, where the first task's process was slow to start.
+    assert len({found[task] for task in range(2, 6)}) >= 2
 
 
 TRACKED = ("sequence", "trajectory")
