@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
@@ -20,6 +22,7 @@ from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
 from kinectbench.stages.segment.judge.estimate import pose_error_of
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
+from kinectbench.stages.segment.judge.obstacles import is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
@@ -150,4 +153,8 @@ def _make_solids(
     T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
     frontiers = find_frontiers(whole, evidence, larger.limits, T_floor_grid)
     whole, of_odd, of_even = (shape.restored(grid, scale) for shape in (whole, of_odd, of_even))
-    return Solids(whole, of_odd, of_even, sigma_m), tuple(frontier.restored(scale) for frontier in frontiers)
+    restored = (frontier.restored(scale) for frontier in frontiers)
+    return Solids(whole, of_odd, of_even, sigma_m), tuple(
+        replace(each, obstructed=is_obstructed(chosen, np.array(each.center_m), np.array(each.look_from)))
+        for each in restored
+    )

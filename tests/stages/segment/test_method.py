@@ -27,6 +27,7 @@ ASIDE = {
     "gravity": "which planes may be the floor: floor.json has the one that is",
     "masked_scene": "what is chosen, not how it is made solid: `selection` in quality.json says how",
     "object": "what is chosen, as above",
+    "obstacles": "words of advice and of a warning",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
     "seen_floor": "warnings, which say what they found",

@@ -15,6 +15,7 @@ from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import GIVEN, Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.frontiers import turned
+from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 
 COLUMNS = 160
 NEARER_M = 0.1
@@ -182,9 +183,12 @@ def coverage_report(
     choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
     warnings = [*_of_trajectory(trajectory), *choice_warnings]
     if side.share > 0:
+        towards = np.array([np.cos(side.towards_rad), np.sin(side.towards_rad), 0.0])
+        show = "show it to the camera, too"
         warnings.append(
             f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, over "
-            f"{360 * side.share:.0f} degrees of arc: what is there is inferred; show it to the camera, too"
+            f"{360 * side.share:.0f} degrees of arc: what is there is inferred; "
+            + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards) else show)
         )
     if len(good) < MIN_FRAMES:
         warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")

@@ -14,6 +14,7 @@ from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.lines_of_sight import directions
 from kinectbench.core.voxels.morphology import broad, opened
 from kinectbench.stages.segment.find.select import triple
+from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY
 from kinectbench.stages.segment.solid.evidence import VoxelEvidence, seen_from
 from kinectbench.stages.segment.solid.solid import SolidShape
 
@@ -52,6 +53,7 @@ class Frontier:
         solid_share: the share of it that the solid takes for inside, 0 to 1.
         inside_solid_share: the share of it that is both, 0 to 1.
         underside: only lines of sight that look up reach the region.
+        obstructed: something that is not the object stands where the camera would be.
     """
 
     direction: Direction
@@ -64,6 +66,7 @@ class Frontier:
     solid_share: float
     inside_solid_share: float
     underside: bool = False
+    obstructed: bool = False
 
     def restored(self, scale: float) -> "Frontier":
         """The same frontier in a world that is `scale` times as large."""
@@ -79,12 +82,13 @@ class Frontier:
     def advice(self, first_rad: float) -> str:
         """One line for the person who records: what no frame saw, and where to stand."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
-        where = where_to_stand(self.look_from, self.center_m[2], first_rad)
+        where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
+        where = f"{MOVE_AWAY} {where}" if self.obstructed else where
         if self.underside:
             say = "or say in benchmark.yaml whether its `underside` is closed or open"
-            return f"nobody saw the underside, {size}: record {where}, {say}"
+            return f"nobody saw the underside, {size}: {where}, {say}"
         at = {"up": "at the top", "side": "at the side", "down": "at the bottom"}[self.direction]
-        return f"nobody looked into the opening {at}, {size}: record {where}"
+        return f"nobody looked into the opening {at}, {size}: {where}"
 
 
 def turned(towards_rad: float, first_rad: float) -> str:
