@@ -194,6 +194,7 @@ def _estimates(rows: Sequence[Row]) -> Iterator[Figure]:
         ]
         yield at_most("estimated_iou off by over .10, and nothing says so: objects", len(silent), 0)
         yield told("which", [_with(row, row.off) for row in silent])
+        yield told("of these with the verdict `good`", sum(not row.warnings for row in silent))
     yield from _mean(
         "calibration error, mean of the objects'", rows, lambda row: row.calibration, at_most, 0.03
     )

@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 11,
     "track": 9,
     "fuse": 5,
-    "segment": 32,
+    "segment": 33,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

@@ -56,12 +56,14 @@ class IouEstimate:
         value: the estimate.
         low: lower end of the interval; behind an opening that no frame saw into the other guess may be right.
         high: upper end; the guess behind every opening is right.
+        measured_low: the least IoU that the error of the surface leaves, where every guess is right.
         reasons: what widens the interval, a line each.
     """
 
     value: float
     low: float
     high: float
+    measured_low: float
     reasons: tuple[str, ...]
 
 
@@ -127,6 +129,7 @@ def estimate_iou(
         value,
         max(0.0, expected.iou(most) - spread),
         min(guessed.iou(least), expected.iou(least) + spread),
+        guessed.iou(most),
         _reasons(frontiers, per_mm, shifted, pose_error.checked),
     )
 

@@ -1,6 +1,5 @@
 """Openings that no frame saw into: how large they are, where, and from where a camera would see into them."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -129,51 +128,29 @@ def find_frontiers(
     into along the direction that shows most of the piece, or nearly so. Unknown layers thinner than a line of
     sight have none, but for undersides. `T_floor_grid` (4, 4) is of the solid's grid.
     """
-    unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
-    frontiers: list[Frontier] = []
-    for underside in (False, True):
-        region = unknown & (evidence.underside if underside else ~evidence.underside)
-        frontiers += _of_region(shape, evidence, limits, T_floor_grid, region, underside)
-    return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))
-
-
-def _of_region(
-    shape: SolidShape,
-    evidence: VoxelEvidence,
-    limits: SensorLimits,
-    T_floor_grid: Float64,
-    region: Bools,
-    underside: bool,
-) -> Iterator[Frontier]:
-    """The frontiers of the pieces of a region of unknown voxels."""
     from scipy import ndimage
 
     voxel_m = shape.grid.voxel_size_m
-    cells = max(1, round(limits.line_width_m / voxel_m))
-    # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
-    wide = opened(region, (cells, cells, 1)) if underside else broad(region, cells)
-    pieces, count = ndimage.label(wide, np.ones((3, 3, 3)))
-    least = max(1, (LEAST_UNDERSIDE_SHARE if underside else LEAST_SHARE) * int(shape.solid.sum()))
-    sizes = np.bincount(pieces.reshape(-1), minlength=count + 1)
-    large = sizes >= least
-    large[0] = False
-    if not large.any():
-        return
-    # Only the large pieces keep a number.
-    pieces = np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces]
+    unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
+    pieces, aside = _large_pieces(shape, unknown & ~evidence.underside, limits, underside=False)
+    below, count = _large_pieces(shape, unknown & evidence.underside, limits, underside=True)
+    if not aside + count:
+        return ()
+    pieces[below > 0] = below[below > 0] + aside
     ways = directions(VIEW_DIRECTIONS)
     shown = seen_from(evidence.surface, evidence.heights_m, voxel_m, limits, pieces, ways)
     # Below an underside all may be unseen down to the floor: a camera looks through that.
-    open_to = evidence.free | (evidence.unknown & ~evidence.underside) if underside else evidence.free
-    free = np.pad(open_to, 1)
+    open_to = (evidence.free, evidence.free | (evidence.unknown & ~evidence.underside))
+    free = [np.pad(each, 1) for each in open_to]
+    frontiers = []
     for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
-        inner = pieces[window] == piece
+        inner, underside = pieces[window] == piece, piece > aside
         taken = shape.solid[window][inner]
         expected = shape.probability[window][inner].astype(np.float64)
         part = _Piece(
             voxel_m,
             inner,
-            free[tuple(slice(along.start, along.stop + 2) for along in window)],
+            free[underside][tuple(slice(along.start, along.stop + 2) for along in window)],
             np.array([along.start for along in window]),
         )
         behind = (
@@ -184,7 +161,24 @@ def _of_region(
         )
         frontier = _frontier(part, _best_direction(ways, shown[:, piece]), T_floor_grid, behind, underside)
         if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
-            yield frontier
+            frontiers.append(frontier)
+    return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))
+
+
+def _large_pieces(
+    shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
+) -> tuple[NDArray[np.int32], int]:
+    """The number of each voxel's piece, from 1 on, or 0 where it is small; and how many pieces there are."""
+    from scipy import ndimage
+
+    cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
+    # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
+    wide = opened(region, (cells, cells, 1)) if underside else broad(region, cells)
+    pieces, count = ndimage.label(wide, np.ones((3, 3, 3)))
+    least = max(1, (LEAST_UNDERSIDE_SHARE if underside else LEAST_SHARE) * int(shape.solid.sum()))
+    large = np.bincount(pieces.reshape(-1), minlength=count + 1) >= least
+    large[0] = False
+    return np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces], int(large.sum())
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:

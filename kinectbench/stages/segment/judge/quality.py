@@ -182,6 +182,11 @@ def _warnings(
             f"the estimated IoU of the solid to the truth is {estimate.value:.2f}, lowered by: {why}{closer}",
         ),
         (
+            estimate.value >= GOOD_ESTIMATED_IOU > estimate.measured_low,
+            f"the surface may be off by so much that the IoU of the solid to the truth is "
+            f"{estimate.measured_low:.2f}, by: {why}{closer}",
+        ),
+        (
             share_per_mm > MAX_VOLUME_SHARE_PER_MM,
             f"the object's parts are thin: a surface that is off by 1 mm changes {share_per_mm:.0%} of the "
             "volume, and any IoU by as much",

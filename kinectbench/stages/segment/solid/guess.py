@@ -35,7 +35,7 @@ SIGNED_INSIDE_SHARE = np.array(
 
 
 def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) -> Float32:
-    """The probability that each unseen voxel is inside; meaningless where `unseen` is not set.
+    """The probability that each unseen voxel is inside; 0 where `unseen` is not set.
 
     Args:
         evidence: the class of each voxel.
@@ -48,8 +48,10 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
     # No camera sees the floor below the object: a ray down counts for nothing there.
     state[:, :, : evidence.contact.start] = NEUTRAL
     hits = cast_26_rays(state)
-    roofed, sky = (np.interp(hits.enclosed, ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE))
-    probability = np.where(hits.sky > 0, sky, roofed).astype(np.float32)
+    enclosed, to_sky = hits.enclosed[evidence.unseen], hits.sky[evidence.unseen] > 0
+    roofed, sky = (np.interp(enclosed, ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE))
+    probability = np.zeros(state.shape, np.float32)
+    probability[evidence.unseen] = np.where(to_sky, sky, roofed)
     object_above = evidence.near_surface | evidence.closed | evidence.underside
     rim = np.zeros_like(object_above)
     for layers in range(1, rim_voxels(rules.limits, voxel_m) + 1):
