@@ -27,10 +27,6 @@ from kinectbench.stages.segment.solid import evidence, guess, solid
 COLUMNS = ("IoU", "IoU on known", "gross %", "worst %", "not known %", "calibration")
 
 
-def _no_plate(signed_m: Any, *others: Any) -> Bools:
-    return np.zeros(signed_m.shape[:2], bool)
-
-
 def _as_it_is(solid_cells: Bools, *others: Any) -> Bools:
     return solid_cells
 
@@ -46,7 +42,6 @@ RULES: Mapping[str, tuple[tuple[ModuleType, str, Any], ...]] = {
     "slits are unknown": ((evidence, "NARROWER", 1.0),),
     "deep behind a surface nothing is told": ((evidence, "SHELL_M", 1.0),),
     "the way to the surface tells depth": ((evidence, "_beyond_band", _deep_by_distance),),
-    "a plate just above the floor is the object's": ((evidence, "_low_plates", _no_plate),),
     "right under the object it goes on": ((guess, "rim_voxels", lambda limits, voxel_m: 0),),
     "hidden legs are carried up": ((solid, "carried_up", _as_it_is),),
 }

@@ -20,7 +20,6 @@ def evidence_of(shape: tuple[int, int, int], **given: Any) -> VoxelEvidence:
         "signed_m": np.zeros(shape, np.float32),
         "sight": np.zeros(shape, np.uint8),
         "contact": slice(0, 0),
-        "low_plate": np.zeros(shape[:2], bool),
         "heights_m": None,
         **dict.fromkeys(masks, no),
     }

@@ -210,20 +210,6 @@ def test_what_a_few_rays_grazed_is_unseen(share: float, observed: bool) -> None:
     assert (evidence.unseen[grazed] == (not observed)).all()
 
 
-@pytest.mark.parametrize(("height_mm", "is_plate"), [(21.0, True), (18.0, False)])
-@pytest.mark.parametrize("starts_m", [0.06, 0.12])
-def test_a_plate_that_hardly_rises_above_the_floor(height_mm: float, is_plate: bool, starts_m: float) -> None:
-    """It ends above the contact layers, at 20 mm, and below the middle of the next."""
-    post_m = box_distance((0.06, 0.05, -1.0), (0.10, 0.19, 0.3))
-    plate_m = box_distance((starts_m, 0.05, -1.0), (0.26, 0.19, height_mm / 1000))
-    plate = within((0.14, 0.06, 0.0), (0.25, 0.18, 0.02))
-    evidence, shape = classified(observation(np.minimum(post_m, plate_m)))
-    of_object = is_plate and starts_m < 0.1
-    assert (evidence.low_plate[plate.any(axis=2)] == of_object).all()
-    assert (shape.solid[plate] == of_object).all()
-    assert (shape.labels[plate] != Label.UNKNOWN).all()
-
-
 def test_layers_about_the_floor() -> None:
     layers = FloorLayers(below=4, contact=2, low=3)
     assert (layers.first, layers.cut) == (6, 9)

@@ -99,7 +99,6 @@ class VoxelEvidence:
         closed: bool, unseen, and no camera could see it, or a person says that it is closed: the object's.
         underside: bool, unseen, and only lines that look up reach it, whatever a person says.
         contact: the layers right above the floor.
-        low_plate: bool (nx, ny), columns of a plate of the object that hardly rises above these layers.
         surface: bool, what ends a line of sight.
         heights_m: (nz,) float32, heights of the layers' middles above the plane it stands on; None: no plane.
     """
@@ -114,7 +113,6 @@ class VoxelEvidence:
     closed: Bools
     underside: Bools
     contact: slice
-    low_plate: Bools
     surface: Bools
     heights_m: Float32 | None
 
@@ -141,26 +139,23 @@ def classify_voxels(
     signed_m = _signed_distance_m(observation, rules.ray_width_m)
     free = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~free
-    own = behind & ~excluded
-    detached, low_plate = _detached(own, _low_plates(signed_m, own, free, layers, voxel_m), layers)
-    excluded = excluded | detached
+    excluded = excluded | _detached(behind & ~excluded, layers)
     sheet_m = np.float32(SHEET_VOXELS * voxel_m)
     surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
     surface &= ~excluded
     # Next to the floor nothing can be measured: what stands above goes on down to it.
-    surface[:, :, : layers.first] = (surface[:, :, layers.first] | low_plate)[:, :, None]
+    surface[:, :, : layers.first] = surface[:, :, layers.first, None]
     above = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * voxel_m
     heights_m = above.astype(np.float32) if rules.stands else None
     sight = look(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
-    near_surface[:, :, layers.first - 1] |= low_plate & ~excluded[:, :, layers.first - 1]
     unseen = ~(free | near_surface | excluded)
     unseen[:, :, : layers.below] = False
     underside = unseen & (sight == FROM_BELOW)
     closed = unseen & (sight == 0)
-    standing = near_surface[:, :, contact.stop] | unseen[:, :, contact.stop] | low_plate
-    solid = near_surface[:, :, contact.stop] | closed[:, :, contact.stop] | low_plate
+    standing = near_surface[:, :, contact.stop] | unseen[:, :, contact.stop]
+    solid = near_surface[:, :, contact.stop] | closed[:, :, contact.stop]
     unseen[:, :, contact] &= standing[:, :, None]
     excluded[:, :, contact] |= ~standing[:, :, None] & ~free[:, :, contact]
     closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
@@ -180,7 +175,6 @@ def classify_voxels(
         closed=closed,
         underside=underside,
         contact=contact,
-        low_plate=low_plate,
         surface=surface,
         heights_m=heights_m,
     )
@@ -207,35 +201,19 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
     return np.asarray(behind & (far | (tsdf_m < -np.float32(shell_m))))
 
 
-def _low_plates(signed_m: Float32, behind: Bools, free: Bools, layers: FloorLayers, voxel_m: float) -> Bools:
-    """Columns (nx, ny) whose surface lies above the contact layers and below the middle of the next layer.
-
-    No voxel above the contact layers is behind the surface of a plate that ends there.
-    """
-    if layers.contact == 0:
-        return np.zeros(behind.shape[:2], bool)
-    top = layers.first - 1
-    above = signed_m[:, :, top] < -np.float32(voxel_m / 2)
-    return np.asarray(behind[:, :, top] & free[:, :, layers.first] & above)
-
-
-def _detached(behind: Bools, low_plate: Bools, layers: FloorLayers) -> tuple[Bools, Bools]:
-    """Find low voxels that are connected (26 neighbours) to nothing above: they are not the object's.
-
-    Returns:
-        The detached ones of `behind` in the low layers, and the columns of `low_plate` that are not detached.
-    """
+def _detached(behind: Bools, layers: FloorLayers) -> Bools:
+    """Which voxels of the low layers are connected (26 neighbours) to nothing above: not the object's."""
     from scipy import ndimage
 
     detached = np.zeros_like(behind)
     # One layer above them is enough to see what goes on there.
-    low = np.concatenate([low_plate[:, :, None], behind[:, :, layers.first : layers.cut + 1]], axis=2)
+    low = behind[:, :, layers.first : layers.cut + 1]
     pieces, count = ndimage.label(low, np.ones((3, 3, 3)))
     held = np.zeros(count + 1, dtype=bool)
     held[pieces[:, :, -1]] = True
     held[0] = False
-    detached[:, :, layers.first : layers.cut] = (low & ~held[pieces])[:, :, 1:-1]
-    return detached, held[pieces[:, :, 0]]
+    detached[:, :, layers.first : layers.cut] = (low & ~held[pieces])[:, :, :-1]
+    return detached
 
 
 def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:

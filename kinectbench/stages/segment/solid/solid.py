@@ -87,7 +87,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
 
     A free voxel is empty. A voxel right behind a measured surface is occupied, and so is one that no camera
     could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor, the lowest
-    occupied layer and low plates are extruded down to the floor. Legs whose upper end was hidden are carried
+    occupied layer is extruded down to the floor. Legs whose upper end was hidden are carried
     up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are
     dropped, and voids are filled.
 
@@ -106,8 +106,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     guess = inside_probability(evidence, rules, voxel_m)
     solid = evidence.near_surface | evidence.closed | (evidence.unknown & (guess > 0.5))
     # Extruded down to the floor, and for now beyond it, so that smoothing does not round the feet.
-    standing = solid[:, :, contact.stop] | evidence.low_plate
-    solid[:, :, : contact.stop] = standing[:, :, None] & ~excluded[:, :, : contact.stop]
+    solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
     solid = carried_up(solid, evidence.free | excluded, contact.stop, voxel_m)
     field = _smooth_field(evidence, _without_specks(solid), voxel_m)
     empty = excluded.copy()
