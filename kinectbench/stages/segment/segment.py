@@ -89,7 +89,7 @@ def segment(
     solids, frontiers = _make_solids(frames, grid, chosen, rules, resolution.scale)
     surround = frames.fused_around(grid, chosen)
     # Judge the solid.
-    report = coverage_report(sequence, trajectory, scene, chosen, grid, max_depth_m)
+    report = coverage_report(sequence, trajectory, scene, chosen, grid, max_depth_m, limits)
     box, pose_error = solid_box(solids.whole, chosen.floor), pose_error_of(trajectory)
     quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
     labels = surround_labels(surround, support)
@@ -155,6 +155,9 @@ def _make_solids(
     whole, of_odd, of_even = (shape.restored(grid, scale) for shape in (whole, of_odd, of_even))
     restored = (frontier.restored(scale) for frontier in frontiers)
     return Solids(whole, of_odd, of_even, sigma_m), tuple(
-        replace(each, obstructed=is_obstructed(chosen, np.array(each.center_m), np.array(each.look_from)))
+        replace(
+            each,
+            obstructed=is_obstructed(chosen, np.array(each.center_m), np.array(each.look_from), rules.limits),
+        )
         for each in restored
     )

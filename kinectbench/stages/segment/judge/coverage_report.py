@@ -8,6 +8,7 @@ from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
@@ -168,11 +169,12 @@ def coverage_report(
     chosen: Segmentation,
     grid: Grid,
     max_depth_m: float,
+    limits: SensorLimits = DEFAULT_LIMITS,
 ) -> CoverageReport:
     """Report what is wrong with the recording: poses, an unseen side, few frames, movement, range, choice.
 
-    `scene` is the fused surface, `grid` lies around the object, and depth makes surface in it up to
-    `max_depth_m`.
+    `scene` is the fused surface, `grid` lies around the object, depth makes surface in it up to
+    `max_depth_m`, and `limits` are the sensor's.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
@@ -188,7 +190,7 @@ def coverage_report(
         warnings.append(
             f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, over "
             f"{360 * side.share:.0f} degrees of arc: what is there is inferred; "
-            + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards) else show)
+            + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards, limits) else show)
         )
     if len(good) < MIN_FRAMES:
         warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")

@@ -3,40 +3,42 @@
 import numpy as np
 
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.find.object import Segmentation
 
 MOVE_AWAY = "move it away from what stands behind it, and"
-# A camera 0.4 m from the object, and the person who holds it, need so much room (chosen by hand).
-ROOM_M = 1.0
 # A surface that a line meets has so many cells within so many cells of the line (chosen by hand: seven of a
 # plane across it, three of an edge).
 HIT_CELLS, BESIDE_CELLS = 3, 1.5
-# The object hides what is right behind it. A wall shows on both sides of it, over so many cells each: 0.5 m.
-# So many lines through a cell on either side are tried (chosen by hand).
+# The object hides what is right behind it. A wall shows on both sides of it, over so many cells each, and
+# rises over so many above what is looked at: 0.5 m, which boxes on the floor do not. So many lines through a
+# cell on either side are tried (chosen by hand).
 WALL_CELLS, TRIED_LINES = 16, 300
 # A look that is steeper than this (vertical part of a unit vector) meets no wall: 72 degrees.
 STEEP = 0.95
 
 
-def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64) -> bool:
+def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, limits: SensorLimits) -> bool:
     """Whether something that is not the object stands where a camera would look at a point from.
 
-    It stands up to 1 m beyond the object's box. It was measured on the line, or it is a wall that shows on
-    both sides of the line.
+    A camera measures the object from `near_m` on: what stands nearer than such a camera to the object's box
+    is in its way. It was measured on the line, or it is a wall that shows on both sides of the line.
 
     Args:
         chosen: the object, and what else stands on the floor.
         point_floor: (3,) what the camera looks at, floor frame, metres.
         look: (3,) unit vector, floor frame, from the point to the camera.
+        limits: of the sensor.
     """
     cell_m = chosen.cell_m
     others = (chosen.other_cells + 0.5) * cell_m - point_floor
     along_m = others @ look
     beside_m = np.linalg.norm(others - along_m[:, None] * look, axis=1)
-    reach_m = _way_out_m(chosen.box, point_floor, look) + ROOM_M
-    met = (along_m > 0) & (along_m < reach_m) & (beside_m < BESIDE_CELLS * cell_m)
+    out_m = _way_out_m(chosen.box, point_floor, look)
+    reach_m = out_m + limits.near_m + limits.camera_size_m / 2
+    met = (along_m > out_m) & (along_m < reach_m) & (beside_m < BESIDE_CELLS * cell_m)
     if met.sum() >= HIT_CELLS:
         return True
     if abs(look[2]) > STEEP:
@@ -44,9 +46,10 @@ def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64) -> 
     towards = look[:2] / np.linalg.norm(look[:2])
     higher = others[others[:, 2] > 0, :2]
     level = np.column_stack([higher @ towards, higher @ [-towards[1], towards[0]]])
-    near = (np.abs(level) < 2 * reach_m).all(axis=1)
+    near = (np.abs(level) < 2 * reach_m + WALL_CELLS * cell_m).all(axis=1)
     cells = np.floor(level[near] / cell_m).astype(np.int64)
-    columns = cells[np.unique(cell_numbers(cells), return_index=True)[1]]
+    _, first, counts = np.unique(cell_numbers(cells), return_index=True, return_counts=True)
+    columns = cells[first[counts >= WALL_CELLS]]
     return bool((_wall_crossings(columns) * cell_m < reach_m).any())
 
 
