@@ -176,6 +176,16 @@ def test_regions_apart_are_coins_of_their_own_and_an_underside_is_one() -> None:
     assert widths[1] == pytest.approx(widths[0] * np.sqrt(5), abs=0.03)
 
 
+@pytest.mark.parametrize("guessed", [0.6, 0.9])
+def test_what_the_surface_alone_may_leave_does_not_depend_on_guesses(guessed: float) -> None:
+    known, partly = known_solid(), partly_known(guessed, 0.3)
+    whole, part = (estimate_iou(shape, 0.001, CERTAIN, ()) for shape in (known, partly))
+    assert whole.measured_low == pytest.approx(whole.low)
+    # A known voxel may be wrong; one that is guessed right is not.
+    assert part.low < whole.measured_low < part.measured_low
+    assert part.measured_low == estimate_iou(partly_known(0.7, 0.1), 0.001, CERTAIN, ()).measured_low
+
+
 def test_reasons_name_openings_and_undersides() -> None:
     of_an_opening = frontier(2, 0.9, 1.0, 0.9)
     of_an_underside = replace(of_an_opening, underside=True)
