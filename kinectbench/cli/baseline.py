@@ -45,8 +45,13 @@ def baseline(
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def check(common: Common, predictions: Predictions) -> int:
-    """Say everything that is wrong with a folder of predictions, without scoring."""
+    """Say everything that is wrong with a folder of predictions, without scoring.
+
+    Of predictions in the camera frame it says how far each is from its view's depth, and what explains it.
+    """
     from kinectbench.cli import console
+    from kinectbench.scoring.camera_predictions import check_camera
+    from kinectbench.scoring.declared import read_in_camera
     from kinectbench.scoring.predictions import check as find_problems
     from kinectbench.scoring.predictions import check_folder, split_methods
 
@@ -54,10 +59,17 @@ def check(common: Common, predictions: Predictions) -> int:
         check_folder(predictions)  # before the benchmark is built
     release, rows = find_release(common)
     methods = split_methods(predictions, release.targets)
-    problems = []
+    problems, notes = list[str](), list[str]()
     for name, folder in methods.items():
+        method, said = read_in_camera(folder), list[str]()
         with console.bar(f"check {name}") as progress:
-            found = find_problems(release, folder, progress)
-        problems += [f"{name}: {line}" if len(methods) > 1 else line for line in found]
+            if method is None:
+                found = find_problems(release, folder, progress)
+            else:
+                found, said = check_camera(release, folder, method, progress)
+        begin = f"{name}: " if len(methods) > 1 else ""
+        problems += [begin + line for line in found]
+        notes += [begin + line for line in said]
+    console.lines("note", notes, "cyan")
     common.tell_problems(problems, f"{predictions}: all well")
     return SOME_FAILED if problems else exit_status(rows)

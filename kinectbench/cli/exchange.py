@@ -1,4 +1,4 @@
-"""The commands `export` and `import`: releases in other layouts."""
+"""The commands `export`, `import` and `adapt`: releases in other layouts, and outputs of others."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -6,10 +6,13 @@ from typing import Annotated, Literal
 import typer
 
 from kinectbench.cli.build import exit_status, find_release
-from kinectbench.cli.common import Common, takes
+from kinectbench.cli.common import SOME_FAILED, Common, takes
+from kinectbench.core.errors import SettingsError
 
 # Each is a room `release/exchange/<layout>.py` with a function `export_<layout>`.
-Layout = Literal["recgan", "bop", "webdataset", "parquet"]
+Layout = Literal["recgan", "bop", "webdataset", "parquet", "rgbd"]
+# Those of `ADAPTERS` in scoring/adapters/registry.py, which is imported when one is asked for.
+Method = Literal["rayst3r", "octmae", "sam3d", "pointr", "patchcomplete"]
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
@@ -17,20 +20,70 @@ def export(
     common: Common,
     out: Annotated[Path, typer.Argument(help="a new folder, or an earlier export")],
     layout: Annotated[
-        Layout, typer.Option(help="the paper's authors', BOP's, WebDataset's, or the targets as Parquet")
+        Layout,
+        typer.Option(help="the paper's authors', BOP's, WebDataset's, targets as Parquet, or images by view"),
     ] = "recgan",
+    method: Annotated[
+        Method | None,
+        typer.Option("--for", help="with `--layout rgbd`: the files of this method, in its unit and axes"),
+    ] = None,
 ) -> int:
-    """Write a release in another layout: of the paper's authors (`recgan`), BOP, WebDataset; Parquet."""
+    """Write a release in another layout: of the paper's authors, BOP, WebDataset; Parquet; images by view."""
     from importlib import import_module
 
     from kinectbench.cli import console
 
+    if method is not None and layout != "rgbd":
+        raise SettingsError(f"--for {method}: only with `--layout rgbd`")
+    if layout == "rgbd":
+        return _export_views(common, out, method)
     write = getattr(import_module(f"kinectbench.release.exchange.{layout}"), f"export_{layout}")
     release, rows = find_release(common)
     with console.bar("export") as progress:
         pairs = write(release, out, progress)
     common.tell({"folder": str(out), "pairs": pairs}, [f"exported {pairs} pairs: {out}"])
     return exit_status(rows)
+
+
+def _export_views(common: Common, out: Path, method: str | None) -> int:
+    """Write the views of a release, and tell what lacks colour or is cut."""
+    from kinectbench.cli import console
+    from kinectbench.release.exchange.rgbd import export_rgbd
+    from kinectbench.scoring.adapters.registry import export_for
+
+    release, rows = find_release(common)
+    with console.bar("export") as progress:
+        if method is None:
+            views, notes = export_rgbd(release, out, progress)
+        else:
+            views, notes = export_for(release, out, method, progress)
+    console.lines("note", notes, "cyan")
+    told = {"folder": str(out), "views": views, "notes": notes}
+    common.tell(told, [f"exported {views} views: {out}"])
+    return exit_status(rows)
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def adapt(
+    common: Common,
+    method: Annotated[Method, typer.Argument(help="that wrote it")],
+    output: Annotated[Path, typer.Argument(help="what it wrote, in the folders of `export --for`")],
+    out: Annotated[
+        Path | None, typer.Option(help="a new folder; default: predictions/<method> beside the benchmark")
+    ] = None,
+) -> int:
+    """Make predictions of what a method of today wrote, in the camera frame and in metres."""
+    from kinectbench.cli import console
+    from kinectbench.scoring.adapters.registry import adapt as write_adapted
+
+    release, rows = find_release(common)
+    folder = out or common.beside("predictions") / method
+    with console.bar("adapt") as progress:
+        count, problems = write_adapted(release, method, output, folder, progress)
+    told = {"folder": str(folder), "predictions": count, "problems": console.at_most(problems)}
+    common.tell(told, [f"adapted {count} predictions: {folder}"])
+    console.lines("error", problems, "red")
+    return SOME_FAILED if problems else exit_status(rows)
 
 
 @takes("as_json")

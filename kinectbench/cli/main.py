@@ -18,7 +18,7 @@ from kinectbench.cli.baseline import baseline, check
 from kinectbench.cli.build import STAGE_COMMANDS, build
 from kinectbench.cli.common import Command
 from kinectbench.cli.evaluate import evaluate
-from kinectbench.cli.exchange import export, import_
+from kinectbench.cli.exchange import adapt, export, import_
 from kinectbench.cli.fetch import fetch, gc
 from kinectbench.cli.methods import convert, predict, train
 from kinectbench.cli.publish import publish
@@ -72,7 +72,13 @@ PANELS: Mapping[str, Mapping[str, Command]] = {
     },
     "Look at what was made": {"report": report},
     "Publish it": {"publish": publish, "verify": verify, "fetch": fetch, "export": export, "import": import_},
-    "Score predictions": {"baseline": baseline, "check": check, "score": score, "compare": compare},
+    "Score predictions": {
+        "baseline": baseline,
+        "adapt": adapt,
+        "check": check,
+        "score": score,
+        "compare": compare,
+    },
     "Train and run networks": {"train": train, "predict": predict, "convert": convert},
     "Work with known truth": {"simulate": simulate, "synthesize": synthesize, "evaluate": evaluate},
 }

@@ -11,7 +11,8 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step
 
-# What a method may declare today, by key; the file's format knows more words.
+# What a method may declare and be scored today, by key; the file's format knows more words, and `check` looks
+# at predictions of all of them in the camera frame.
 SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "frame": ("grid",),
     "form": ("voxels", "mesh"),
@@ -27,8 +28,18 @@ NAMED = 20
 LONGEST_NOTE = 200
 
 
+def read_in_camera(folder: Path) -> MethodFile | None:
+    """method.json of predictions in the camera frame; None of others, or if there is none.
+
+    Raises:
+        PredictionError: it cannot be read, or declares what nothing can have. One line.
+    """
+    method = MethodFile.read_if_there(folder)
+    return method if method is not None and method.frame == "camera" else None
+
+
 def read_method(folder: Path) -> MethodFile | None:
-    """method.json in a method's folder; None if there is none.
+    """method.json in a method's folder, of predictions that can be scored; None if there is none.
 
     Raises:
         PredictionError: it cannot be read, has a misspelt key, or declares what is not supported yet. One

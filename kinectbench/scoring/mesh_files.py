@@ -20,6 +20,8 @@ from kinectbench.core.untrusted import printable
 
 # The surface of the largest grid has some 400,000 cells (6 sides of 256^2), with two triangles to each.
 MAX_VERTICES = MAX_TRIANGLES = 1 << 20
+# Of a cloud: 22 views that RaySt3R predicts of an object with 190,000 pixels; 113 MB as it writes them.
+MAX_POINTS = 1 << 22
 # The end of a finely cut cylinder is a polygon of so many corners.
 MAX_CORNERS = 1024
 # Of a .ply as text: a closed surface of so many triangles has 9.4 million with normals and colours.
@@ -42,6 +44,7 @@ SPACE = re.compile(rb"\s")
 CORNER_LISTS = ("vertex_index", "vertex_indices")
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+Normals = NDArray[np.float64] | None
 
 
 def read_obj(content: bytes) -> Triangles:
@@ -87,12 +90,36 @@ def read_ply(content: bytes) -> Triangles:
         ValueError: the header is malformed or claims more than the file holds, an element that is not
             needed stands before the faces, a face has a corner that is no vertex, or there are too many.
     """
-    order, elements, offset = _header(content)
-    data = _numbers(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
-    position, vertices = 0, None
+    vertices, triangles, _ = _read_ply(content, MAX_VERTICES)
+    if triangles is None:
+        raise ValueError("no faces after its vertices; an empty prediction is a grid of zeros")
+    return _checked(vertices, triangles)
+
+
+def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], Normals]:
+    """The vertices (n, 3) of a .ply, its triangles (m, 3), and the normals (n, 3) of vertices that have them.
+
+    Of a cloud of points there are no triangles.
+
+    Raises:
+        ValueError: as `read_ply`, or there is no vertex.
+    """
+    vertices, triangles, normals = _read_ply(content, MAX_POINTS)
+    if triangles is None or not len(triangles):
+        return vertices, np.zeros((0, 3), np.int64), normals
+    return *_checked(vertices, triangles), normals
+
+
+def _read_ply(
+    content: bytes, most_vertices: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64] | None, Normals]:
+    """Vertices, triangles or None where there is no such element, and normals if vertices have them."""
+    order, elements, offset = _header(content, most_vertices)
+    data = numbers_of(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
+    position, vertices, normals = 0, None, None
     for element in elements:
         if element.name == "face" and vertices is not None:
-            return _checked(vertices, _faces(data, position, element))
+            return vertices, _faces(data, position, element), normals
         if any(one.count is not None for one in element.properties):
             raise ValueError(
                 f"lists of '{printable(element.name, 20)}' before the faces; write vertices first"
@@ -102,8 +129,12 @@ def read_ply(content: bytes) -> Triangles:
         rows = data[position : position + element.rows * element.width].reshape(element.rows, element.width)
         if element.name == "vertex":
             vertices = np.stack([_column(rows, element, axis) for axis in "xyz"], axis=1)
+            if {"nx", "ny", "nz"} <= {one.name for one in element.properties}:
+                normals = np.stack([_column(rows, element, f"n{axis}") for axis in "xyz"], axis=1)
         position += rows.size
-    raise ValueError("no faces after its vertices; an empty prediction is a grid of zeros")
+    if vertices is None:
+        raise ValueError("no vertices")
+    return vertices, None, normals
 
 
 @dataclass(frozen=True)
@@ -143,7 +174,7 @@ class _Element:
         return sum(one.width if one.count is None else one.count_width for one in self.properties)
 
 
-def _header(content: bytes) -> tuple[str, list[_Element], int]:
+def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
     """Byte order ("" of a text), elements, and where the data begins; it claims what is there."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
@@ -177,14 +208,18 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
         lists = sum(one.count is not None for one in element.properties)
         if lists > MAX_LISTS or (element.name == "face" and len(element.properties) > MAX_OF_FACE):
             raise ValueError(f"more than {MAX_LISTS} lists or {MAX_OF_FACE} properties of a face; write less")
-        limit = {"vertex": (MAX_VERTICES, "vertices"), "face": (MAX_TRIANGLES, "faces")}.get(element.name)
+        limit = {"vertex": (most_vertices, "vertices"), "face": (MAX_TRIANGLES, "faces")}.get(element.name)
         if limit:
             _refuse_many(element.rows, limit[1], limit[0])
     return order, found, line_end + 1
 
 
-def _numbers(content: bytes, start: int) -> NDArray[np.float64]:
-    """The numbers of a text, from a byte on; a piece at a time is split."""
+def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
+    """The numbers of a text, from a byte on; a piece at a time is split.
+
+    Raises:
+        ValueError: a word is no number, or there are more than `MAX_NUMBERS`.
+    """
     numbers, count = np.empty(min(MAX_NUMBERS, (len(content) - start) // 2 + 1)), 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a word that is no number

@@ -4,12 +4,14 @@ import math
 import re
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.core.artefacts.benchmark import SHA256
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Matrix4, Part, Stored
 from kinectbench.core.errors import KinectBenchError, PredictionError
+from kinectbench.core.geometry.rigid import similarity_problem
 from kinectbench.core.storage import canonical_json, sha256_text
+from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable
 
 # What `predict` has written of a run that is not complete, a file a line.
@@ -22,7 +24,18 @@ LONGEST_NAME = 40
 # fewer, honest keys are near (`from`, `init`, `scales`): unless the value is a word of it (own choices).
 DECIDING = ("frame", "form", "unit", "axes", "scale", "hypotheses", "threshold", "T_camera_prediction")
 LEAST_LETTERS = 6
+# Samples of a view that are read: papers of generators report up to ten (own choice).
+MOST_HYPOTHESES = 100
 Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
+
+
+def _checked_similarity(T: Float64) -> Float64:
+    if problem := similarity_problem(T):
+        raise ValueError(problem)
+    return T
+
+
+Similarity = Annotated[Matrix4, AfterValidator(_checked_similarity)]
 
 
 def _letters(name: str) -> str:
@@ -71,22 +84,26 @@ class MethodFile(Stored):
     axes: Literal["cv", "pytorch3d", "opengl"] = Field(
         "cv", description="cv: x right, y down, z forward, as those of `full`"
     )
-    T_camera_prediction: Any = Field(
-        None, description="view -> 4 x 4 similarity from the prediction to the camera"
+    T_camera_prediction: dict[str, Similarity] | None = Field(
+        None,
+        description="`<recording>/<view>` -> 4 x 4 similarity from the prediction to the camera, metres, for "
+        "column vectors; it is applied after `unit` and `axes`",
     )
     scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
-    hypotheses: int = Field(1, ge=1, description="predictions of each pair")
+    hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions of each pair")
     threshold: float | None = Field(
-        None, description="its own, for categories without validation pairs: 0.1, 0.15, … or 0.9"
+        None, ge=0, le=1, description="its own, for categories without validation pairs: 0.1, 0.15, … or 0.9"
     )
     inputs: tuple[str, ...] = Field((), description="what was looked at: depth, color, mask, …")
-    parameter_count: int | None = Field(None, description="values that were learnt and run")
+    parameter_count: int | None = Field(None, ge=0, description="values that were learnt and run")
     settings: dict[str, Any] | None = Field(None, description="of the method")
     training: dict[str, Any] | None = Field(None, description="what it was trained on, and for how long")
     hardware: str | None = Field(None, description="that it ran on")
-    seconds_per_view: float | None = Field(None, description="mean time of one prediction, without reading")
+    seconds_per_view: float | None = Field(
+        None, ge=0, description="mean time of one prediction, without reading"
+    )
     peak_memory_mb: float | None = Field(
-        None, description="most memory of the process, or of the GPU, 10^6 bytes"
+        None, ge=0, description="most memory of the process, or of the GPU, 10^6 bytes"
     )
     run_sha256: str | None = Field(
         None,
@@ -104,6 +121,14 @@ class MethodFile(Stored):
         if value not in words:
             raise ValueError(f"{printable(repr(value), 60)} is none of {', '.join(words)}")
         return value
+
+    @model_validator(mode="after")
+    def _size_is_known_or_said_to_be_free(self) -> Self:
+        if self.unit == "free" and self.scale == "metric" and not self.T_camera_prediction:
+            raise ValueError(
+                "'unit': 'free' leaves the size unknown: add 'scale': 'free', or 'T_camera_prediction'"
+            )
+        return self
 
     @model_validator(mode="after")
     def _no_misspelt_key(self) -> Self:

@@ -10,6 +10,12 @@ from kinectbench.core.types import Float64
 
 # Of a rotation's entries: what rounding leaves is a ten-thousandth of it.
 ORTHONORMAL_TOLERANCE = 1e-6
+# Of a stranger's similarity: products of float32 leave 1e-6, and 1e-4 moves a point at a metre by 0.1 mm.
+SIMILAR_TOLERANCE = 1e-4
+# Millimetres are 1e-3; a shape that is 1 wide in a room of a thousand units is far within (own choice).
+MOST_SCALE = 1e6
+# 16-bit depth in millimetres ends at 66 m.
+MOST_SHIFT_M = 100.0
 
 
 def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Float64:
@@ -29,6 +35,37 @@ def is_rigid(T: Float64) -> bool:
         and np.isfinite(T).all()
         and np.array_equal(T[3], [0, 0, 0, 1])
     )
+
+
+def similarity_scale(T: Float64) -> float:
+    """The scale of a (4, 4) similarity."""
+    return float(np.cbrt(np.linalg.det(T[:3, :3])))
+
+
+def similarity_problem(T: Float64) -> str | None:
+    """Why a (4, 4) matrix of finite numbers is no similarity of usual size; None if it is one.
+
+    A similarity is a rotation with determinant +1 times a scale > 0, and a shift; it maps column vectors.
+    """
+    if not np.array_equal(T[3], [0, 0, 0, 1]):
+        is_of_rows = T[3, 3] == 1 and not T[:3, 3].any()
+        advice = "it is made for row vectors: transpose it" if is_of_rows else "write that"
+        return f"its last row is not 0 0 0 1; {advice}"
+    if np.abs(T[:3, :3]).max() > MOST_SCALE:
+        return f"its scale is not within {1 / MOST_SCALE:g} and {MOST_SCALE:g}"
+    determinant = float(np.linalg.det(T[:3, :3]))
+    if not determinant > 0:
+        kind = "mirrors" if determinant < 0 else "flattens"
+        return f"it {kind} the shape; its rotation must have determinant +1 and its scale must be > 0"
+    scale = similarity_scale(T)
+    R = T[:3, :3] / scale
+    if not np.allclose(R @ R.T, np.eye(3), rtol=0, atol=SIMILAR_TOLERANCE):
+        return "it shears, or scales its axes differently; a rotation, one scale and a shift are accepted"
+    if not 1 / MOST_SCALE <= scale <= MOST_SCALE:
+        return f"its scale {scale:.3g} is not within {1 / MOST_SCALE:g} and {MOST_SCALE:g}"
+    if np.abs(T[:3, 3]).max() > MOST_SHIFT_M:
+        return f"it shifts by more than {MOST_SHIFT_M:g} m; write metres"
+    return None
 
 
 def invert_rigid(T_a_b: Float64) -> Float64:

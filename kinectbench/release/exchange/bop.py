@@ -5,20 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.decimate import decimated
-from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import Bools, Float64, Progress
-from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, pair_parts, unknown_share
+from kinectbench.core.types import Float64, Progress
+from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, unknown_share
 from kinectbench.release import view_images
 from kinectbench.release.exchange.bop_object import (
     MM_PER_M,
@@ -29,6 +25,7 @@ from kinectbench.release.exchange.bop_object import (
     read_model,
 )
 from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
+from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts_of, png_bytes
 from kinectbench.release.release import Release
 
 # The models that pose errors are computed with have fewer triangles: the toolkit's model type "eval" (5,000
@@ -157,7 +154,7 @@ def write_scene(
         ReleaseError: a file of the release is missing or damaged.
     """
     renderer = None if model is None else DepthRenderer(model.mesh)
-    colored = _color_registered(release, targets[0].recording)
+    colored = color_registered(release, targets[0].recording)
     cameras: dict[str, Any] = {}
     poses: dict[str, Any] = {}
     infos: dict[str, Any] = {}
@@ -168,7 +165,7 @@ def write_scene(
         write_below(folder / "depth" / f"{image:06d}.png", png)
         if colored and f"{source}.color.jpg" in release.sums:
             write_below(folder / "rgb" / f"{image:06d}.jpg", release.content(f"{source}.color.jpg"))
-        K, T_world_camera = _camera(release, target)
+        K, T_world_camera = camera_of(release, target)
         depth_mm = view_images.depth_mm(png, f"{source}.depth.png")
         camera = Camera(depth_mm.shape[1], depth_mm.shape[0], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         cameras[str(image)] = {"cam_K": K.ravel().tolist(), "depth_scale": 1.0}
@@ -179,7 +176,7 @@ def write_scene(
             seen = object_in_view(depth_mm, camera, T_world_camera, model.mesh, renderer)
             infos[str(image)] = [{key: getattr(seen, key) for key in GT_INFO}]
             for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
-                write_below(folder / name / f"{image:06d}_000000.png", _mask_png(mask))
+                write_below(folder / name / f"{image:06d}_000000.png", png_bytes(mask.astype(np.uint8) * 255))
         if progress:
             progress(done, len(release.targets))
     (folder / "scene_camera.json").write_text(pretty_json(cameras), encoding="utf-8")
@@ -197,38 +194,6 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
     }
 
 
-def _camera(release: Release, target: Target) -> tuple[Float64, Float64]:
-    """K and T_world_camera of a pair."""
-    K, T_world_camera = _parts(release, target, ("K", "T_world_camera"))
-    if not (K[0, 0] > 0 and K[1, 1] > 0 and is_rigid(T_world_camera)):
-        raise ReleaseError(f"{release.pair_path(target)}: K or T_world_camera is not one; run `verify`")
-    return K, T_world_camera
-
-
 def _unknown(release: Release, target: Target) -> float:
     """Share of a pair's true shape that is not known, rounded."""
-    return round(unknown_share(*_parts(release, target, ("full", "known"))), SHARE_DECIMALS)
-
-
-def _parts(release: Release, target: Target, names: Sequence[str]) -> list[NDArray[Any]]:
-    """Some arrays of a pair; the others are not unpacked."""
-    try:
-        return pair_parts(release.pair_content(target), names)
-    except UNREADABLE as error:
-        raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
-
-
-def _color_registered(release: Release, recording: str) -> bool:
-    """Whether the recording's colour lies on the pixels of depth, as BOP asks."""
-    name = f"views/{recording}/views.json"
-    if name not in release.sums:
-        raise ReleaseError(
-            f"{shown(release.folder / name)}: missing; BOP needs the depth images of the views"
-        )
-    return bool(ViewsFile.parse(release.text(name), name).color_registered)
-
-
-def _mask_png(mask: Bools) -> bytes:
-    import cv2
-
-    return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
+    return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

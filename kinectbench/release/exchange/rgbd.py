@@ -1,0 +1,304 @@
+"""The views of a release as plain pictures, depth maps and point maps: what methods of today are fed with.
+
+Each view has a folder `<recording>/<view>/`. A method that reads other files, units or axes has a writer of
+its own, which takes the same `RgbdView` (`scoring/adapters/`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
+from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.views import Side, ViewsFile
+from kinectbench.core.errors import KinectBenchError, PredictionError, ReleaseError
+from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.store.address import shown
+from kinectbench.core.types import Bools, Float32, Float64, Progress, Rgb
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.core.voxels.pair_file import pair_parts
+from kinectbench.release import view_images
+from kinectbench.release.exchange.layouts import new_folder, write_export_json
+from kinectbench.release.release import Release
+
+# What camera.json says of the colour of a view.
+REGISTERED = "on the pixels of depth"
+UNREGISTERED = "none: the recording's colour is not registered to its depth"
+UNPUBLISHED = "none: the release has no colour of this view"
+
+
+@dataclass(frozen=True)
+class RgbdView:
+    """What a method may look at of one view.
+
+    Attributes:
+        target: its pair.
+        depth_mm: (height, width) uint16, millimetres along z, 0 where nothing was measured.
+        mask: (height, width) bool, the object.
+        color: (height, width, 3) uint8 RGB on the pixels of depth; None where there is none.
+        color_words: what is said of it.
+        K: (3, 3) intrinsics, pixels; pixel centres are integers.
+        T_world_camera: (4, 4), camera (x right, y down, z forward) to world, metres.
+    """
+
+    target: Target
+    depth_mm: NDArray[np.uint16]
+    mask: Bools
+    color: Rgb | None
+    color_words: str
+    K: Float64
+    T_world_camera: Float64
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the images."""
+        K, (height, width) = self.K, self.depth_mm.shape
+        return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+
+    @property
+    def depth_m(self) -> Float32:
+        """(height, width) float32, metres, 0 where nothing was measured."""
+        return self.depth_mm.astype(np.float32) / np.float32(view_images.MM_PER_M)
+
+    @cached_property
+    def pointmap_m(self) -> Float32:
+        """(height, width, 3) float32, camera frame, metres, NaN where nothing was measured."""
+        points = self.camera.backproject(self.depth_mm / view_images.MM_PER_M).astype(np.float32)
+        points[self.depth_mm == 0] = np.nan
+        return points
+
+    @property
+    def object_points_m(self) -> Float64:
+        """(n, 3): the measured points of the object, camera frame, metres."""
+        return self.pointmap_m[self.mask & (self.depth_mm > 0)].astype(np.float64)
+
+
+def framed(view: RgbdView, width: int, height: int) -> RgbdView:
+    """A view as an image of this size, with the object in it; every pixel is one of the view's own.
+
+    The window lies around the object's box, and beyond the image nothing is measured. Where the box is
+    larger, every second, third, ... row and column is taken. No pixel is resampled, so that K is exact.
+    """
+    if view.depth_mm.shape == (height, width):
+        return view
+    size = np.array([width, height])
+    rows, columns = np.nonzero(view.mask)
+    spots = np.array([columns, rows]) if len(rows) else np.zeros((2, 1), int)
+    step = int(np.ceil(((np.ptp(spots, axis=1) + 1) / size).max()))
+    there = np.array(view.depth_mm.shape[::-1])
+    extent = -(-there // step)
+    middle = (spots.min(axis=1) + spots.max(axis=1)) // (2 * step)
+    # Of a larger image a part, of a smaller one all: in its middle.
+    first = np.where(
+        extent >= size, np.clip(middle - size // 2, 0, np.maximum(extent - size, 0)), (extent - size) // 2
+    )
+
+    def cut(image: NDArray[Any]) -> NDArray[Any]:
+        kept = image[::step, ::step]
+        out = np.zeros((height, width, *image.shape[2:]), image.dtype)
+        low, high = np.maximum(first, 0), np.minimum(first + size, extent)
+        (x, y), (right, bottom) = low - first, high - first
+        out[y:bottom, x:right] = kept[low[1] : high[1], low[0] : high[0]]
+        return out
+
+    K = view.K / np.array([[step], [step], [1.0]])
+    K[:2, 2] -= first
+    color = None if view.color is None else cut(view.color)
+    return replace(view, depth_mm=cut(view.depth_mm), mask=cut(view.mask), color=color, K=K)
+
+
+class ViewCamera(Stored):
+    """camera.json of an exported view; what `adapt` puts predictions back with."""
+
+    FILE: ClassVar[str] = "camera.json"
+    ADVICE: ClassVar[str] = "export the views again"
+    ERROR: ClassVar[type[KinectBenchError]] = PredictionError
+    # A few matrices (own choice).
+    MAX_BYTES: ClassVar[int] = 1 << 16
+
+    K: Matrix3 = Field(description="intrinsics of the images beside it, pixels; pixel centres are integers")
+    width: Side = Field(description="of the images, pixels")
+    height: Side = Field(description="of the images, pixels")
+    T_world_camera: Matrix4 = Field(description="camera to world, metres")
+    color: str = Field(description="where rgb.png comes from, or why there is none")
+    method: str | None = Field(None, description="whose files these are")
+    T_camera_method: Matrix4 | None = Field(
+        None, description="similarity from what the method reads to the camera, metres; column vectors"
+    )
+    cut_share: float | None = Field(
+        None, ge=0, le=1, description="of the object, outside the volume that the method looks at"
+    )
+    cut_of: str | None = Field(None, description="what cut_share counts: truth or seen")
+
+
+# Writes the files of one view into a folder that is there, and returns further keys of its camera.json. It
+# may frame the images anew, and returns the view that they then show.
+WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, Any]]]
+
+
+def export_rgbd(
+    release: Release,
+    out: Path,
+    progress: Progress | None = None,
+    method: str | None = None,
+    write: WriteView | None = None,
+) -> tuple[int, list[str]]:
+    """Write the views of a release, a folder `<recording>/<view>/` each.
+
+    Args:
+        release: opened.
+        out: a new folder, or an earlier export, which is replaced.
+        progress: called with (views done, views in all).
+        method: whose files are written; None: the plain files of `write_plain`.
+        write: writes them; needed with `method`.
+
+    Returns:
+        The number of views, and lines on what is not as a reader would expect: colour, and what is cut.
+
+    Raises:
+        SettingsError: `out` holds something else.
+        ReleaseError: the release has no depth images, or a file of it is missing or damaged.
+        StorageError: the disk is full or read-only.
+    """
+    without, cut = list[str](), list[ViewCamera]()
+    with new_folder(out) as folder:
+        for done, target in enumerate(release.targets, start=1):
+            view = read_view(release, target)
+            (folder / target.recording / target.view).mkdir(parents=True)
+            stated = _write(release, view, folder / target.recording / target.view, method, write)
+            cut.append(stated)
+            without += [target.name] * (view.color is None)
+            if progress:
+                progress(done, len(release.targets))
+        write_export_json(folder, release, {"layout": "rgbd", "method": method})
+    return len(release.targets), [*_color_lines(without, len(release.targets)), *_cut_lines(cut)]
+
+
+def _write(
+    release: Release, view: RgbdView, folder: Path, method: str | None, write: WriteView | None
+) -> ViewCamera:
+    """Write the files of one view and its camera.json, which is returned."""
+    shown_view, more = (write or write_plain)(release, view, folder)
+    given: dict[str, Any] = {} if method is None else {"method": method, **more}
+    stated = ViewCamera(
+        K=shown_view.K,
+        width=shown_view.depth_mm.shape[1],
+        height=shown_view.depth_mm.shape[0],
+        T_world_camera=view.T_world_camera,
+        color=view.color_words,
+        **given,
+    )
+    stated.write(folder)
+    return stated
+
+
+def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+    """Write rgb.png where there is colour, depth.png, depth_m.npy, pointmap_cv.npy and mask.png."""
+    write_color(view, folder)
+    write_png(folder / "depth.png", view.depth_mm)
+    np.save(folder / "depth_m.npy", view.depth_m)
+    np.save(folder / "pointmap_cv.npy", view.pointmap_m)
+    write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)
+    return view, {}
+
+
+def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
+    """Write the colour of a view, if there is any."""
+    if view.color is not None:
+        write_png(folder / name, view.color[..., ::-1])
+
+
+def _color_lines(without: Sequence[str], count: int) -> list[str]:
+    """A line on the views without colour; none if all have it."""
+    if not without:
+        return []
+    return [
+        f"{len(without)} of {count} views have no rgb.png, such as {without[0]}: their colour is not "
+        "published, or not registered to the depth (camera.json says which)"
+    ]
+
+
+def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
+    """A line on what the method's volume cuts; none if it cuts nothing, or has no volume."""
+    shares = [one.cut_share for one in stated if one.cut_share is not None]
+    if not any(shares):
+        return []
+    return [
+        f"the method's volume cuts the object of {np.count_nonzero(shares)} of {len(shares)} views: "
+        f"{np.mean(shares):.1%} of it in the mean, {max(shares):.1%} at most (cut_share in camera.json)"
+    ]
+
+
+def read_view(release: Release, target: Target) -> RgbdView:
+    """What a method may look at of one view.
+
+    Raises:
+        ReleaseError: the release has no such images, or a file is damaged or not the published one.
+    """
+    source = f"views/{target.recording}/{target.view}"
+    depth_mm = np.rint(view_images.depth_m(release, target) * view_images.MM_PER_M).astype(np.uint16)
+    mask, color, words = view_images.mask(release, target), None, UNREGISTERED
+    if color_registered(release, target.recording):
+        has_color = f"{source}{view_images.COLOR.suffix}" in release.sums
+        words = REGISTERED if has_color else UNPUBLISHED
+        color = view_images.color(release, target) if has_color else None
+    if mask.shape != depth_mm.shape or (color is not None and color.shape[:2] != depth_mm.shape):
+        raise ReleaseError(f"{shown(release.folder / source)}: images of different sizes; run `verify`")
+    return RgbdView(target, depth_mm, mask, color, words, *camera_of(release, target))
+
+
+def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
+    """K and T_world_camera of a pair.
+
+    Raises:
+        ReleaseError: the pair is missing or damaged, or they are none.
+    """
+    K, T_world_camera = parts_of(release, target, ("K", "T_world_camera"))
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and is_rigid(T_world_camera)):
+        raise ReleaseError(f"{release.pair_path(target)}: K or T_world_camera is not one; run `verify`")
+    return K, T_world_camera
+
+
+def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[NDArray[Any]]:
+    """Some arrays of a pair; the others are not unpacked.
+
+    Raises:
+        ReleaseError: the pair is missing or damaged, or lacks one.
+    """
+    try:
+        return pair_parts(release.pair_content(target), names)
+    except UNREADABLE as error:
+        raise ReleaseError(f"{release.pair_path(target)}: cannot be read as a pair ({error})") from error
+
+
+def color_registered(release: Release, recording: str) -> bool:
+    """Whether the recording's colour lies on the pixels of depth.
+
+    Raises:
+        ReleaseError: the release has no views of it.
+    """
+    name = f"views/{recording}/views.json"
+    if name not in release.sums:
+        raise ReleaseError(
+            f"{shown(release.folder / name)}: missing; this layout needs the depth images of the views"
+        )
+    return bool(ViewsFile.parse(release.text(name), name).color_registered)
+
+
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """A PNG of (height, width) uint8 or uint16, or of (height, width, 3) uint8 BGR."""
+    import cv2
+
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """Write a PNG; see `png_bytes`."""
+    path.write_bytes(png_bytes(image))

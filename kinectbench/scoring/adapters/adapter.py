@@ -1,0 +1,57 @@
+"""What an adapter is: a writer of the files that a method reads, and a reader of those that it writes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import listed
+from kinectbench.release.exchange.rgbd import ViewCamera, WriteView
+from kinectbench.scoring.camera_shape import CameraShape
+
+# Files in the folder of one view that are looked at (own choice).
+MOST_FILES = 1000
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """How one method is fed and read.
+
+    Attributes:
+        write: the files that its own loader reads, and `T_camera_method` for camera.json.
+        output: name of the file that it writes for a view; `*` stands for anything.
+        read: from that file and camera.json to the shape in the frame that `T_camera_method` maps from;
+            it raises PredictionError, ValueError or one of `UNREADABLE`.
+        form: of its predictions: mesh, points or voxels.
+        inputs: what it looks at.
+        module: that `write` needs beyond the extra `build`; "" if none.
+    """
+
+    write: WriteView
+    output: str
+    read: Callable[[Path, ViewCamera], CameraShape]
+    form: str
+    inputs: tuple[str, ...]
+    module: str = ""
+
+
+def find_output(folder: Path, pattern: str) -> Path | None:
+    """The file that a method wrote into the folder of a view; None if there is none.
+
+    Raises:
+        PredictionError: there are several.
+    """
+    if not folder.is_dir():
+        return None
+    found = sorted(path for path in listed(folder, MOST_FILES) if path.match(pattern))
+    if len(found) > 1:
+        raise PredictionError(f"{found[0].name} and {found[1].name} are there; keep one")
+    return found[0] if found else None
+
+
+def scaling(scale: float) -> Float64:
+    """The (4, 4) similarity that scales alone."""
+    return np.diag([scale, scale, scale, 1.0])

@@ -1,0 +1,95 @@
+"""OctMAE (Iwase et al., ECCV 2024): points with normals, millimetres, within a cube of 1,280 mm.
+
+Source: its repository, commit 08c1be6: `demo.py` reads the files, and writes output.pts.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import read_plain
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.release.exchange.rgbd import (
+    RgbdView,
+    ViewCamera,
+    framed,
+    parts_of,
+    write_color,
+    write_png,
+)
+from kinectbench.release.release import Release
+from kinectbench.scoring.adapters.adapter import Adapter, scaling
+from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, CameraShape
+from kinectbench.scoring.mesh_files import numbers_of
+
+WIDTH, HEIGHT = 640, 480
+M_PER_MM = 0.001
+# Its grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells before the cell of
+# the nearest measured point.
+CELL_MM, CELLS, CELLS_BEFORE = 40.0, 32, 5
+# x, y, z, 0, r, g, b in a line of output.pts.
+NUMBERS = 7
+
+
+def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; state what its cube cuts."""
+    shown = framed(view, WIDTH, HEIGHT)
+    write_color(shown, folder)
+    write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
+    write_png(folder / "depth.png", shown.depth_mm)
+    K = json.dumps({"cam_K": shown.K.ravel().tolist()}, indent=1)
+    (folder / "intrinsics.json").write_text(K, encoding="utf-8")
+    share, of = _cut_share(release, view)
+    return shown, {"T_camera_method": scaling(M_PER_MM), "cut_share": share, "cut_of": of}
+
+
+def in_cube(points_mm: Float64, seen_mm: Float64) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Which points (n, 3) lie in its cube, bool (n,); camera frame, millimetres.
+
+    Args:
+        points_mm: that are asked for.
+        seen_mm: (m, 3), the object's measured points, which place the cube.
+    """
+    side = CELLS * CELL_MM
+    begin = (np.floor(seen_mm[:, 2].min() / CELL_MM) - CELLS_BEFORE) * CELL_MM
+    low = np.array([-side / 2, -side / 2, begin])
+    return np.asarray(((points_mm >= low) & (points_mm < low + side)).all(axis=1))
+
+
+def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
+    """The share of the object outside its cube, and of what: the true solid, or the seen points."""
+    seen_m, target = view.object_points_m, view.target
+    if release.metadata.hides(target.recording):
+        points_m, of = seen_m, "seen"
+    else:
+        full, T_world_grid, size = parts_of(release, target, ("full", "T_world_grid", "voxel_size_m"))
+        T_camera_grid = invert_rigid(view.T_world_camera) @ T_world_grid
+        cells_m = (np.argwhere(unpack(full)) + 0.5) * float(size)
+        points_m, of = transform_points(T_camera_grid, cells_m), "truth"
+    if not len(seen_m) or not len(points_m):
+        return 0.0, of
+    return float(1 - in_cube(points_m / M_PER_MM, seen_m / M_PER_MM).mean()), of
+
+
+def read(path: Path, camera: ViewCamera) -> CameraShape:
+    """Points and normals of output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
+
+    Raises:
+        PredictionError, ValueError, OSError: it cannot be read, or is another file.
+    """
+    numbers = numbers_of(read_plain(path, MAX_FILE_BYTES))
+    if not len(numbers) or len(numbers) != 1 + NUMBERS * numbers[0] or numbers[0] < 1:
+        raise PredictionError(f"{path.name}: not a count of points and as many lines of {NUMBERS} numbers")
+    rows = numbers[1:].reshape(-1, NUMBERS)
+    if not np.isfinite(rows).all():
+        raise PredictionError(f"{path.name}: a number is not finite")
+    normals = rows[:, 4:] / 255 * 2 - 1
+    return CameraShape("points", rows[:, :3], np.zeros((0, 3), np.int64), normals)
+
+
+OCTMAE = Adapter(write, "output.pts", read, "points", ("color", "depth", "mask"))

@@ -1,0 +1,81 @@
+"""PatchComplete (Rao et al., NeurIPS 2022): distances of 32^3 voxels in a cube.
+
+Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube, and writes `predicted_voxels`,
+in voxels; solid is what is at most 1e-10. The cube is that of the pair, in the camera's axes.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.types import Float32, Float64
+from kinectbench.core.untrusted import open_plain
+from kinectbench.core.voxels.npz import arrays_of, npz_bytes
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera, parts_of
+from kinectbench.release.release import Release
+from kinectbench.scoring.adapters.adapter import Adapter, scaling
+from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
+
+VOXELS = 32
+CLIP_VOXELS = 2.5
+SOLID_BELOW = 1e-10
+KEY = "predicted_voxels"
+# 32^3 numbers of eight bytes, and what an npz adds.
+MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
+
+
+def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+    """Write input.npz: `tsdf` (32, 32, 32) float32 in units of the cube's edge, clipped at 2.5 voxels."""
+    T_world_grid, size = parts_of(release, view.target, ("T_world_grid", "voxel_size_m"))
+    edge_m = float(size) * FULL_CELLS
+    T_camera_cube = invert_rigid(view.T_world_camera) @ T_world_grid @ scaling(edge_m)
+    tsdf = (distances_m(view, T_camera_cube) / edge_m).astype(np.float32)
+    (folder / "input.npz").write_bytes(npz_bytes({"tsdf": tsdf}))
+    return view, {"T_camera_method": T_camera_cube}
+
+
+def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
+    """How far the measured surface is behind each voxel's centre, along z: (32, 32, 32), metres, clipped.
+
+    What lies before the surface is positive. So is what no pixel of the object shows.
+
+    Args:
+        view: depth and mask of the object.
+        T_camera_cube: (4, 4) similarity from the cube [0, 1]^3 to the camera.
+    """
+    clip_m = CLIP_VOXELS / VOXELS * similarity_scale(T_camera_cube)
+    centers = (np.indices((VOXELS,) * 3).reshape(3, -1).T + 0.5) / VOXELS
+    points = transform_points(T_camera_cube, centers)
+    front = points[:, 2] > 0
+    found = np.full(len(points), clip_m)
+    pixels = np.rint(view.camera.project(points[front])).astype(np.int64)
+    u, v = pixels.T
+    height, width = view.depth_mm.shape
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    depth_m = np.zeros(len(u))
+    at = v[inside], u[inside]
+    depth_m[inside] = np.where(view.mask[at], view.depth_mm[at], 0) / 1000.0
+    behind = np.where(depth_m > 0, depth_m - points[front, 2], clip_m)
+    found[front] = np.clip(behind, -clip_m, clip_m)
+    return found.reshape((VOXELS,) * 3).astype(np.float32)
+
+
+def read(path: Path, camera: ViewCamera) -> CameraShape:
+    """The solid of `predicted_voxels` in the cube [0, 1]^3.
+
+    Raises:
+        PredictionError, UNREADABLE: the file is damaged, or holds something else.
+    """
+    with open_plain(path) as file:
+        values = arrays_of(file, MOST_BYTES, (KEY,))[KEY].squeeze()
+    if values.shape != (VOXELS,) * 3 or values.dtype.kind != "f" or not np.isfinite(values).all():
+        raise PredictionError(f"{path.name}: {KEY} must be 32 x 32 x 32 finite floats, voxels")
+    return occupancy_shape(values <= SOLID_BELOW, np.eye(4), 1 / VOXELS)
+
+
+PATCHCOMPLETE = Adapter(write, "*_pred.npz", read, "voxels", ("depth", "mask"))

@@ -1,0 +1,82 @@
+"""AdaPoinTr and PoinTr (Yu et al., TPAMI 2023): points, centred and scaled.
+
+Source: its repository, commit 2e53e72: `tools/inference.py` reads N x 3 points, and writes fine.npy. Its
+configurations for ShapeNet centre the points and divide them by the largest norm; of the points written
+here that changes nothing.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError, ReleaseError
+from kinectbench.core.geometry import invert_rigid, rigid
+from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import open_plain, size_of
+from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
+from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera
+from kinectbench.release.release import Release
+from kinectbench.scoring.adapters.adapter import Adapter, scaling
+from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.mesh_files import MAX_POINTS
+
+POINTS = 2048
+SEED = 0
+
+
+def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+    """Write points.npy: 2,048 measured points of the object, mean 0, largest norm 1, y up.
+
+    Up is that of the floor, or of the image where no floor is known.
+
+    Raises:
+        ReleaseError: no point of the object is measured.
+    """
+    points_m = view.object_points_m
+    if not len(points_m):
+        raise ReleaseError(f"{view.target.name}: no point of the object is measured; leave the view out")
+    chosen = np.random.default_rng(SEED).permutation(len(points_m))[:POINTS]
+    points_m = points_m[np.sort(chosen)]
+    center_m = points_m.mean(axis=0)
+    turned = (points_m - center_m) @ _upright(release, view)
+    size = float(np.linalg.norm(turned, axis=1).max()) or 1.0
+    np.save(folder / "points.npy", (turned / size).astype(np.float32))
+    return view, {"T_camera_method": rigid(_upright(release, view), center_m) @ scaling(size)}
+
+
+def _upright(release: Release, view: RgbdView) -> Float64:
+    """(3, 3), from x right, y up, z towards the viewer to the camera."""
+    floor = release.floor(view.target.recording)
+    up = np.array([0.0, -1.0, 0.0])
+    if floor is not None:
+        up = invert_rigid(view.T_world_camera)[:3, :3] @ floor.T_floor_world[2, :3]
+    towards = -np.array([0.0, 0.0, 1.0])
+    right = np.cross(up, towards)
+    # A camera that looks straight down keeps its own right.
+    right = right if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, up, np.cross(right, up)], axis=1)
+
+
+def read(path: Path, camera: ViewCamera) -> CameraShape:
+    """Points of fine.npy, in the frame of points.npy.
+
+    Raises:
+        PredictionError, NpyError, OSError: it cannot be read, or is no array of points.
+    """
+    with open_plain(path) as file:
+        points = read_npy(file, size_of(file), _check).astype(np.float64)
+    if not np.isfinite(points).all():
+        raise PredictionError(f"{path.name}: a number is not finite")
+    return CameraShape("points", points, np.zeros((0, 3), np.int64))
+
+
+def _check(header: NpyHeader) -> None:
+    """Refuse what is no list of points, before it is read."""
+    shape = header.shape
+    if header.dtype.kind != "f" or len(shape) != 2 or shape[1] != 3 or not 1 <= shape[0] <= MAX_POINTS:
+        raise NpyError(f"{shape} {header.dtype}; (n, 3) floats are wanted")
+
+
+POINTR = Adapter(write, "fine.npy", read, "points", ("depth", "mask"))

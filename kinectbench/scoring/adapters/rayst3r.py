@@ -1,0 +1,43 @@
+"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera.
+
+Source: its repository, commit 2c93f81: `eval_wrapper/eval.py` reads a folder and writes into it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera, framed, write_color, write_png
+from kinectbench.release.release import Release
+from kinectbench.scoring.adapters.adapter import Adapter, scaling
+from kinectbench.scoring.camera_shape import CameraShape, read_shape
+
+# Its loader stretches any other size to this one.
+WIDTH, HEIGHT = 640, 480
+# Its depth.png: 65535 stands for 10 m.
+MOST_M, STEPS = 10.0, 65535
+
+
+def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m) and intrinsics.pt.
+
+    Without cam2world.pt its output is in the camera.
+    """
+    import torch
+
+    shown = framed(view, WIDTH, HEIGHT)
+    write_color(shown, folder)
+    write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
+    metres = np.minimum(shown.depth_mm / 1000.0, MOST_M)
+    write_png(folder / "depth.png", np.rint(metres * (STEPS / MOST_M)).astype(np.uint16))
+    torch.save(torch.tensor(shown.K, dtype=torch.float32), folder / "intrinsics.pt")
+    return shown, {"T_camera_method": scaling(1.0)}
+
+
+def read(path: Path, camera: ViewCamera) -> CameraShape:
+    """Points of inference_points.ply: float64 x, y, z, metres, camera frame; its colours mean nothing."""
+    return read_shape(path, path.name)
+
+
+RAYST3R = Adapter(write, "inference_points.ply", read, "points", ("color", "depth", "mask"), "torch")

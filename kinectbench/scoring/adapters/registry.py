@@ -1,0 +1,150 @@
+"""The methods of today that are fed and read, by name; and what becomes of all that one of them wrote."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.errors import PredictionError, SettingsError
+from kinectbench.core.extras import missing_extra
+from kinectbench.core.geometry.rigid import similarity_problem
+from kinectbench.core.types import Float64, Progress
+from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.release.exchange.layouts import new_folder
+from kinectbench.release.exchange.rgbd import ViewCamera, camera_of, export_rgbd
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.adapters.adapter import Adapter, find_output
+from kinectbench.scoring.adapters.octmae import OCTMAE
+from kinectbench.scoring.adapters.patchcomplete import PATCHCOMPLETE
+from kinectbench.scoring.adapters.pointr import POINTR
+from kinectbench.scoring.adapters.rayst3r import RAYST3R
+from kinectbench.scoring.adapters.sam3d import SAM3D
+from kinectbench.scoring.camera_shape import write_shape
+
+ADAPTERS: Mapping[str, Adapter] = {
+    "rayst3r": RAYST3R,
+    "octmae": OCTMAE,
+    "sam3d": SAM3D,
+    "pointr": POINTR,
+    "patchcomplete": PATCHCOMPLETE,
+}
+# Of poses of one view: what writing and reading JSON leaves is far less.
+SAME_POSE = 1e-6
+
+
+def adapter_of(name: str) -> Adapter:
+    """The adapter of a method.
+
+    Raises:
+        SettingsError: there is none of this name.
+    """
+    if name not in ADAPTERS:
+        raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
+    return ADAPTERS[name]
+
+
+def export_for(
+    release: Release, out: Path, name: str, progress: Progress | None = None
+) -> tuple[int, list[str]]:
+    """Write the views of a release as a method's own loader reads them; see `export_rgbd`.
+
+    Raises:
+        SettingsError: there is no adapter of this name, or what it needs is not installed.
+    """
+    adapter = adapter_of(name)
+    if adapter.module and find_spec(adapter.module) is None:
+        raise SettingsError(f"--for {name}: {missing_extra('methods')}")
+    return export_rgbd(release, out, progress, name, adapter.write)
+
+
+def adapt(
+    release: Release, name: str, output: Path, out: Path, progress: Progress | None = None
+) -> tuple[int, list[str]]:
+    """Turn what a method wrote into predictions in the camera frame, with method.json beside them.
+
+    Args:
+        release: that the views are of.
+        name: of the method.
+        output: a folder `<recording>/<view>/` for each view, with what the method wrote and the camera.json
+            of `export --for`.
+        out: a new folder of predictions, or an earlier one, which is replaced.
+        progress: called with (views done, views in all).
+
+    Returns:
+        The number of predictions, and a line for each view whose output cannot be used.
+
+    Raises:
+        SettingsError: there is no such method, or `out` holds something else.
+        PredictionError: nothing there can be used.
+        StorageError: the disk is full or read-only.
+    """
+    adapter = adapter_of(name)
+    if not output.is_dir():
+        raise PredictionError(f"{output}: no such folder")
+    problems, written = list[str](), 0
+    with new_folder(out, MethodFile.FILE) as folder:
+        for done, target in enumerate(release.targets, start=1):
+            try:
+                written += _adapted(release, name, adapter, output, target, folder)
+            except PredictionError as error:
+                problems.append(f"{target.name}: {error}")
+            if progress:
+                progress(done, len(release.targets))
+        if not written:
+            raise PredictionError(_nothing(output, adapter, problems))
+        said = MethodFile(
+            name=name,
+            benchmark_sha256=release.benchmark_sha256,
+            frame="camera",
+            form=adapter.form,  # type: ignore[arg-type]  # its words are those of the adapters
+            unit="m",
+            axes="cv",
+            inputs=adapter.inputs,
+            settings={"adapted_by": f"kinectbench {__version__}"},
+        )
+        said.write(folder)
+    return written, problems
+
+
+def _adapted(
+    release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
+) -> bool:
+    """Write the prediction of one view; False if the method wrote nothing for it."""
+    there = output / target.recording / target.view
+    path = find_output(there, adapter.output)
+    if path is None:
+        return False
+    camera = ViewCamera.read(there)
+    T_camera_method = _placed(camera, name)
+    if not np.allclose(camera.T_world_camera, camera_of(release, target)[1], rtol=0, atol=SAME_POSE):
+        raise PredictionError(f"{ViewCamera.FILE}: of another release; export this one, and run {name} again")
+    try:
+        shape = adapter.read(path, camera).transformed(T_camera_method)
+    except (ValueError, *UNREADABLE) as error:
+        raise PredictionError(f"{path.name}: cannot be read ({error})") from error
+    write_shape(shape, folder / target.recording / target.view)
+    return True
+
+
+def _placed(camera: ViewCamera, name: str) -> Float64:
+    """T_camera_method of a camera.json, which anybody may have written.
+
+    Raises:
+        PredictionError: it is missing, no similarity, or of another method.
+    """
+    if camera.method != name or camera.T_camera_method is None:
+        raise PredictionError(f"{ViewCamera.FILE}: not of `export --layout rgbd --for {name}`; export again")
+    if problem := similarity_problem(camera.T_camera_method):
+        raise PredictionError(f"{ViewCamera.FILE}: 'T_camera_method': {problem}; export again")
+    return camera.T_camera_method
+
+
+def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
+    """Why there is nothing to adapt."""
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        return f"{output}: nothing there can be used: {problems[0]}{more}"
+    return f"{output}: no <recording>/<view>/{adapter.output} of the benchmark's views there"

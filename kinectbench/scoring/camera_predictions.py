@@ -1,0 +1,161 @@
+"""A folder of predictions in the camera frame: which file answers which view, and how near its depth."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.types import Float64, Progress
+from kinectbench.core.untrusted import lies_below
+from kinectbench.release.exchange.rgbd import parts_of, read_view
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
+from kinectbench.scoring.depth_agreement import Agreement, agreement
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """The file of one prediction.
+
+    Attributes:
+        target: its view.
+        name: `<recording>/<view>`, with `.<k>` of one of several hypotheses, without its suffix.
+        path: the file.
+    """
+
+    target: Target
+    name: str
+    path: Path
+
+
+def names_of(target: Target, hypotheses: int) -> list[str]:
+    """What the predictions of a view are called; of several hypotheses each has its number, from 0 on."""
+    return [target.name] if hypotheses == 1 else [f"{target.name}.{k}" for k in range(hypotheses)]
+
+
+def find_files(
+    folder: Path, targets: Iterable[Target], method: MethodFile
+) -> Iterator[tuple[Target, str, CameraFile | str | None]]:
+    """Each view's predictions by name: its file, why it cannot be used, or None where there is none."""
+    root = folder.resolve()
+    for target in targets:
+        for name in names_of(target, method.hypotheses):
+            present = [path for suffix in SUFFIXES if (path := folder / f"{name}{suffix}").is_file()]
+            if not present:
+                yield target, name, None
+            elif len(present) > 1:
+                yield (
+                    target,
+                    name,
+                    f"{name}: {' and '.join(path.suffix for path in present)} are there; keep one",
+                )
+            elif not lies_below(present[0], root):
+                yield (
+                    target,
+                    name,
+                    f"{name}{present[0].suffix}: a link out of the folder; put the file itself",
+                )
+            else:
+                yield target, name, CameraFile(target, name, present[0])
+
+
+def load_camera_shape(file: CameraFile, method: MethodFile) -> CameraShape:
+    """The shape of a prediction in its view's camera frame, metres (or of free size, if that is declared).
+
+    Raises:
+        PredictionError: the file is unacceptable, or not of the form that is declared; one line.
+    """
+    where = f"{file.name}{file.path.suffix}"
+    shape = read_shape(file.path, where)
+    # Closed or not, a mesh without faces is a cloud.
+    if "form" in method.model_fields_set and shape.form != method.form:
+        raise PredictionError(
+            f"{where}: {MethodFile.FILE} says 'form': '{method.form}', and it holds {shape.form}; correct one"
+        )
+    return shape.transformed(similarity_to_camera(method, file.name, file.target.name))
+
+
+def view_agreement(release: Release, file: CameraFile, method: MethodFile) -> Agreement | None:
+    """How a prediction lies to its view's depth; None where that has no point of the object.
+
+    Raises:
+        PredictionError: the file is unacceptable.
+        ReleaseError: the release has no depth images, or one is damaged.
+    """
+    shape = load_camera_shape(file, method)
+    view = read_view(release, file.target)
+    points_m = view.object_points_m
+    if not len(points_m):
+        return None
+    T_world_grid: Float64 = parts_of(release, file.target, ("T_world_grid",))[0]
+    T = similarity_to_camera(method, file.name, file.target.name)
+    return agreement(shape, points_m, T, view.T_world_camera, T_world_grid)
+
+
+def check_camera(
+    release: Release, folder: Path, method: MethodFile, progress: Progress | None = None
+) -> tuple[list[str], list[str]]:
+    """Check one method's predictions in the camera frame.
+
+    Args:
+        release: that they are for.
+        folder: of the predictions.
+        method: what method.json declares.
+        progress: called with (views done, views in all).
+
+    Returns:
+        A line for each problem, and lines on how the others lie to their views' depth.
+    """
+    problems = [
+        f"{MethodFile.FILE}: 'T_camera_prediction' has '{name}', which is no view here; correct it"
+        for name in sorted(_unknown(release, method))[:1]
+    ]
+    distances_m, answered = list[tuple[float, str]](), 0
+    is_compared = method.scale == "metric" and not _without_depth(release)
+    for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
+        if isinstance(found, CameraFile):
+            answered += 1
+            try:
+                if not is_compared:
+                    load_camera_shape(found, method)
+                elif (here := view_agreement(release, found, method)) is not None:
+                    distances_m.append((here.distance_m, name))
+                    problems += [f"{name}: {here.line()}"] * here.is_large
+            except PredictionError as error:
+                problems.append(str(error))
+        elif found is not None:
+            problems.append(found)
+        elif target.split == "test":
+            problems.append(f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}")
+        if progress:
+            progress(done, len(release.targets) * method.hypotheses)
+    return problems, _summary(release, method, distances_m, answered)
+
+
+def _unknown(release: Release, method: MethodFile) -> set[str]:
+    """Keys of `T_camera_prediction` that are no prediction's."""
+    names = {name for target in release.targets for name in names_of(target, method.hypotheses)}
+    return set(method.T_camera_prediction or ()) - names - {target.name for target in release.targets}
+
+
+def _without_depth(release: Release) -> bool:
+    return not any(name.endswith(".depth.png") for name in release.sums)
+
+
+def _summary(
+    release: Release, method: MethodFile, distances_m: list[tuple[float, str]], answered: int
+) -> list[str]:
+    if method.scale == "free":
+        return [f"{answered} predictions are readable; of free size: none is compared with its depth"]
+    if _without_depth(release):
+        return [f"{answered} predictions are readable; the release has no depth to compare them with"]
+    if not distances_m:
+        return []
+    middle, (largest, where) = float(np.median([one for one, _ in distances_m])), max(distances_m)
+    return [
+        f"median distance from each prediction to its view's own depth: {middle * 1000:.1f} mm in the "
+        f"median of {len(distances_m)}, {largest * 1000:.1f} mm at most ({where})"
+    ]

@@ -1,0 +1,224 @@
+"""A predicted shape in the camera frame: a mesh, a cloud of points, cells or distances; and its files.
+
+The files are untrusted: their claims are checked before they are believed.
+"""
+
+import io
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.rigid import similarity_problem, similarity_scale
+from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.core.untrusted import open_plain, size_of
+from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
+from kinectbench.core.voxels.resample import MAX_CELLS
+from kinectbench.scoring.glb_file import read_glb
+from kinectbench.scoring.mesh_files import read_obj, read_ply_surface
+
+SUFFIXES = (".ply", ".obj", ".glb", ".npz")
+# A cloud as RaySt3R writes it, of `MAX_POINTS`, is 113 MB; 512^3 distances of float32 are 537 MB.
+MAX_FILE_BYTES, MAX_GRID_BYTES = 128 << 20, 4 * MAX_CELLS**3 + (1 << 20)
+# Units of `method.json` in metres; of `free` the scale is in `T_camera_prediction`, or nobody knows it.
+METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
+# Axes of `method.json` -> camera (x right, y down, z forward). PyTorch3D: x left, y up, z forward; OpenGL: x
+# right, y up, z backward.
+CAMERA_AXES = {"cv": (1.0, 1.0, 1.0), "pytorch3d": (-1.0, -1.0, 1.0), "opengl": (1.0, -1.0, -1.0)}
+# Nothing of a room is farther away, in any unit that is read.
+FARTHEST_M = 1e6
+
+
+@dataclass(frozen=True)
+class CameraShape:
+    """A predicted shape in a view's camera frame (x right, y down, z forward), metres.
+
+    Attributes:
+        form: mesh, points, voxels or sdf.
+        points_m: (n, 3) float64: vertices, points, centres of occupied cells that have a free neighbour, or
+            of cells that the surface goes through.
+        faces: (m, 3) of a mesh, else (0, 3).
+        normals: (n, 3) where points have them.
+        cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None of meshes and points.
+        T_camera_grid: (4, 4) similarity; the centre of cell (i, j, k) is at
+            `T_camera_grid @ ((i + .5, j + .5, k + .5) * voxel_size_m)`.
+        voxel_size_m: edge of a cell, in the units of the grid.
+    """
+
+    form: str
+    points_m: Float64
+    faces: Int64
+    normals: Float64 | None = None
+    cells: Bools | Float32 | None = None
+    T_camera_grid: Float64 | None = None
+    voxel_size_m: float | None = None
+
+    def transformed(self, T: Float64) -> "CameraShape":
+        """The shape mapped by a similarity (4, 4), which may also mirror."""
+        scale = np.cbrt(abs(np.linalg.det(T[:3, :3])))
+        normals = None if self.normals is None else self.normals @ (T[:3, :3] / scale).T
+        grid = None if self.T_camera_grid is None else T @ self.T_camera_grid
+        points = transform_points(T, self.points_m)
+        return replace(self, points_m=points, normals=normals, T_camera_grid=grid)
+
+
+def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
+    """(4, 4) from a file of predictions to the camera frame, as method.json declares it.
+
+    Args:
+        method: what is declared.
+        name: of the file without its suffix, `<recording>/<view>.<k>` for example.
+        view: `<recording>/<view>`.
+    """
+    T = np.diag([*(METRES[method.unit] * np.array(CAMERA_AXES[method.axes])), 1.0])
+    declared = method.T_camera_prediction or {}
+    return declared.get(name, declared.get(view, np.eye(4))) @ T
+
+
+def read_shape(path: Path, name: str) -> CameraShape:
+    """Read a predicted shape as its file has it.
+
+    Args:
+        path: a .ply (mesh or cloud), .obj, .glb or .npz.
+        name: what error lines call it.
+
+    Raises:
+        PredictionError: the file is unacceptable; one line.
+    """
+    try:
+        with open_plain(path) as file:
+            return _shape(file, path.suffix)
+    except PredictionError as error:
+        raise PredictionError(f"{name}: {error}") from None
+    except OSError as error:
+        raise PredictionError(f"{name}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, *UNREADABLE) as error:
+        raise PredictionError(f"{name}: not a readable {path.suffix[1:]} file: {error}") from error
+
+
+def _shape(file: IO[bytes], suffix: str) -> CameraShape:
+    most = MAX_GRID_BYTES if suffix == ".npz" else MAX_FILE_BYTES
+    if not 0 < size_of(file) <= most:
+        raise PredictionError(f"{size_of(file)} bytes; a file of 1 to {most} bytes is accepted")
+    if suffix == ".npz":
+        return _of_arrays(arrays_of(file, MAX_GRID_BYTES))
+    content, normals = file.read(most), None
+    if suffix == ".ply":
+        points, faces, normals = read_ply_surface(content)
+    elif suffix in (".obj", ".glb"):
+        points, faces = (read_obj if suffix == ".obj" else read_glb)(content)
+    else:
+        raise PredictionError(f"save it as {', '.join(SUFFIXES)}")
+    return CameraShape("mesh" if len(faces) else "points", _checked_points(points), faces, normals)
+
+
+def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
+    """The shape that an .npz holds, by its keys."""
+    no_faces = np.zeros((0, 3), np.int64)
+    if "points_m" in arrays:
+        points, normals = _checked_points(arrays["points_m"]), arrays.get("normals")
+        if normals is not None and normals.shape != points.shape:
+            raise PredictionError(f"normals {normals.shape} are not as many as the points {points.shape}")
+        return CameraShape("points", points, no_faces, normals)
+    key = next((key for key in ("occupancy", "sdf_m") if key in arrays), None)
+    if key is None:
+        raise PredictionError("holds none of points_m, occupancy, sdf_m; save one of them")
+    if missing := {"T_camera_grid", "voxel_size_m"} - arrays.keys():
+        raise PredictionError(f"holds no {' and no '.join(sorted(missing))}; add it beside {key}")
+    T, cells = arrays["T_camera_grid"], arrays[key]
+    size = arrays["voxel_size_m"]
+    if cells.ndim != 3 or not 1 <= min(cells.shape) <= max(cells.shape) <= MAX_CELLS:
+        raise PredictionError(f"{key} must be (i, j, k) with sides of 1 to {MAX_CELLS}")
+    if T.shape != (4, 4) or T.dtype.kind not in "fiu" or not np.isfinite(T).all():
+        raise PredictionError("T_camera_grid must be 4 x 4 finite numbers")
+    if problem := similarity_problem(T.astype(np.float64)):
+        raise PredictionError(f"T_camera_grid: {problem}")
+    if size.size != 1 or size.dtype.kind not in "fiu" or not 0 < float(size.reshape(())) < FARTHEST_M:
+        raise PredictionError("voxel_size_m must be one positive number, metres")
+    made = occupancy_shape if key == "occupancy" else distance_shape
+    return made(_checked_cells(cells, key), T.astype(np.float64), float(size.reshape(())))
+
+
+def _checked_points(points: NDArray[Any]) -> Float64:
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or points.dtype.kind not in "fiu":
+        raise PredictionError(f"points {points.shape} {points.dtype}: rows of x, y, z are needed")
+    found = points.astype(np.float64)
+    # Not so of NaN, either.
+    if not (np.abs(found) <= FARTHEST_M).all():
+        raise PredictionError(f"a point is not finite, or beyond {FARTHEST_M:g}; write the points again")
+    return found
+
+
+def _checked_cells(cells: NDArray[Any], key: str) -> NDArray[Any]:
+    """Occupancy as bool, or distances as finite float32."""
+    if key == "occupancy":
+        if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):
+            return cells.astype(bool)
+        raise PredictionError("occupancy must be bool, or uint8 of 0 and 1; apply your threshold first")
+    if cells.dtype.kind != "f" or not np.isfinite(cells).all():
+        raise PredictionError("sdf_m must be finite floats, metres, negative inside")
+    return cells.astype(np.float32)
+
+
+def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
+    """A solid of cells; its points are the centres of those that have a free neighbour."""
+    padded = np.pad(cells, 1)
+    inner = cells.copy()
+    for axis in range(3):
+        for by in (-1, 1):
+            inner &= np.roll(padded, by, axis)[1:-1, 1:-1, 1:-1]
+    return _of_cells("voxels", cells, cells & ~inner, T_camera_grid, voxel_size_m)
+
+
+def distance_shape(cells: Float32, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
+    """Signed distances, negative inside; its points are the centres less than a cell from the surface."""
+    near = np.abs(cells) < voxel_size_m * similarity_scale(T_camera_grid)
+    return _of_cells("sdf", cells, near, T_camera_grid, voxel_size_m)
+
+
+def _of_cells(
+    form: str, cells: Bools | Float32, shown: Bools, T_camera_grid: Float64, voxel_size_m: float
+) -> CameraShape:
+    if not shown.any():
+        raise PredictionError("no cell is at a surface: an empty prediction")
+    points = transform_points(T_camera_grid, (np.argwhere(shown) + 0.5) * voxel_size_m)
+    none = np.zeros((0, 3), np.int64)
+    return CameraShape(form, points, none, None, cells, T_camera_grid, voxel_size_m)
+
+
+def write_shape(shape: CameraShape, stem: Path) -> Path:
+    """Write a shape as a prediction, `<stem>.ply` of meshes and points, `.npz` of cells; returns the file.
+
+    In metres, in the camera frame; coordinates are float32.
+    """
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    if shape.cells is not None:
+        path = stem.with_name(stem.name + ".npz")
+        key = "occupancy" if shape.form == "voxels" else "sdf_m"
+        size = np.array(shape.voxel_size_m)
+        arrays = {key: shape.cells, "T_camera_grid": np.array(shape.T_camera_grid), "voxel_size_m": size}
+        path.write_bytes(npz_bytes(arrays))
+        return path
+    path = stem.with_name(stem.name + ".ply")
+    path.write_bytes(_ply(shape))
+    return path
+
+
+def _ply(shape: CameraShape) -> bytes:
+    names = ["x", "y", "z", *(["nx", "ny", "nz"] if shape.normals is not None else [])]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(shape.points_m)}"]
+    head += [f"property float {name}" for name in names]
+    parts = [shape.points_m] if shape.normals is None else [shape.points_m, shape.normals]
+    body = io.BytesIO(np.hstack(parts).astype("<f4").tobytes())
+    body.seek(0, io.SEEK_END)
+    if len(shape.faces):
+        head += [f"element face {len(shape.faces)}", "property list uchar int vertex_indices"]
+        rows = np.zeros(len(shape.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+        rows["count"], rows["corners"] = 3, shape.faces
+        body.write(rows.tobytes())
+    return "\n".join([*head, "end_header\n"]).encode() + body.getvalue()
