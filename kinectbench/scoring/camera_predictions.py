@@ -13,7 +13,7 @@ from kinectbench.core.untrusted import lies_below
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
-from kinectbench.scoring.depth_agreement import Agreement, agreement
+from kinectbench.scoring.depth_agreement import LARGE, Agreement, agreement, likeliest
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def check_camera(
         f"{MethodFile.FILE}: 'T_camera_prediction' has '{name}', which is no view here; correct it"
         for name in sorted(_unknown(release, method))[:1]
     ]
-    distances_m, answered = list[tuple[float, str]](), 0
+    compared, answered = dict[str, Agreement](), 0
     is_compared = method.scale == "metric" and not _without_depth(release)
     for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
         if isinstance(found, CameraFile):
@@ -122,8 +122,7 @@ def check_camera(
                 if not is_compared:
                     load_camera_shape(found, method)
                 elif (here := view_agreement(release, found, method)) is not None:
-                    distances_m.append((here.distance_m, name))
-                    problems += [f"{name}: {here.line()}"] * here.is_large
+                    compared[name] = here
             except PredictionError as error:
                 problems.append(str(error))
         elif found is not None:
@@ -132,7 +131,10 @@ def check_camera(
             problems.append(f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}")
         if progress:
             progress(done, len(release.targets) * method.hypotheses)
-    return problems, _summary(release, method, distances_m, answered)
+    slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
+    problems += [f"{name}: {one.line(slips[name])}" for name, one in compared.items() if slips[name]]
+    far = [name for name, one in compared.items() if one.is_large and not slips[name]]
+    return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:
@@ -145,16 +147,28 @@ def _without_depth(release: Release) -> bool:
     return not any(name.endswith(".depth.png") for name in release.sums)
 
 
+def _far_lines(far: list[str]) -> list[str]:
+    """A line on predictions that are far from their depth for another reason than a slip."""
+    if not far:
+        return []
+    return [
+        f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view measured, "
+        f"such as {far[0]}; no usual slip of unit or axes explains it"
+    ]
+
+
 def _summary(
-    release: Release, method: MethodFile, distances_m: list[tuple[float, str]], answered: int
+    release: Release, method: MethodFile, compared: dict[str, Agreement], answered: int
 ) -> list[str]:
     if method.scale == "free":
         return [f"{answered} predictions are readable; of free size: none is compared with its depth"]
     if _without_depth(release):
         return [f"{answered} predictions are readable; the release has no depth to compare them with"]
-    if not distances_m:
+    if not compared:
         return []
-    middle, (largest, where) = float(np.median([one for one, _ in distances_m])), max(distances_m)
+    distances_m = {name: one.distance_m for name, one in compared.items()}
+    where = max(distances_m, key=lambda name: distances_m[name])
+    middle, largest = float(np.median(list(distances_m.values()))), distances_m[where]
     return [
         f"median distance from each prediction to its view's own depth: {middle * 1000:.1f} mm in the "
         f"median of {len(distances_m)}, {largest * 1000:.1f} mm at most ({where})"
