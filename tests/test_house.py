@@ -130,8 +130,11 @@ RAW = {
     "release/publish/small_files.py": "Croissant",
     "release/publish/view_pictures.py": "rows as ImageFolder reads them",
     "report/gallery.py": "text in the page",
+    "scoring/adapters/": "files of other methods",
     "scoring/baselines/predict.py": "predictions, as any method's",
     "networks/predict.py": "predictions, as any method's",
+    "scoring/camera_shape.py": "predictions, as any method's",
+    "scoring/glb_file.py": "files of other programs",
     "settings/edit.py": "values of YAML",
 }
 RAW_CALLS = {
@@ -227,9 +230,11 @@ OF_STRANGERS = (
     "core/voxels/",
     "core/zip_files.py",
     "release/",
+    "scoring/adapters/",
     "scoring/api.py",
     "scoring/baselines/",
     "networks/",
+    "scoring/camera_shape.py",
     "scoring/truth.py",
 )
 OPENING = {

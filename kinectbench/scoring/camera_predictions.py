@@ -13,7 +13,9 @@ from kinectbench.core.untrusted import lies_below
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
+from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import LARGE, Agreement, agreement, likeliest
+from kinectbench.scoring.predictions import stray_files, stray_lines
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,8 @@ def check_camera(
     Returns:
         A line for each problem, and lines on how the others lie to their views' depth.
     """
-    problems = [
+    problems = method_problems(folder, method, release)
+    problems += [
         f"{MethodFile.FILE}: 'T_camera_prediction' has '{name}', which is no view here; correct it"
         for name in sorted(_unknown(release, method))[:1]
     ]
@@ -133,6 +136,9 @@ def check_camera(
             progress(done, len(release.targets) * method.hypotheses)
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems += [f"{name}: {one.line(slips[name])}" for name, one in compared.items() if slips[name]]
+    names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
+    stray = stray_files(folder, {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)})
+    problems += stray_lines(stray, ())
     far = [name for name, one in compared.items() if one.is_large and not slips[name]]
     return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
 

@@ -90,7 +90,7 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
             problems[target] = f"{target.name}{present[0].suffix}: {other_form}"
         else:
             files[target] = present[0]
-    return FoundPredictions(files, tuple(missing), problems, _stray(folder, expected), method)
+    return FoundPredictions(files, tuple(missing), problems, stray_files(folder, expected), method)
 
 
 def _other_mesh(folder: Path, target: Target) -> str | None:
@@ -103,8 +103,13 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
     return None
 
 
-def _stray(folder: Path, expected: set[str]) -> tuple[str, ...]:
-    """Files that nothing asks for, sorted; what begins with a dot is the system's."""
+def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
+    """Files that nothing asks for, relative to the folder, sorted; what begins with a dot is the system's.
+
+    Raises:
+        PredictionError: there are more than `MOST_FILES`.
+        OSError: a folder cannot be looked into.
+    """
     found, waiting, seen = list[str](), [(folder, "")], 0
     while waiting:
         inside, way = waiting.pop()

@@ -37,6 +37,14 @@ def scored(release: Release, folder: Path) -> ScoreTable:
     return score(release, folder, method="mine", protocols=["known"], surface=False)
 
 
+def by_diagonal(z: float, shift: float = 0, rows: bool = False) -> list[list[float]]:
+    """A 4 x 4 matrix that multiplies z, and shifts along x; for row vectors or columns."""
+    T = np.diag([1.0, 1.0, z, 1.0])
+    T[(3, 0) if rows else (0, 3)] = shift
+    return [[float(value) for value in row] for row in T]
+
+
+EYE = by_diagonal(1)
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "frame": ({"frame": "camera"}, "'frame' 'camera' is not supported yet (supported: grid)"),
     "points": ({"form": "points"}, "'form' 'points' is not supported yet (supported: voxels, mesh)"),
@@ -45,7 +53,24 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "hypotheses": ({"hypotheses": 5}, "'hypotheses' 5 is not supported yet (supported: 1)"),
     "unit": ({"unit": "mm"}, "'unit' 'mm' is not supported yet (supported: m)"),
     "axes": ({"axes": "opengl"}, "'axes' 'opengl' is not supported yet (supported: cv)"),
-    "matrix": ({"T_camera_prediction": {"000": [[1]]}}, "'T_camera_prediction' is not supported yet"),
+    "matrix": ({"T_camera_prediction": {"a/000": EYE}}, "'T_camera_prediction' is not supported yet"),
+    "one number": ({"T_camera_prediction": {"a/000": [[1]]}}, "a/000': must be 4 x 4 finite numbers"),
+    "no matrices": ({"T_camera_prediction": [EYE]}, "'T_camera_prediction': Input should be an object"),
+    "texts": ({"T_camera_prediction": {"a/000": [["1"] * 4] * 4}}, "must be 4 x 4 finite numbers"),
+    "rows": (
+        {"T_camera_prediction": {"a/000": by_diagonal(1, shift=9, rows=True)}},
+        "for row vectors: transpose",
+    ),
+    "a mirror": ({"T_camera_prediction": {"a/000": by_diagonal(-1)}}, "it mirrors the shape"),
+    "flat": ({"T_camera_prediction": {"a/000": by_diagonal(0)}}, "it flattens the shape"),
+    "two scales": ({"T_camera_prediction": {"a/000": by_diagonal(2)}}, "or scales its axes differently"),
+    "a large scale": ({"T_camera_prediction": {"a/000": by_diagonal(1e9)}}, "its scale is not within 1e-06"),
+    "far": ({"T_camera_prediction": {"a/000": by_diagonal(1, shift=1500)}}, "more than 100 m; write metres"),
+    "an unknown size": ({"unit": "free"}, "'unit': 'free' leaves the size unknown: add 'scale': 'free', or"),
+    "no hypothesis": ({"hypotheses": 0}, "'hypotheses': Input should be greater than or equal to 1"),
+    "many hypotheses": ({"hypotheses": 101}, "'hypotheses': Input should be less than or equal to 100"),
+    "a negative time": ({"seconds_per_view": -1.0}, "'seconds_per_view': Input should be greater than or"),
+    "a probability of 3": ({"threshold": 3.0}, "'threshold': Input should be less than or equal to 1"),
     "two": ({"frame": "camera", "unit": "mm"}, "(supported: grid); 'unit' 'mm' is not"),
     "a typo": ({"fram": "camera"}, "'fram': no such key; did you mean 'frame'?"),
     "capitals": ({"Frame": "camera"}, "'Frame': no such key; did you mean 'frame'?"),

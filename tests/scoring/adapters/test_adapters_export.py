@@ -31,6 +31,7 @@ from kinectbench.release.exchange.rgbd import (
     write_plain,
 )
 from kinectbench.release.release import Release, open_release
+from kinectbench.scoring.adapters import octmae
 from kinectbench.scoring.adapters.octmae import in_cube
 from kinectbench.scoring.adapters.registry import ADAPTERS, export_for
 
@@ -161,7 +162,22 @@ def test_octmae_gets_the_metric_points_and_the_share_that_it_cuts(published: Rel
         assert camera["cut_share"] == pytest.approx(out.mean(), abs=2e-3)
 
 
-def test_what_octmaes_cube_cuts_is_stated(tmp_path: Path) -> None:
+def test_the_share_of_the_truth_that_a_smaller_cube_would_cut(
+    published: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(octmae, "CELLS", 14)  # 560 mm
+    count, notes = export_for(published, tmp_path / "out", "octmae")
+    assert count == 7 and notes[1].startswith("the method's volume cuts the object of 7 of 7 views: ")
+    for view, folder in views(published, tmp_path / "out"):
+        share = json.loads((folder / "camera.json").read_text())["cut_share"]
+        solid_mm = solid_m(view.target.category, int(view.target.view)) * 1000
+        z_min = np.floor(view.object_points_m[:, 2].min() * 1000 / 40) * 40 - 200
+        z = solid_mm[:, 2]
+        out = (np.abs(solid_mm[:, :2]) > 280).any(axis=1) | (z < z_min) | (z > z_min + 560)
+        assert 0.02 < share == pytest.approx(out.mean(), abs=5e-3)
+
+
+def test_what_octmaes_cube_cuts_is_stated() -> None:
     """Points of a box that reaches half out of the cube."""
     z = np.full(1000, 1000.0)
     x = np.linspace(0, 1280, 1000)
