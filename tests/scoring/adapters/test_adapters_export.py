@@ -59,8 +59,8 @@ def views(published: Release, folder: Path) -> list[tuple[RgbdView, Path]]:
 
 
 def solid_m(category: str, view: int) -> np.ndarray:
-    """A hundred thousand points in the true ball or box, in the camera, metres."""
-    unit = np.random.default_rng(0).random((200_000, 3))
+    """Points in the true ball or box, in the camera, metres."""
+    unit = np.random.default_rng(0).random((1_000_000, 3))
     if is_ball(category):
         ball = (2 * unit - 1)[np.linalg.norm(2 * unit - 1, axis=1) <= 1]
         points = np.array(CENTER_M) + RADIUS_M * ball
@@ -174,7 +174,7 @@ def test_the_share_of_the_truth_that_a_smaller_cube_would_cut(
         z_min = np.floor(view.object_points_m[:, 2].min() * 1000 / 40) * 40 - 200
         z = solid_mm[:, 2]
         out = (np.abs(solid_mm[:, :2]) > 280).any(axis=1) | (z < z_min) | (z > z_min + 560)
-        assert 0.02 < share == pytest.approx(out.mean(), abs=5e-3)
+        assert 0.02 < share == pytest.approx(out.mean(), abs=6e-3)
 
 
 def test_what_octmaes_cube_cuts_is_stated() -> None:
