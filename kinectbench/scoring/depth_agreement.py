@@ -17,7 +17,7 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CameraShape
 
 # Points of the depth, and of a shape, that are compared: the median of 300 differs by some per cent from
-# that of all, and all slips of a view take 0.05 s (own choices).
+# that of all, and all slips of a view take 0.1 s (own choices).
 DEPTH_POINTS, SHAPE_POINTS = 300, 20_000
 SEED = 0
 # Shares of the diagonal of what the view measured. A distance below the first is what points 1 cm apart on an
