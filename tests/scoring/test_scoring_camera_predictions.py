@@ -255,7 +255,11 @@ def test_the_commands(published: Release, analytic: Path, tmp_path: Path, comman
     run: Run = command(
         tmp_path, "export", "in", "--layout", "rgbd", "--for", "sam3d", "--benchmark", benchmark
     )
-    assert run.status == 0 and "exported 7 views: in" in run.out and "7 of 7 views have no rgb.png" in run.err
+    assert (
+        run.status == 0
+        and "exported 7 views: in" in run.out
+        and "7 of 7 views have no colour image" in run.err
+    )
     run = command(tmp_path, "export", "x", "--for", "sam3d", "--benchmark", benchmark)
     assert run.status == 2 and "--for sam3d: only with `--layout rgbd`" in run.err
     run = command(tmp_path, "adapt", "sam3d", "in", "--benchmark", benchmark, "--out", "predictions/sam3d")

@@ -149,6 +149,7 @@ def export_rgbd(
     progress: Progress | None = None,
     method: str | None = None,
     write: WriteView | None = None,
+    reads_color: bool = True,
 ) -> tuple[int, list[str]]:
     """Write the views of a release, a folder `<recording>/<view>/` each.
 
@@ -158,6 +159,7 @@ def export_rgbd(
         progress: called with (views done, views in all).
         method: whose files are written; None: the plain files of `write_plain`.
         write: writes them; needed with `method`.
+        reads_color: whether the method looks at colour, so that views without it are named.
 
     Returns:
         The number of views, and lines on what is not as a reader would expect: colour, and what is cut.
@@ -174,7 +176,7 @@ def export_rgbd(
             (folder / target.recording / target.view).mkdir(parents=True)
             stated = _write(release, view, folder / target.recording / target.view, method, write)
             cut.append(stated)
-            without += [target.name] * (view.color is None)
+            without += [target.name] * (reads_color and view.color is None)
             if progress:
                 progress(done, len(release.targets))
         write_export_json(folder, release, {"layout": "rgbd", "method": method})
@@ -220,7 +222,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
     if not without:
         return []
     return [
-        f"{len(without)} of {count} views have no rgb.png, such as {without[0]}: their colour is not "
+        f"{len(without)} of {count} views have no colour image, such as {without[0]}: their colour is not "
         "published, or not registered to the depth (camera.json says which)"
     ]
 

@@ -57,7 +57,7 @@ def export_for(
     adapter = adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
         raise SettingsError(f"--for {name}: {missing_extra('methods')}")
-    return export_rgbd(release, out, progress, name, adapter.write)
+    return export_rgbd(release, out, progress, name, adapter.write, "color" in adapter.inputs)
 
 
 def adapt(

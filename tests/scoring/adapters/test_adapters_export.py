@@ -19,7 +19,9 @@ from analytic_release import (
     surface_distance_m,
 )
 from made_once import made_once
+from synthetic_release import RECORDINGS, synthetic_settings
 
+from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.release.exchange.rgbd import (
@@ -30,6 +32,7 @@ from kinectbench.release.exchange.rgbd import (
     read_view,
     write_plain,
 )
+from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.adapters import octmae
 from kinectbench.scoring.adapters.octmae import in_cube
@@ -49,7 +52,10 @@ def exports(published: Release, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
     def make(folder: Path) -> None:
         for name in ADAPTERS:
-            assert export_for(published, folder / name, name)[0] == 7
+            count, notes = export_for(published, folder / name, name)
+            assert count == 7
+            # Who does not look at colour need not hear of it.
+            assert any("no colour image" in line for line in notes) == ("color" in ADAPTERS[name].inputs)
 
     return made_once(tmp_path_factory, "exports_for_methods", make)
 
@@ -78,7 +84,7 @@ def gaps_m(of: np.ndarray, to: np.ndarray) -> np.ndarray:
 
 def test_plain_files_are_metric(published: Release, tmp_path: Path) -> None:
     count, notes = export_rgbd(published, tmp_path / "out")
-    assert count == 7 and len(notes) == 1 and notes[0].startswith("7 of 7 views have no rgb.png")
+    assert count == 7 and len(notes) == 1 and notes[0].startswith("7 of 7 views have no colour image")
     for target in published.targets:
         folder = tmp_path / "out" / target.recording / target.view
         names = {"depth.png", "depth_m.npy", "pointmap_cv.npy", "mask.png", "camera.json"}
@@ -217,6 +223,22 @@ def test_patchcomplete_gets_the_metric_surface(published: Release, exports: Path
         assert view.mask[v, u].all()
         np.testing.assert_allclose(depth_m, view.depth_m[v, u], rtol=0, atol=MM)
         assert (np.abs(voxels) <= 2.5).all()
+
+
+def test_views_whose_truth_is_held_back(analytic: Path, tmp_path: Path) -> None:
+    """Of OctMAE's cube it is stated what it cuts of the points that the view measured."""
+    names = [recording[0] for recording in RECORDINGS]
+    options = PublishOptions(hold_back=("test",), thresholds=None)
+    publish(synthetic_settings(), analytic / "build", tmp_path / "benchmark", names, options)
+    public = open_release(tmp_path / "benchmark")
+    for name in ADAPTERS:
+        assert export_for(public, tmp_path / name, name)[0] == 7
+    of = {
+        target.name: json.loads((tmp_path / "octmae" / target.name / "camera.json").read_text())["cut_of"]
+        for target in public.targets
+    }
+    splits = {target.name: target.split for target in public.targets}
+    assert of == {name: "seen" if splits[name] == "test" else "truth" for name in splits}
 
 
 def test_without_torch_it_says_what_to_install(
