@@ -32,13 +32,14 @@ SCORE = (
     "--out",
     "scores",
 )
+LAYOUTS = ("recgan", "bop", "webdataset", "rgbd")
 COMMANDS: tuple[tuple[str, ...], ...] = (
     ("load", RELEASE),
     SCORE,
     ("check", PREDICTIONS, *ON_RELEASE),
     ("baseline", "empty", "partial", *ON_RELEASE, "--out", "baselines"),
     ("report", *ON_RELEASE, "--out", "page.html"),
-    *(("export", "exported", "--layout", layout, *ON_RELEASE) for layout in ("recgan", "bop", "webdataset")),
+    *(("export", "exported", "--layout", layout, *ON_RELEASE) for layout in LAYOUTS),
 )
 
 
