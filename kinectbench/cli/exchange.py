@@ -58,8 +58,8 @@ def _export_views(common: Common, out: Path, method: str | None) -> int:
         else:
             views, notes = export_for(release, out, method, progress)
     console.lines("note", notes, "cyan")
-    told = {"folder": str(out), "views": views, "notes": notes}
-    common.tell(told, [f"exported {views} views: {out}"])
+    result = {"folder": str(out), "views": views, "notes": notes}
+    common.tell(result, [f"exported {views} views: {out}"])
     return exit_status(rows)
 
 
@@ -80,8 +80,8 @@ def adapt(
     folder = out or common.beside("predictions") / method
     with console.bar("adapt") as progress:
         count, problems = write_adapted(release, method, output, folder, progress)
-    told = {"folder": str(folder), "predictions": count, "problems": console.at_most(problems)}
-    common.tell(told, [f"adapted {count} predictions: {folder}"])
+    result = {"folder": str(folder), "predictions": count, "problems": console.at_most(problems)}
+    common.tell(result, [f"adapted {count} predictions: {folder}"])
     console.lines("error", problems, "red")
     return SOME_FAILED if problems else exit_status(rows)
 

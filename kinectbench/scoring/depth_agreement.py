@@ -17,17 +17,17 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CameraShape
 
 # Points of the depth, and of a shape, that are compared: the median of 300 differs by some per cent from
-# that of all, and all slips of a view take 0.1 s (own choices).
+# that of all, and all slips of a view take 0.1 s (chosen here).
 DEPTH_POINTS, SHAPE_POINTS = 300, 20_000
 SEED = 0
 # Shares of the diagonal of what the view measured. A distance below the first is what points 1 cm apart on an
-# object of 1 m leave. One above the second is said even if no slip explains it (own choices; the test of ten
+# object of 1 m leave. One above the second is said even if no slip explains it (chosen here; the test of ten
 # objects has 0.3 % at most for exact shapes).
 SMALL, LARGE = 0.01, 0.1
 # A slip explains a distance if the shape would be so many times nearer without it; and of distances beyond
-# what the gaps between its points leave, by the second number (own choices).
+# what the gaps between its points leave, by the second number (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
-# Slips explain it about as well up to this factor: a round shape hides an axis (own choice).
+# Slips explain it about as well up to this factor: a round shape hides an axis (chosen here).
 ABOUT = 1.3
 # 65535 steps for 10 m are 6553.5 for a metre, where millimetres have 1000.
 STEPS_OF_10_M = 6.5535

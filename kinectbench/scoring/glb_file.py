@@ -19,9 +19,9 @@ from kinectbench.core.untrusted_text import strict_json
 from kinectbench.scoring.mesh_files import MAX_TRIANGLES, MAX_VERTICES, Triangles
 
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
-# Values of the JSON part; a generator's file has some hundred (own choice).
+# Values of the JSON part; a generator's file has some hundred (chosen here).
 MOST_VALUES = 100_000
-# Nodes below each other, and nodes in all (own choices).
+# Nodes below each other, and nodes in all (chosen here).
 DEEPEST, MOST_NODES = 32, 1000
 TRIANGLES_MODE = 4
 Types = dict[int, np.dtype[Any]]

@@ -24,7 +24,7 @@ LONGEST_NAME = 40
 # fewer, honest keys are near (`from`, `init`, `scales`): unless the value is a word of it (own choices).
 DECIDING = ("frame", "form", "unit", "axes", "scale", "hypotheses", "threshold", "T_camera_prediction")
 LEAST_LETTERS = 6
-# Samples of a view that are read: papers of generators report up to ten (own choice).
+# Samples of a view that are read: chosen here.
 MOST_HYPOTHESES = 100
 Blake3 = Annotated[str, Field(pattern="^blake3:[0-9a-f]{64}$")]
 

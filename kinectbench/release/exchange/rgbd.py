@@ -120,7 +120,7 @@ class ViewCamera(Stored):
     FILE: ClassVar[str] = "camera.json"
     ADVICE: ClassVar[str] = "export the views again"
     ERROR: ClassVar[type[KinectBenchError]] = PredictionError
-    # A few matrices (own choice).
+    # A few matrices (chosen here).
     MAX_BYTES: ClassVar[int] = 1 << 16
 
     K: Matrix3 = Field(description="intrinsics of the images beside it, pixels; pixel centres are integers")
@@ -139,7 +139,7 @@ class ViewCamera(Stored):
 
 
 # Writes the files of one view into a folder that is there, and returns further keys of its camera.json. It
-# may frame the images anew, and returns the view that they then show.
+# may frame the images in another way, and returns the view that they then show.
 WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, Any]]]
 
 

@@ -12,7 +12,7 @@ from kinectbench.core.untrusted import listed
 from kinectbench.release.exchange.rgbd import ViewCamera, WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
-# Files in the folder of one view that are looked at (own choice).
+# Files in the folder of one view that are looked at (chosen here).
 MOST_FILES = 1000
 
 
