@@ -36,7 +36,7 @@ test-all: setup lint types docs ## the same with further cases of the same promi
 MINUTES ?= 20
 fuzz: setup ## damage recordings, releases, predictions and tables at random, 20 minutes each, two at a time
 	@printf '%s\n' recordings releases predictions tables | \
-	  xargs -P 2 -I{} $(BIN)/python benchmarks/fuzzing.py {} --minutes $(MINUTES)
+	  xargs -P 2 -I{} $(BIN)/python tests/robustness/fuzzing.py {} --minutes $(MINUTES)
 
 lint: setup ## style, formatting, and which room of the package imports which
 	@$(BIN)/ruff check

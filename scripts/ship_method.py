@@ -3,9 +3,9 @@
     .venv/bin/python scripts/ship_method.py runs/recae-small object/ view/
 
 The weights are halved first, and judged as they are shipped, on test pairs of the releases given (see
-benchmarks/trained_method.py). `kinectbench predict <name> RELEASE` then runs them. The method's folder,
-kinectbench/networks/trained/<name>/, holds the configuration, the weights, how they came to be, the
-course as a picture, and the figures that it is shipped for.
+benchmarks/scoring/trained_method.py). `kinectbench predict <name> RELEASE` then runs them. The method's
+folder, kinectbench/networks/trained/<name>/, holds the configuration, the weights, how they came to
+be, the course as a picture, and the figures that it is shipped for.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from kinectbench.networks.weights import FILE, read_weights, write_weights
 
 MOST_BYTES = 6_000_000
 FIGURES = "figures.json"
-JUDGE = Path(__file__).parents[1] / "benchmarks" / "trained_method.py"
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks" / "run.py"
 
 
 def halved(run: Path, out: Path) -> None:
@@ -57,7 +57,8 @@ def main() -> None:
         size = (out / FILE).stat().st_size
         if size > MOST_BYTES:
             parser.error(f"{size} bytes of weights; {MOST_BYTES} is the most that the package takes")
-        judged = subprocess.run([sys.executable, JUDGE, out, *options.releases, "--json", out / FIGURES])
+        words = ["trained_method", out, *options.releases, "--json", out / FIGURES]
+        judged = subprocess.run([sys.executable, BENCHMARKS, *words])
         if judged.returncode:
             parser.error("it is not shipped: see the figures above")
         figures = json.loads((out / FIGURES).read_text(encoding="utf-8"))["figures"]

@@ -1,4 +1,4 @@
-"""benchmarks/many.py: what it links and measures, and which figures it makes of that."""
+"""benchmarks/speed/many.py: what it links and measures, and which figures it makes of that."""
 
 from pathlib import Path
 

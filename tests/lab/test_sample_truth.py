@@ -1,4 +1,4 @@
-"""The sample recordings, built with a few views each: the bars of benchmarks/sample_truth.py."""
+"""The sample recordings, built with a few views each: the bars of benchmarks/truth/sample_truth.py."""
 
 import pytest
 from builds import built

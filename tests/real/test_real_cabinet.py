@@ -3,7 +3,6 @@
 import os
 from pathlib import Path
 
-import bag_equals_folder
 import cabinet
 import pytest
 from builds import built
@@ -52,7 +51,7 @@ def test_every_view_becomes_a_pair(job: Job, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow  # test_real_ingest.py: what is read of the bag is the same, and all else follows from it
 def test_a_bag_gives_the_same_bytes(root: Path) -> None:
     settings, file = cabinet.cabinet_settings(Path(DATA or ".")), root / "cabinet.bag"
-    bag_equals_folder.wrap(Path(settings.recordings[0].path), file)
-    with_bag = bag_equals_folder.with_bag(settings, file)
+    cabinet.wrap(Path(settings.recordings[0].path), file)
+    with_bag = cabinet.with_bag(settings, file)
     folder, bag = built(with_bag, root / f"{cabinet.VIEWS} views", workers=1)
-    assert missed(bag_equals_folder.compare(folder.build, bag.build)) == []
+    assert missed(cabinet.compare(folder.build, bag.build)) == []

@@ -1,16 +1,14 @@
 """Damaged releases are named, in folders and archives; sound archives verify."""
 
-import importlib.util
 import io
 import shutil
-import sys
 import tarfile
 import zipfile
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from damaged_releases import damages, try_damage
 from fuzz.releases import seal
 from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
@@ -27,18 +25,7 @@ from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import open_release
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "damaged_releases.py"
 RECORDINGS = ["chair_02", "table_02"]
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("damaged_releases", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +44,12 @@ def parts(analytic: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")  # a file twice in a zip
-def test_every_damage_is_named(script: ModuleType, parts: Path, tmp_path: Path) -> None:
+def test_every_damage_is_named(parts: Path, tmp_path: Path) -> None:
     wrong, done = [], 0
     for release in (parts / "whole", parts / "public"):
         assert verify(release) == []
-        for damage in script.damages(release):
-            lines, well = script.try_damage(damage, release, tmp_path)
+        for damage in damages(release):
+            lines, well = try_damage(damage, release, tmp_path)
             done += 1
             if not well:
                 wrong.append((damage.name, lines))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from damaged_releases import seal
+from file_damage import seal
 from scipy import ndimage
 from synthetic_release import publish_synthetic
 

@@ -133,5 +133,5 @@ def test_commands_score_and_read_them(
 
 
 def test_a_hundred_thousand_pairs_fit() -> None:
-    """Under all five protocols. `benchmarks/score_many.py` measures what that takes."""
+    """Under all five protocols. `benchmarks/speed/score_many.py` measures what that takes."""
     assert MOST_SCORED == MOST_ROWS == 100_000 * 5

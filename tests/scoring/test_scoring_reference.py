@@ -1,4 +1,4 @@
-"""Scores of random predictions of every kind against plain numpy, as in benchmarks/score_reference.py."""
+"""Scores of random predictions of every kind against plain numpy, as in the benchmark score_reference."""
 
 from math import inf
 from pathlib import Path

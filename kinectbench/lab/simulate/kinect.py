@@ -182,7 +182,7 @@ class KinectNoise(NamedTuple):
         baseline_m: from camera to projector, which stands in +x (Khoshelham & Elberink).
         steps_per_px: disparity steps per pixel (Khoshelham & Elberink).
         smooth_share: share of the drawn variance that neighbouring pixels have in common. Chosen so that
-            errors on planes correlate as measured in 7-Scenes' red kitchen (benchmarks/kinect_noise.py).
+            errors on planes correlate as measured in 7-Scenes' red kitchen (docs/evidence/simulation.md).
         smooth_px: standard deviation of the blur that makes them common; chosen likewise.
         same_surface: relative difference of depth up to which pixels lie on one surface (own choice).
         weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (own choice:

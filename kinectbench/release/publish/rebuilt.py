@@ -1,7 +1,7 @@
 """How much of a held-back truth the public views of its object can rebuild: a solid carved at their poses.
 
 Whoever has the views can register them with each other. A registration cannot find better poses than the true
-ones, so what is rebuilt with these says about how much an attack can reach. `benchmarks/held_back_attack.py`
+ones, so what is rebuilt with these says about how much an attack can reach. The benchmark `held_back_attack`
 compares both: registered views of a real cabinet came 0.02 below it (8 views) and 0.01 above it (5 views).
 """
 

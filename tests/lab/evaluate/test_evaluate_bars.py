@@ -1,4 +1,4 @@
-"""The bars of `benchmarks/known.py` on rows made by hand."""
+"""The bars of `benchmarks/truth/known.py` on rows made by hand."""
 
 from dataclasses import replace
 

@@ -299,7 +299,7 @@ def walked(off_m: float | None) -> Sequence:
     ],
 )
 def test_a_grade_is_worth_what_is_known_of_the_error(off_m: float | None, mode: str, grade: str) -> None:
-    """Good poses are within 10 mm of the truth and others are not, as `benchmarks/verdicts.py` counts it."""
+    """Good poses are within 10 mm of the truth and others are not, as the benchmark `verdicts` counts it."""
     found = track(walked(off_m), mode, TrackingSettings())
     assert found.health is not None and found.health.grade == grade
     error_m = errors_m(found.T_world_camera, chair_circle().simulation.T_world_camera)
