@@ -54,7 +54,7 @@ def test_a_stored_figure_that_is_missing_is_named() -> None:
 
 def test_a_benchmark_is_run_as_stored_and_compared(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert runner.main(["--stored"]) == 0
-    small.write_text(small.read_text().replace("0.9", "0.8"))
+    small.write_text(small.read_text("utf-8").replace("0.9", "0.8"), encoding="utf-8")
     assert runner.main(["small"]) == 1
     assert capsys.readouterr().err == "small: IoU: 0.9; stored is 0.8 ± 0.001\n"
     assert runner.main(["--store", "small"]) == 0 and runner.main(["small"]) == 0
