@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.artefacts.object import WORDS_OF_DOUBTS
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.gate import NOT_TOLD, gate
 from kinectbench.release.publish.publish import publish
 from kinectbench.stages.segment.find.choice_warnings import LOOK
@@ -138,6 +139,19 @@ def test_the_release_says_what_was_left_out_and_what_was_let_pass(tmp_path: Path
     assert "estimated IoU 0.45" in content["recordings"][NAME]["poor"][0]
     assert "poor" not in content["recordings"][NAMES[1]]
     assert f"- {NAME} is published all the same (--allow-poor)" in (tmp_path / "wide/README.md").read_text()
+
+
+def test_a_poor_recording_without_a_pair_is_left_out_and_the_release_verifies(tmp_path: Path) -> None:
+    """Its card must not say that it is published all the same, which `verify` takes for a contradiction."""
+    build = tmp_path / "build"
+    write_build(build)
+    built(build, estimated_iou=0.45)
+    pairs = build / NAME / "pairs" / "pairs.json"
+    write_json(pairs, json.loads(pairs.read_text()) | {"pairs": []})
+    asked = PublishOptions(hold_back=(), thresholds=None, allow_poor=True)
+    summary = publish(settings(), build, tmp_path / "release", NAMES, asked)
+    assert NAME not in summary.recordings and "all the same" not in " ".join(summary.warnings)
+    assert verify(tmp_path / "release") == []
 
 
 def test_a_release_without_its_only_validation_recording_says_so(tmp_path: Path) -> None:

@@ -193,6 +193,8 @@ def _write(
         why = first_lines([*without_pair, *passed.lines()])
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused; {why}")
     infos = {name: published.info for name, published in made.items()}
+    # A recording without a pair is not published, whatever its figures.
+    passed = replace(passed, poor={name: it for name, it in passed.poor.items() if name in made})
     # What would do harm first, then what is wrong with the truth, and last how it is used.
     warnings = [
         *reasons_against_distribution(infos),
@@ -208,12 +210,11 @@ def _write(
     _write_texts(settings, folder, made, targets, warnings, options, found, alone)
     public = _public_settings(settings, options.hold_back, found, bool(options.isolate))
     privacy(_color(settings, made), found).write(folder)
-    pairs = settings.pairs
     head = Head(
         settings.name,
         settings.license,
-        pairs.framing,
-        pairs.partial_rule,
+        settings.pairs.framing,
+        settings.pairs.partial_rule,
         public,
         citation=settings.publish.citation,
         held_back=options.hold_back,
