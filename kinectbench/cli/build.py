@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
 
-# Rows of the table of `build` and of `build --status`: more of them nobody reads (own choice).
+# Rows of the table of `build` and of `build --status`: more of them nobody reads.
 SHOWN_RECORDINGS = 100
 STILL_FAILS = (
     "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "

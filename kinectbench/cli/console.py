@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
 
 PLAIN_WIDTH = 160
-# Of a message: what a library says of a file may quote a good part of it. Ours have up to 400 (own choice).
+# Of a message: what a library says of a file may quote a good part of it. Ours have up to 400.
 LONGEST = 900
-# Lines of one kind: more than anybody reads; a stranger may have caused hundreds of thousands (own choice).
+# Lines of one kind: more than anybody reads; a stranger may have caused hundreds of thousands.
 MOST_LINES = 1000
 # Where no bar can be drawn, one is a line as often as this; what is done sooner says nothing.
 LOG_EVERY_S = 10.0

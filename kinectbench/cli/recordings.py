@@ -24,7 +24,7 @@ EVIDENCE = {
 # Folders of results that lie beside a benchmark.yaml, and the file that holds the truth of a simulation.
 OURS = frozenset({"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"})
 TRUTH = "truth.json"
-# Of what `init` leaves out so many are named: three lines of a terminal (own choice).
+# Of what `init` leaves out so many are named: three lines of a terminal.
 SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 

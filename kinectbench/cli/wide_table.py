@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 BESIDE_CELL = 3  # a border, and a space on both sides
 # A name takes a third of the width, or this, at most; what is longer ends in an ellipsis.
 NAME_SHARE, NAME_CELLS = 3, 30
-# Beside a whole id a text has this many cells at least, and as many lines as it takes (own choice).
+# Beside a whole id a text has this many cells at least, and as many lines as it takes.
 TEXT_CELLS = 12
 
 

@@ -18,11 +18,11 @@ JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_SCAN = 0xDA
 # SOF0-SOF15 hold the size; C4, C8 and CC in that range are other segments.
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# Chunks of a PNG, segments of a JPEG: in parts of 8 KB the largest has 16,000 (own choice).
+# Chunks of a PNG, segments of a JPEG: in parts of 8 KB the largest has 16,000.
 MOST_PARTS = 50_000
 # Markers that no length follows: TEM, RST0-RST7.
 JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
-# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten (own choice).
+# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten.
 MOST_SCANS = 32
 
 

@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 T = TypeVar("T")
-# Recordings that a page shows with all there is of them, and of more so many (own choice): two to four MB.
+# Recordings that a page shows with all there is of them, and of more so many: two to four MB.
 SHOWN = 24
-# Rows at a time (own choice): a screen or three, which a browser lays out at once.
+# Rows at a time: a screen or three, which a browser lays out at once.
 PAGE_ROWS = 100
-# Values that a column may have to be offered as a choice (own choice): more are searched for.
+# Values that a column may have to be offered as a choice: more are searched for.
 MOST_CHOICES = 200
 
 

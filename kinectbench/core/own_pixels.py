@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import FrameStore, Sequence
 from kinectbench.core.types import Bools, Float32
 
-# Along an outline a sensor's depth mixes both sides, and a drawn mask is a pixel off (own choices): so much
+# Along an outline a sensor's depth mixes both sides, and a drawn mask is a pixel off: so much
 # less of the mask is the object, and so much more of it may be.
 INSIDE_PX, OUTSIDE_PX = 1, 3
 

@@ -17,7 +17,7 @@ import numpy as np
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Parts for each thread, so that none waits long for another (own choice).
+# Parts for each thread, so that none waits long for another.
 PARTS_A_THREAD = 4
 
 # A thread that is started here uses one itself.

@@ -12,16 +12,16 @@ from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.pictures import CLAY, LIGHT, PAPER
 from kinectbench.core.types import Float64, Rgb
 
-# 18 degrees apart; as a JPEG 42 to 68 kB of a real cabinet and of four simulated objects (own choice).
+# 18 degrees apart; as a JPEG 42 to 68 kB of a real cabinet and of four simulated objects.
 FRAMES, FRAME_PX, QUALITY = 20, 160, 75
-# As people look at furniture; each pixel is the mean of two by two (own choices).
+# As people look at furniture; each pixel is the mean of two by two.
 ELEVATION_DEG = 20.0
 SUPERSAMPLING = 2
-# Triangles that are drawn, and the share of a frame that the object fills (own choices).
+# Triangles that are drawn, and the share of a frame that the object fills.
 MOST_TRIANGLES, FILLED = 60_000, 0.94
 # Decimals: coordinates are rounded to these, so that their last bits do not matter.
 MICROMETRES = 6
-# A vertex farther from the scene was not measured there (own choice).
+# A vertex farther from the scene was not measured there.
 NEAR_M = 0.03
 
 

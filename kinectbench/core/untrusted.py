@@ -18,12 +18,12 @@ from io import BufferedReader
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-# The first 64 KB tell every format apart (own choice).
+# The first 64 KB tell every format apart.
 HEAD_BYTES = 64 << 10
 # A text whose reader says nothing else: a JSON file of ours, as a million lines of a hundred characters (own
 # choice).
 TEXT_BYTES = 100 << 20
-# What a line for people quotes of a text that came from a file (own choice).
+# What a line for people quotes of a text that came from a file.
 QUOTED = 80
 # Of an image, pixels: what `camera:` in benchmark.yaml may say of a side, and twice a 4K camera's in all (own
 # choice). To look at depth or colour takes 14 bytes a pixel: 360 MB for the largest, with Python's libraries.
@@ -31,16 +31,16 @@ MOST_SIDE_PX, MOST_PIXELS = 8192, 1 << 24
 # An image as it is encoded: four bytes for each pixel of the largest.
 IMAGE_BYTES = 4 * MOST_PIXELS
 # What one message, chunk or frame may unpack to: the largest image has 64 MB at four bytes a pixel; a reader
-# holds up to four copies of it (own choice).
+# holds up to four copies of it.
 UNPACKED_BYTES = 80 << 20
 # What a whole file may unpack to, as a multiple of itself: bags and releases shrink to a third or a tenth,
-# rendered depth to a thirtieth (own choice); and by how much a small file may exceed it.
+# rendered depth to a thirtieth; and by how much a small file may exceed it.
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
-# Of a path that an index names, characters (own choice); and of a name in it, bytes: what Linux takes.
+# Of a path that an index names, characters; and of a name in it, bytes: what Linux takes.
 MOST_NAME, MOST_PART_BYTES = 1024, 255
-# Files and folders in one: four for each frame of the longest recording (own choice).
+# Files and folders in one: four for each frame of the longest recording.
 MOST_LISTED = 1_000_000
-# Read and written at a time: enough that a call costs nothing beside it (own choice).
+# Read and written at a time: enough that a call costs nothing beside it.
 COPIED_BYTES = 1 << 20
 
 

@@ -16,12 +16,12 @@ from kinectbench.core.untrusted import printable
 
 # Values in one text: those of a quarter of a million lines of targets.csv, or of a benchmark.json of eleven
 # thousand recordings. Read as a model, a value takes 150 bytes, and
-# an object 700: it counts as three (own choice).
+# an object 700: it counts as three.
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3
-# A key takes 330 bytes where it is first seen: ids of recordings, or pairs (own choice).
+# A key takes 330 bytes where it is first seen: ids of recordings, or pairs.
 MOST_KEYS = 300_000
-# One escaped character beyond U+FFFF makes all of a string four bytes wide (own choice).
+# One escaped character beyond U+FFFF makes all of a string four bytes wide.
 WIDE_CHARACTERS = 16 << 20
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 

@@ -13,7 +13,7 @@ _END_BYTES, _LOCATOR_BYTES, _END_64_BYTES = 22, 20, 56
 MOST_COMMENT_BYTES = 0xFFFF
 # A file's row in the directory: 46 bytes, its name and times (own choice; long names are no part of ours).
 ROW_BYTES = 1 << 10
-# By how much the directory of a few files may be larger (own choice).
+# By how much the directory of a few files may be larger.
 SLACK_BYTES = 64 << 10
 # What zipfile raises of a damaged zip. NotImplementedError: an unknown compression; RuntimeError: encrypted;
 # ValueError and OverflowError: sizes and places that no file has. Of a file there are OSErrors besides.

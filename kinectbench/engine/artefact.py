@@ -18,7 +18,7 @@ from kinectbench.core.storage import canonical_json, replaced_file, replaced_fol
 
 FORMAT_VERSION = 1
 # A larger file of which the disk holds so much less is mostly a hole; file systems that compress make a
-# recording less than ten times smaller (own choices).
+# recording less than ten times smaller.
 HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 
 # Versions of what is kept on disk and used again. What was written by another version is made again; what was

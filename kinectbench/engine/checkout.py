@@ -25,7 +25,7 @@ from kinectbench.stages.ingest.readers.seven_scenes import names_beside
 from kinectbench.stages.ingest.sources import MOST_FILES
 
 SOURCES = "sources"
-# A failed.json, which has a line of text (own choice).
+# A failed.json, which has a line of text.
 MOST_FAILED_BYTES = 1 << 20
 Report = Callable[[str, int, int], None]
 

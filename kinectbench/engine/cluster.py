@@ -32,15 +32,14 @@ WANTED = (
 )
 TLS_HINT = "; Dask's settings distributed.comm.tls name the files: ca-file, client.cert, client.key"
 MISSING = "--cluster needs Dask; install it by `pip install 'kinectbench[cluster]'`"
-# A scheduler's file has some hundred bytes, and some hundred more for each worker (own choice).
+# A scheduler's file has some hundred bytes, and some hundred more for each worker.
 MOST_FILE_BYTES = 64 << 20
 # Seconds: between two looks at the workers; without a scheduler's answer; without any worker; until Dask's
-# page answers (own choices).
+# page answers.
 LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
-# Seconds without an answer of a scheduler that has answered before: a busy one may be silent for a minute
-# (own choice).
+# Seconds without an answer of a scheduler that has answered before: a busy one may be silent for a minute.
 SILENT_S = 300.0
-# A worker that was killed is started again by its nanny within seconds; after this it is gone (own choice).
+# A worker that was killed is started again by its nanny within seconds; after this it is gone.
 RESTART_S = 60.0
 # Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
 # that is silent for 20 minutes is dead: compiled code may hold the interpreter's lock for minutes. Tasks hold

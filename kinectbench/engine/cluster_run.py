@@ -20,7 +20,7 @@ KILLED_ALONE = (
     "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
     "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
 )
-# Seconds: until an ended task's result comes; for which what happens is waited for at a time (own choices).
+# Seconds: until an ended task's result comes; for which what happens is waited for at a time.
 RESULT_S, LISTEN_S = 20.0, 1.0
 
 

@@ -18,7 +18,7 @@ PACKAGES = (
     *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "manifold3d", "trimesh"),
     *("zlib-ng", "zstandard", "lz4"),
 )
-# A task says as often at most how far its stage is: the scheduler hears all of them (own choice).
+# A task says as often at most how far its stage is: the scheduler hears all of them.
 SAY_S = 1.0
 # glibc's numbers of two settings, and the values up to which it raises them by itself on machines of 64 bits
 # (mallopt(3)).

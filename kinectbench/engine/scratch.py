@@ -16,7 +16,7 @@ from kinectbench.engine.locks import locked
 
 SCRATCH_VARIABLE = "KINECTBENCH_SCRATCH"
 PREFIX = "kinectbench-scratch-"
-# Whoever makes a folder has locked it by then (own choice).
+# Whoever makes a folder has locked it by then.
 YOUNG_S = 60.0
 
 

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.engine.executor import Lost
 
-# A recording that gives no sign of life for as long again and this much more hangs (own choice).
+# A recording that gives no sign of life for as long again and this much more hangs.
 HANG_S = 600.0
-# A worker has handed over its result after so many seconds; then a process that hangs ends (own choice).
+# A worker has handed over its result after so many seconds; then a process that hangs ends.
 HAND_OVER_S = 10.0
 Report = Callable[[str, int, int], None]
 Hung = Callable[[str], None]

@@ -12,7 +12,7 @@ from kinectbench.doctor.still import turntable_warning
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track import track
 
-# What given poses of a camera on a tripod stray at most, metres (own choice).
+# What given poses of a camera on a tripod stray at most, metres.
 STRAY_M = 0.02
 
 

@@ -11,7 +11,7 @@ from kinectbench.core.store.store import Store, StoredObject, in_parallel
 from kinectbench.engine.stages import STAGES, SUGGEST
 from kinectbench.engine.stored_stage import ARCHIVE, files_folder
 
-# What is younger may be of a run that goes on, on a machine whose clock is wrong by hours (own choice).
+# What is younger may be of a run that goes on, on a machine whose clock is wrong by hours.
 YOUNG_S = 86_400.0
 
 _STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))

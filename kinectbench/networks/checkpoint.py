@@ -32,7 +32,7 @@ DAMAGED = (
     pickle.UnpicklingError,
 )
 PICKLE = "data.pkl"
-# A tensor is described in some 300 bytes, a row of the course in some 200 (own choice).
+# A tensor is described in some 300 bytes, a row of the course in some 200.
 TENSOR_BYTES, ROW_BYTES, SLACK_BYTES = 2 << 10, 1 << 10, 64 << 10
 # Of each value the network's, and two of Adam's.
 COPIES = 3

@@ -11,9 +11,9 @@ from kinectbench.networks.config import MethodSettings
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.words import field_at, model_of, suggestion, wanted
 
-# A configuration has some thirty keys (own choice).
+# A configuration has some thirty keys.
 MOST_BYTES = 1 << 20
-# Of its errors; each line takes as long as all keys (own choice).
+# Of its errors; each line takes as long as all keys.
 SHOWN = 20
 FOLDER = Path(__file__).parent / "configs"
 SUFFIX = ".yaml"

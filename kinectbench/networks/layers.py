@@ -74,5 +74,5 @@ def he(network: nn.Module) -> None:
 
 
 def narrowed(channels: int, divisor: int, least: int = 4) -> int:
-    """Channels of a narrower network; at least 4, unless it had fewer before (own rule)."""
+    """Channels of a narrower network; at least 4, unless it had fewer before."""
     return max(min(least, channels), channels // divisor)

@@ -17,9 +17,9 @@ from kinectbench.core.untrusted import open_plain, printable, read_plain, size_o
 
 MAGIC = bytes.fromhex("57fb808b247547db")
 FOOTER_BYTES, TRAILER_BYTES = 48, 5
-# That of the released network has 4 KB, its longest key 16 bytes and its values 30 (own choice).
+# That of the released network has 4 KB, its longest key 16 bytes and its values 30.
 MOST_INDEX_BYTES, MOST_KEY_BYTES, MOST_VALUE_BYTES = 2 << 20, 4096, 4096
-# Of all its blocks, the one that names the others among them (own choice).
+# Of all its blocks, the one that names the others among them.
 MOST_ENTRIES, MOST_AXES = 10_000, 8
 FLOAT32 = 1
 VALUE_BYTES = 4

@@ -42,7 +42,7 @@ from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 from kinectbench.release.release import Release, Target
 
-# A run that is killed loses no more than this; 2 GB are written in some seconds (own choice).
+# A run that is killed loses no more than this; 2 GB are written in some seconds.
 SAVE_EVERY_S = 300.0
 
 

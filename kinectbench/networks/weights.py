@@ -17,11 +17,11 @@ from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 
 FILE = "weights.npz"
-# Varley's 1.72 GB is the largest network here (own choice).
+# Varley's 1.72 GB is the largest network here.
 MOST_BYTES = 4 << 30
 KINDS = tuple(np.dtype(kind) for kind in (np.float16, np.float32, np.float64, np.int64))
 OTHER_KIND = "what are no finite numbers in float16, float32, float64 or int64, low bytes first"
-# Values that are read at a time: 8 MB of the widest kind (own choice).
+# Values that are read at a time: 8 MB of the widest kind.
 SLAB_VALUES = 1 << 20
 # Of a value in the widest of these; and of an array, its header.
 WIDEST_BYTES, HEADER_BYTES = 8, 1 << 10

@@ -27,7 +27,7 @@ SPLIT_TARGETS = "targets"
 PREVIEWS, ROWS = "previews", "metadata.jsonl"
 # The bytes of each object, and of each view.
 OBJECT_FILES = ("mesh.ply", "volume.npz")
-# objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals (own choice).
+# objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals.
 GLB, MOST_GLB_BYTES = ".glb", 2_000_000
 VIEW_IMAGES = (".depth.png", ".mask.png")
 LICENSE = "LICENSE"
@@ -36,12 +36,12 @@ CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
 # A text of a release, or another file that is read whole.
 MAX_READ_BYTES = 64 << 20
-# Files and folders of a release: 70,000 pairs of 1,400 recordings (own choice); listing them takes 300 MB.
+# Files and folders of a release: 70,000 pairs of 1,400 recordings; listing them takes 300 MB.
 MOST_FILES = 300_000
 # A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to
-# 1.25 GiB, and shrinks to a tenth or less (own choice).
+# 1.25 GiB, and shrinks to a tenth or less.
 MOST_FILE_BYTES = 256 << 20
-# What an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm (own choice).
+# What an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
 VOLUME_BYTES = 5 << 28
 # By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
 # million triangles, and takes 320 MB to be checked (own choice; measured).

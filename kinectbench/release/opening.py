@@ -34,7 +34,7 @@ from kinectbench.release.contents import DAMAGED, LINK, MOST_FILES, Contents, En
 ZIP, GZIP = b"PK", b"\x1f\x8b"
 # Of what a tar says of one member before its data: its block, names of 4096 characters, times, attributes.
 MOST_HEADER_BYTES = 128 << 10
-# Of what a tar says of all members at once; git writes one (own choice).
+# Of what a tar says of all members at once; git writes one.
 MOST_GLOBALS = 64
 
 

@@ -22,7 +22,7 @@ from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
 
-# Of archives, a listing is kept of so many (own choice); one of 100,000 pairs takes 300 MB.
+# Of archives, a listing is kept of so many; one of 100,000 pairs takes 300 MB.
 MOST_OPEN = 2
 
 

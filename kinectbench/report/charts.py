@@ -21,7 +21,7 @@ COLORS = 8  # of the style sheet; methods beyond are told apart by dashes
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
 # Pairs are sorted by visible share and averaged in groups, so that a line shows through the points.
 GROUP_PAIRS, MAX_GROUPS = 6, 8
-# Of a method in a chart, of 13 bytes each (own choice): more hide each other.
+# Of a method in a chart, of 13 bytes each: more hide each other.
 MOST_DOTS = 500
 
 

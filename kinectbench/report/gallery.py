@@ -40,7 +40,7 @@ MAX_BYTES, MAX_BYTES_OF_MANY = 4 << 20, 1 << 20
 DEFLATE_LEVEL = 6
 # Pairs of a method: the best, the worst, and some that are the same for every method.
 EXTREME, SHARED = 6, 12
-# Of the view beside a pair: 3 to 6 kB (own choice).
+# Of the view beside a pair: 3 to 6 kB.
 VIEW_PX = 200
 # A cell of 64 is drawn if this share of its 4 x 4 x 4 voxels is set: parts thinner than a cell stay.
 DRAWN_SHARE = 0.25

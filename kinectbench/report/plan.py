@@ -19,7 +19,7 @@ MAX_PIECES = 48
 MAX_TICKS = 60
 TICK_PX = 13.0
 MAX_BAR_PX = 130
-# What is looked into more steeply than this is looked into from above or below: a ring (own choice).
+# What is looked into more steeply than this is looked into from above or below: a ring.
 LEVEL_COSINE = 0.5
 HEAD_PX = 11.0
 BAR_LENGTHS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)

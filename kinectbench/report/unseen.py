@@ -22,7 +22,7 @@ LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
 # From straight above or below one does not tell what one sees (own choice, by looking at pictures).
 ELEVATIONS_DEG = (-40.0, 62.0)
 LEVEL_COSINE = 0.2
-# More arrows hide the object (own choice).
+# More arrows hide the object.
 MARKED = 4
 # An arrow's length, of the object's longest edge; one of which less than this share shows is drawn as a ring.
 ARROW_SHARE, RING_SHARE = 0.4, 0.3

@@ -23,7 +23,7 @@ SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "T_camera_prediction": (None,),
 }
 SUFFIXES_OF = {"voxels": (".npy", ".npz"), "mesh": MESHES}
-# Notes, keys and files that are named; characters of a note that are shown (own choices).
+# Notes, keys and files that are named; characters of a note that are shown.
 NAMED = 20
 LONGEST_NOTE = 200
 

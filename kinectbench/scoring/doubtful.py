@@ -10,7 +10,7 @@ from kinectbench.scoring.thresholds import Thresholds
 
 # Of a mesh's volume: as much of its shape a cube made from the view alone may cut off (pairs, framing: view).
 MOST_OUTSIDE = 0.05
-# Less than this share of a mesh is not worth a line (own choice).
+# Less than this share of a mesh is not worth a line.
 LEAST_OUTSIDE = 0.001
 
 

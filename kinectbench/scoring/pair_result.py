@@ -30,7 +30,7 @@ from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 EMPTY_CELLS = 16
 # Some kilobytes for each pair.
 MOST_JOURNAL_BYTES = 1 << 30
-# Of what was kept, so many are counted again before the rest is believed (own choice): of rows of which half
+# Of what was kept, so many are counted again before the rest is believed: of rows of which half
 # are made up, four are all sound in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 

@@ -22,7 +22,7 @@ from kinectbench.scoring.truth import read_voxel_size
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Meshes that others write, and that are not read: what lies in the place of a prediction was meant as one.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
-# Files of a folder of predictions that are looked at; no release has as many pairs (own choice).
+# Files of a folder of predictions that are looked at; no release has as many pairs.
 MOST_FILES = 1_000_000
 
 

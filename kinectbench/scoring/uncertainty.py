@@ -13,7 +13,7 @@ MIN_OBJECTS = 3
 RESAMPLES = 10_000
 SEED = 0
 RESAMPLES_AT_ONCE = 1000
-# Of figures that are drawn together: 32 MB, and as fast as more (own choice).
+# Of figures that are drawn together: 32 MB, and as fast as more.
 DRAWN_AT_ONCE = 1 << 22
 # Objects that are resampled; 2000 of twelve metrics take 1.5 s (measured).
 MOST_RESAMPLED = 2000
@@ -104,7 +104,7 @@ MAX_EXACT = 30
 SAMPLES, LEAST_SAMPLES = 1_000_000, 10_000
 # Signs drawn in all, in 1.5 s: a million times those of 500 objects (measured).
 MOST_SIGNS = 500_000_000
-# Drawn together: 128 MB (own choice).
+# Drawn together: 128 MB.
 ROWS_AT_ONCE, SIGNS_AT_ONCE = 8_000, 16_000_000
 TIE = 1e-12
 

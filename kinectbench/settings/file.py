@@ -17,7 +17,7 @@ from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.reading import as_text, read_bytes
 from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
 
-# Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes (own choice).
+# Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes.
 RECORDINGS_AT_ONCE = 5000
 # Lines about what is wrong: of more than that one reason is usually behind all.
 SHOWN = 20

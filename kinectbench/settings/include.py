@@ -13,7 +13,7 @@ from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_byt
 from kinectbench.settings.recording_table import ENDINGS, table_entries
 
 INCLUDE, RECORDINGS = "include", "recordings"
-# Files with a recording each, of the largest benchmark (own choice): each costs a tenth of a millisecond.
+# Files with a recording each, of the largest benchmark: each costs a tenth of a millisecond.
 MOST_FILES = 20_000
 ACCEPTED = f"names of YAML files with `{RECORDINGS}:`, or of tables, {' or '.join(ENDINGS)}"
 # YAML has JSON in it. Files of other names are read as YAML, too.

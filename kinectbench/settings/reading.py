@@ -12,7 +12,7 @@ from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import MOST_LISTED, below, decoded, lies_below, printable, read_plain, scanned
 
-# Ten thousand recordings with a page about each; how many values there may be is bounded apart (own choice).
+# Ten thousand recordings with a page about each; how many values there may be is bounded apart.
 MOST_BYTES = 16 << 20
 # The signs of a pattern; a name without them is a file's own.
 SIGNS = "*?["

@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 
-# More than any section has keys; of a thousand recordings nobody reads the names (own choice).
+# More than any section has keys; of a thousand recordings nobody reads the names.
 LISTED = 40
 Location = tuple[str | int, ...]
 

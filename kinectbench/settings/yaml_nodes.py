@@ -25,10 +25,10 @@ STR_TAG = "tag:yaml.org,2002:str"
 SEQ_TAG = "tag:yaml.org,2002:seq"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
-# Keys and values in one text: of ten thousand recordings of fifteen lines (own choice); read in four seconds.
+# Keys and values in one text: of ten thousand recordings of fifteen lines; read in four seconds.
 MOST_VALUES = 400_000
 TOO_MANY = f"more than the {MOST_VALUES} keys and values that such a file may have"
-# Of a line, characters among which a tab is looked for (own choice).
+# Of a line, characters among which a tab is looked for.
 MOST_INDENT = 1000
 # What PyYAML's own parser reads in about two seconds.
 SPELT_OUT = 1 << 20

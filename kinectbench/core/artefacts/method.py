@@ -16,12 +16,12 @@ from kinectbench.core.untrusted import printable
 
 # What `predict` has written of a run that is not complete, a file a line.
 PREDICTED = ".predicted.jsonl"
-# Keys of a method.json that are nobody's (own choice).
+# Keys of a method.json that are nobody's.
 MOST_UNKNOWN = 200
 # Characters of a key that are compared with the known ones, which have up to 19.
 LONGEST_NAME = 40
 # Keys that decide the score. A key that is nearly one of them is refused where it has this many letters. Of
-# fewer, honest keys are near (`from`, `init`, `scales`): unless the value is a word of it (own choices).
+# fewer, honest keys are near (`from`, `init`, `scales`): unless the value is a word of it.
 DECIDING = ("frame", "form", "unit", "axes", "scale", "hypotheses", "threshold", "T_camera_prediction")
 LEAST_LETTERS = 6
 # Samples of a view that are read: chosen here.
@@ -44,7 +44,7 @@ def _letters(name: str) -> str:
 
 
 def is_misspelt(name: str, known: str) -> bool:
-    """Whether a name is another one with one slip, or two in eight letters and more (own choice).
+    """Whether a name is another one with one slip, or two in eight letters and more.
 
     A slip is a letter too many, too few, another, or two exchanged; capitals and what joins words are none.
     """

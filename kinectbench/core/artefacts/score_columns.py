@@ -27,7 +27,7 @@ ROWS_NPZ = "rows.npz"
 ROWS_IN_JSON = 30_000
 # 100,000 pairs under all five protocols.
 MOST_ROWS = 500_000
-# Of the most rows: 360 bytes each, and as much again for long names (own choice).
+# Of the most rows: 360 bytes each, and as much again for long names.
 MOST_BYTES = 2 * 360 * MOST_ROWS
 (CURVE,) = fields_of(ByThreshold)
 TEXTS = tuple(name for name in fields_of(Pair) if name != "threshold")
@@ -35,7 +35,7 @@ NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CUR
 WORDS = "{}_words"
 # Of a curve, as `scoring.counts` counts them.
 THRESHOLDS = 17
-# Rows that are made from columns at once (own choice): their plain values take 30 MB.
+# Rows that are made from columns at once: their plain values take 30 MB.
 AT_ONCE = 10_000
 _PLAIN_ROW = TypeAdapter(ScoreRow)
 

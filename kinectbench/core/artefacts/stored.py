@@ -40,7 +40,7 @@ from kinectbench.core.untrusted_text import MOST_VALUES, strict_json
 
 # Of one file: 32 bytes for each value that it may have.
 JSON_BYTES = 64 << 20
-# Of one file that are written out as Python's values, a kilobyte each (own choice).
+# Of one file that are written out as Python's values, a kilobyte each.
 MOST_ERRORS = 1000
 # pydantic copies an object for each key that it lacks: in a longer text the first is looked for beforehand
 # (own choice; forty copies of it are 40 MB of text).

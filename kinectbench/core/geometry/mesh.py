@@ -35,7 +35,7 @@ PLY_HEAD = re.compile(
     rb"((?:property uchar [a-z]{1,9}\n){0,4})"
     rb"element face ([0-9]{1,9})\nproperty list uchar int vertex_indices\nend_header\n"
 )
-# A scene of forty million triangles (own choice).
+# A scene of forty million triangles.
 PLY_BYTES = 1 << 30
 
 

@@ -18,9 +18,9 @@ from kinectbench.core.types import Bools, Float64, Int64
 # Where a pixel was taken depends on its row, and its row on where it was taken: each pass divides the error
 # by the rows of a frame over those it moves past, at least 10.
 PASSES = 3
-# Neighbouring pixels are of one surface if their depths differ by less than this share (own choice).
+# Neighbouring pixels are of one surface if their depths differ by less than this share.
 SAME_SURFACE = 0.03
-# Frames farther apart in time do not tell how fast the camera moves at one of them (own choice).
+# Frames farther apart in time do not tell how fast the camera moves at one of them.
 MAX_STEP_S = 0.1
 
 

@@ -25,9 +25,9 @@ PATIENCE_S = 180.0
 PATIENCE_VARIABLE = "KINECTBENCH_STORE_PATIENCE_S"
 # Exponential backoff with jitter, as the AWS Architecture Blog advises; the bounds are object_store's.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 15.0
-# Of what a store says went wrong: two lines of a terminal (own choice).
+# Of what a store says went wrong: two lines of a terminal.
 REASON_CHARS = 160
-# Seconds of failure after which it is told: most pass sooner (own choice).
+# Seconds of failure after which it is told: most pass sooner.
 TELL_AFTER_S = 5.0
 
 _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")

@@ -34,9 +34,9 @@ LISTED_S = 65.0
 LISTED_AT_ONCE = 1000
 # S3 takes at least 5 MB as a part, and 10,000 of them: files up to 80 GB.
 PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
-# Files that are read or put at a time (own choice).
+# Files that are read or put at a time.
 AT_ONCE = 8
-# Calls that wait for a thread (own choice): each is 1.7 kB in memory.
+# Calls that wait for a thread: each is 1.7 kB in memory.
 WAITING = 256
 # Objects of one listing: twice those of a benchmark of ten thousand recordings; 500 bytes each in memory.
 MOST_OBJECTS = 1_000_000

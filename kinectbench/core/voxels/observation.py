@@ -107,7 +107,7 @@ def pose_reach_m(median_pose_sigma_m: float | None) -> float:
 
 
 def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: float) -> float:
-    """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose (own rule).
+    """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose.
 
     Args:
         camera: of the depth images.
@@ -118,7 +118,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """What part of the votes for `free` is believed, in [0, 1]: less, the wider the rays are (own rule)."""
+    """What part of the votes for `free` is believed, in [0, 1]: less, the wider the rays are."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 
@@ -129,7 +129,7 @@ def without_fringe(
     voxel_size_m: float,
     trust: float = 1.0,
 ) -> Float32:
-    """The TSDF, raised where frames saw through what on the mean lies well behind a surface (own rule).
+    """The TSDF, raised where frames saw through what on the mean lies well behind a surface.
 
     Where hardly any frame measures a surface, as at an underside seen at a grazing angle, those that see the
     voxel hidden outweigh them, fade as they may. Frames that see through it are evidence, however little they

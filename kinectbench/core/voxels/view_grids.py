@@ -12,7 +12,7 @@ from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS
 OBJECT_SCALE = FULL_CELLS / (FULL_CELLS - 4)
 VIEW_SCALE = 1.4
 VIEW_FRONT_MARGIN = 0.1
-# A pair whose cube of framing `view` cuts off more of the shape is refused (own choice).
+# A pair whose cube of framing `view` cuts off more of the shape is refused.
 MAX_CUT_SHARE = 0.05
 
 

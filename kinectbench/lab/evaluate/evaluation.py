@@ -115,7 +115,7 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: Registration) -> FloorFigures:
-    """Angle of the planes, and the distance between them straight below the object (own rule)."""
+    """Angle of the planes, and the distance between them straight below the object."""
     T = registration.T_truth_built
     normal = T[:3, :3] @ floor.plane_world[:3]
     # n . (R^T (x - t)) + d = 0 in the truth's world

@@ -163,7 +163,7 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Volumes of the known voxels that are wrong by more than 10 mm, over the true volume (own rule).
+    """Volumes of the known voxels that are wrong by more than 10 mm, over the true volume.
 
     Args:
         voxels: the object's.
@@ -197,7 +197,7 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """How much is unknown beside what was measured, by the nearest sample of the surface (own rule)."""
+    """How much is unknown beside what was measured, by the nearest sample of the surface."""
     from scipy.spatial import cKDTree
 
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged

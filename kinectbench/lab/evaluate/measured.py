@@ -16,19 +16,19 @@ from kinectbench.lab.simulate.truth import Truth
 # One sample on each 4 mm x 4 mm, less than a voxel; on a large couch one on 5 mm x 5 mm.
 SPACING_M, MAX_SAMPLES = 0.004, 250_000
 SEED = 0
-# What every camera looks at flatter than 80 degrees gives hardly any depth, and a noisy one (own choice).
+# What every camera looks at flatter than 80 degrees gives hardly any depth, and a noisy one.
 LEAST_COSINE = np.cos(np.radians(80.0))
 # Depth is that of the sample if it is this near to it: 10 mm, and three standard deviations of a Kinect v1
 # (14 mm at 3 m by Nguyen et al. 2012) with its distortion (0.4 %) beyond that.
 AGREES_M, AGREES_SHARE = 0.010, 0.015
 # Frames are asked in an order in which any few of them lie all around: what most see is done with early.
 GOLDEN = (np.sqrt(5.0) - 1) / 2
-# Normals in the floor frame: upper faces, undersides, and sides in between (own choice).
+# Normals in the floor frame: upper faces, undersides, and sides in between.
 LEAST_UP, MOST_SIDEWAYS = 0.7, 0.5
 # Near an edge the nearest surface may be that of the other face; and what is farther off is missing or too
-# much, not a bias (own choices).
+# much, not a bias.
 EDGE_M, EDGE_RAD, REACH_M = 0.015, np.radians(30.0), 0.015
-# The mean of fewer samples says nothing: of 8 cm^2, on one object a single one decided (own choice).
+# The mean of fewer samples says nothing: of 8 cm^2, on one object a single one decided.
 LEAST_SAMPLES = 50
 
 

@@ -152,7 +152,7 @@ def pair_figures(
     """Compare every pair with the true solid, put where the true camera of that frame saw it.
 
     The depth of a view was taken by the true camera, so the truth lies exactly to `partial`, whatever
-    the pose that was found; how well `full` was turned into the view counts in its IoU (own rule).
+    the pose that was found; how well `full` was turned into the view counts in its IoU.
 
     Args:
         build: with views and pairs.

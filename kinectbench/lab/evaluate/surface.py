@@ -16,7 +16,7 @@ THRESHOLDS_M = (0.005, 0.010)
 SAMPLES = 100_000
 SEED = 0
 # Of a fused scene is judged what lies in the object's box and this much around it, but not the floor that it
-# stands on (own choice).
+# stands on.
 MARGIN_M, FLOOR_M = 0.03, 0.015
 # Rays that vote on which side of the true surface a point lies.
 SIGN_RAYS = 3

@@ -21,7 +21,7 @@ FIXED = 1 << SHIFT
 
 
 def exposure_gains(time_s: Float64, drift: float, rng: np.random.Generator) -> Float64:
-    """Gain (n,) of an automatic exposure at times (n,): wanders over seconds (own choice).
+    """Gain (n,) of an automatic exposure at times (n,): wanders over seconds.
 
     Args:
         time_s: seconds.
@@ -43,7 +43,7 @@ def expose(
 
     A pixel averages what passes through it: the rendered image along the pixel's own streak, which leads from
     where its surface point was at the start to where it is at the end. So nothing is cast anew; what is wrong
-    is that a near thing does not smear over the background beside it (own rule). Averages are of display
+    is that a near thing does not smear over the background beside it. Averages are of display
     values.
 
     Args:

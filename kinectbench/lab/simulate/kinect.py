@@ -184,17 +184,17 @@ class KinectNoise(NamedTuple):
         smooth_share: share of the drawn variance that neighbouring pixels have in common. Chosen so that
             errors on planes correlate as measured in 7-Scenes' red kitchen (docs/evidence/simulation.md).
         smooth_px: standard deviation of the blur that makes them common; chosen likewise.
-        same_surface: relative difference of depth up to which pixels lie on one surface (own choice).
+        same_surface: relative difference of depth up to which pixels lie on one surface.
         weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (own choice:
             a grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
-        signal_softness: standard deviation of the logarithm of the signal that is needed (own choice).
+        signal_softness: standard deviation of the logarithm of the signal that is needed.
         sun: infrared light of full sun, relative to the pattern's at 1 m (own choice: with it the grey
             wall is lost beyond 2.4 m).
         graze_cos: cosine of incidence at which half the pixels are lost (own choice: 80°).
-        graze_softness: standard deviation of that cosine (own choice).
+        graze_softness: standard deviation of that cosine.
         edge_margin: pixels at edges are lost where a normal variate exceeds this (own choice: 31 %).
         edge_mix: they mix near and far where it is at most this much below that (own choice: 7 %).
-        hole_px: standard deviation of the blur that makes holes blobs (own choice).
+        hole_px: standard deviation of the blur that makes holes blobs.
         any_margin: pixels anywhere are lost where it exceeds this (own choice: 0.1 %).
         blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """

@@ -9,7 +9,7 @@ from kinectbench.core.geometry import Camera, TriangleMesh, rigid
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.spec import PathSettings
 
-# A hand shakes below about 6 Hz, the faster the less; a walker's pace varies over seconds (own choices).
+# A hand shakes below about 6 Hz, the faster the less; a walker's pace varies over seconds.
 SHAKE_HZ = np.geomspace(0.3, 6.0, 9)
 PACE_HZ = np.array([0.07, 0.13, 0.23])
 REACH_HZ = np.array([0.05, 0.11])

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import invert_rigid, rigid
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.spec import FAULTS, GIVEN, SimulationSpec
 
-# A drifting trajectory also turns: radians per metre for each metre per metre (own choice).
+# A drifting trajectory also turns: radians per metre for each metre per metre.
 DRIFT_RAD_PER_M = 0.5
 
 

@@ -17,7 +17,7 @@ TEXTURE_PX = 512
 PIXELS_PER_M = 256.0
 BLURS_PX = (1.5, 5.0, 16.0, 50.0)
 AMBIENT = np.float32(0.55)
-# Towards the one far light, a unit vector in the room (own choice).
+# Towards the one far light, a unit vector in the room.
 LIGHT_ROOM = (np.float32(0.3508), np.float32(0.2506), np.float32(0.9022))
 JOINT_M = 0.012
 JOINT_SHADE = 0.55
@@ -27,7 +27,7 @@ TILE_CONTRAST = 0.25
 def make_texture(rng: np.random.Generator) -> Float32:
     """Draw smooth noise (512, 512) in [-1, 1] that repeats every 2 m.
 
-    White noise is blurred at four scales, each normalised, then summed (own choice). Detail at every scale
+    White noise is blurred at four scales, each normalised, then summed. Detail at every scale
     gives a tracker something to hold on to from near and from far.
     """
     frequency = np.fft.fftfreq(TEXTURE_PX)

@@ -25,7 +25,7 @@ CLEARANCE_M = 0.6
 # A touching neighbour reaches this far into the subject's bounding box.
 TOUCH_M = 0.005
 # A table as people eat and work at, metres; and what stands about on it is as far from the subject as a hand
-# needs to take it (own choices).
+# needs to take it.
 TABLE_M, TABLE_THICK_M, TABLE_LEG_M = 0.74, 0.035, 0.05
 TABLE_LONG_M, TABLE_DEEP_M = (1.1, 1.5), (0.7, 0.9)
 TABLE_CLEARANCE_M = (0.05, 0.12)

@@ -20,7 +20,7 @@ SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
 MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2}
 # Focal length in pixels, width and height of each sensor's own images. Of the Azure Kinect: depth mode NFOV
 # unbinned (Microsoft's hardware specification), and about the focal length of its factory calibrations; of
-# the phone: ARKit's depth image (Apple), 62 degrees across, as its wide camera has in video (own choice).
+# the phone: ARKit's depth image (Apple), 62 degrees across, as its wide camera has in video.
 NATIVE = {
     "kinect_v1": (525.0, 640, 480),
     "ideal": (525.0, 640, 480),

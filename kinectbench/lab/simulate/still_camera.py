@@ -17,10 +17,10 @@ from kinectbench.lab.simulate.render import Renderer, Rendering
 from kinectbench.lab.simulate.scene import Item
 from kinectbench.lab.simulate.spec import PathSettings
 
-# A fist and forearm below the object, and how much higher than a table it is held (own choices).
+# A fist and forearm below the object, and how much higher than a table it is held.
 ARM_M = (0.07, 0.06, 0.35)
 ARM_RGB = (0.75, 0.56, 0.45)
-# A turntable's plate, wider than the object by so much (own choices).
+# A turntable's plate, wider than the object by so much.
 PLATE_RGB = (0.85, 0.85, 0.82)
 PLATE_RATIO = 1.25
 GRIP_M = 0.015

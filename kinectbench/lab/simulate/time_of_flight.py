@@ -44,17 +44,17 @@ class TimeOfFlight(NamedTuple):
             section IV: the square root of all light over the demodulated light).
         ambient: light and read-out noise that carry no distance, as a signal.
         sun: full sun on a white surface, as a signal (as of `KinectNoise`; own choice).
-        worst_m: pixels of a larger standard deviation are no measurement, metres (own choice).
-        worst_softness: standard deviation of the logarithm of that limit (own choice).
-        smooth_share: share of the noise's variance that neighbouring pixels have in common (own choice).
+        worst_m: pixels of a larger standard deviation are no measurement, metres.
+        worst_softness: standard deviation of the logarithm of that limit.
+        smooth_share: share of the noise's variance that neighbouring pixels have in common.
         smooth_px: standard deviation of the blur that makes it common (own choice, but for the phone's).
-        mixed_px: standard deviation of the blur by which a pixel gets its neighbours' light (own choice).
-        same_surface: relative difference of depth up to which pixels lie on one surface (own choice).
+        mixed_px: standard deviation of the blur by which a pixel gets its neighbours' light.
+        same_surface: relative difference of depth up to which pixels lie on one surface.
         edge_margin: pixels within 1.5 times that blur of an edge are lost where a normal variate exceeds
-            this (own choice).
-        hole_px: standard deviation of the blur that makes holes blobs (own choice).
-        multipath: share of the indirect light that the sensor takes for direct (own choice).
-        distortion_m: root mean square of one device's systematic error, metres (own choice).
+            this.
+        hole_px: standard deviation of the blur that makes holes blobs.
+        multipath: share of the indirect light that the sensor takes for direct.
+        distortion_m: root mean square of one device's systematic error, metres.
         step_m: depth is reported in multiples of this, metres; 0 for any depth.
     """
 
@@ -78,7 +78,7 @@ class TimeOfFlight(NamedTuple):
 
 
 # `noise_m` and `ambient` follow from two points: 15 mm at 3.86 m and 15 % reflectivity, within the 17 mm
-# specified, and 1.1 mm on a grey wall (60 %) at 1 m (own choice). So 2.3 mm at 2 m and 4.6 mm at 3.5 m; an
+# specified, and 1.1 mm on a grey wall (60 %) at 1 m. So 2.3 mm at 2 m and 4.6 mm at 3.5 m; an
 # albedo of 0.05 is lost beyond 3 m, a grey wall in the simulator's outdoor light beyond 2.6 m. Half of the
 # pixels at edges are lost.
 AZURE_KINECT = TimeOfFlight(
@@ -149,7 +149,7 @@ class TimeOfFlightDevice:
 def draw_time_of_flight(
     model: str, camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator
 ) -> TimeOfFlightDevice:
-    """Draw a device's systematic error, which varies smoothly over the image and not with depth (own choice).
+    """Draw a device's systematic error, which varies smoothly over the image and not with depth.
 
     Args:
         model: of `SENSORS`.

@@ -55,10 +55,10 @@ from kinectbench.settings.yaml_nodes import compose, items
 PUBLIC_OF_OBJECT = ("floor.json",)
 # In a line of the card, after the name of a recording.
 OF_GATE = re.compile(" is left out: | is published all the same ")
-# A CITATION.cff of two thousand authors (own choice); PyYAML reads 0.1 MB a second. LICENSE and README.md may
+# A CITATION.cff of two thousand authors; PyYAML reads 0.1 MB a second. LICENSE and README.md may
 # have as much beside what benchmark.json lets them say, such as the words of a licence.
 CITATION_BYTES = 256 << 10
-# Of a recording in README.md: its figures and a warning or two (own choice).
+# Of a recording in README.md: its figures and a warning or two.
 CARD_BYTES = 1 << 10
 
 

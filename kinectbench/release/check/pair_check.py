@@ -91,7 +91,7 @@ def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator
     """What cannot be right with `known` and `seen`, which the files of a release do not determine.
 
     A view's depth is of surface that was fused, so it is known, and of what that view sees: nearly all
-    of `partial_256` must be both. Half allows for every recording that can be used at all (own rule).
+    of `partial_256` must be both. Half allows for every recording that can be used at all.
     """
     cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
     if inside < LEAST_TRUSTED_SHARE * cells:

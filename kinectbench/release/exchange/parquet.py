@@ -13,7 +13,7 @@ from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release
 
 TARGETS_PARQUET = "targets.parquet"
-# Targets that are held as columns at a time, and that a reader of some gets at once (own choice).
+# Targets that are held as columns at a time, and that a reader of some gets at once.
 ROWS_PER_GROUP = 100_000
 
 

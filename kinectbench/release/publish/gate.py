@@ -19,7 +19,7 @@ REJECTED = "rejected by review: "
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
 # What is said in place of figures and a person's reason, which tell of a truth that is held back.
 NOT_TOLD = "why is held back, as its truth is"
-# Where no recording can be published, the reasons of so many are named (own choice).
+# Where no recording can be published, the reasons of so many are named.
 SHOWN_REASONS = 4
 # Of a doubt, which advises after it.
 SHOWN_OF_DOUBT = ";"

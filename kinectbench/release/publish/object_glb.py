@@ -19,12 +19,12 @@ from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
 
 # Of a build, the mesh of all that was recorded.
 SCENE = "reconstruction/mesh.ply"
-# 24 bytes a triangle of a closed mesh: 1.44 MB (own choice); and those of the smallest closed mesh.
+# 24 bytes a triangle of a closed mesh: 1.44 MB; and those of the smallest closed mesh.
 MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
 # x stays, z becomes y.
 T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 MM_PER_M = 1000
-# Vertices whose distance is measured (own choice); of 60,000 triangles all of them took half the file's time.
+# Vertices whose distance is measured; of 60,000 triangles all of them took half the file's time.
 MEASURED = 5000
 # Of what the file says in words: matrices, and thousandths of a millimetre.
 MATRIX_DECIMALS, MM_DECIMALS = 12, 3

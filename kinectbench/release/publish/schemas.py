@@ -49,7 +49,7 @@ JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
 TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
 SCORES_SCHEMA = "scores.schema.json"
-# Of an error's words, characters, and of the errors in one file (own choice).
+# Of an error's words, characters, and of the errors in one file.
 MOST_TOLD, MOST_FAULTS = 200, 50
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}

@@ -17,7 +17,7 @@ from kinectbench.core.storage import write_below
 from kinectbench.core.types import Rgb
 from kinectbench.release.contents import PREVIEWS, ROWS
 
-# Half of a Kinect's image (own choice).
+# Half of a Kinect's image.
 WIDTH_PX = 320
 
 

@@ -25,7 +25,7 @@ RANGE_STEP_M = 0.1
 # So many frames, evenly spread, and of their pixels one in so many along rows and columns tell.
 SAMPLE_FRAMES, SAMPLE_STEP_PX = 40, 8
 NEAREST_SHARE, USUAL_SHARE = 0.1, 0.95
-# Of the depth in the middle of the images: a warning if more of it is missed (own choice).
+# Of the depth in the middle of the images: a warning if more of it is missed.
 MAX_MISSED_SHARE = 0.05
 
 

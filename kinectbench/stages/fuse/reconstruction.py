@@ -47,7 +47,7 @@ FAR_RANGES = 2.0
 # On simulated objects F at 5 mm rises from 0.897 to 0.945 (bookshelf), 0.937 to 0.975 (mug) and 0.888 to
 # 0.903 (lamp); fusing takes 20 to 55 % longer.
 FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
-# How far the cameras are from what they see is the median of so many frames (own choice).
+# How far the cameras are from what they see is the median of so many frames.
 DISTANCE_FRAMES = 60
 
 
@@ -101,7 +101,7 @@ def fuse(
 
 
 def scene_voxel_size_m(ray_width_m: float) -> float:
-    """Edge of the scene's voxels, metres, for rays of a width in metres (own rule)."""
+    """Edge of the scene's voxels, metres, for rays of a width in metres."""
     return FINE_VOXEL_M if ray_width_m < FINE_VOXEL_M else COARSE_VOXEL_M
 
 

@@ -1,4 +1,4 @@
-"""Lossless depth for the sequence folder: smaller than PNG, and read several times as fast (own rule).
+"""Lossless depth for the sequence folder: smaller than PNG, and read several times as fast.
 
 A file holds `KBD1`, uint16 width and height, a byte that names the layout, and a zstd frame. Layout 1: a
 pixel without depth is 0, another one 1 + zigzag of the difference to the last depth above it in its column

@@ -84,7 +84,7 @@ def units_a_metre(depth: UInt16 | Float32) -> float | None:
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """Which channels (B, G, R) of a PNG hold the high and the low byte of depth; None: none (own rule)."""
+    """Which channels (B, G, R) of a PNG hold the high and the low byte of depth; None: none."""
     if not data.startswith(PNG_MAGIC):
         return None
     try:

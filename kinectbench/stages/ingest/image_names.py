@@ -26,20 +26,20 @@ DATE = re.compile(
     r"(?<!\d)((?:19[7-9]|20\d)\d)(\D?)(\d\d)\2(\d\d)\D{0,2}(\d\d)(\D?)(\d\d)\6(\d\d)"
     r"(?:\D(\d{1,9})|(\d{3}|\d{6}|\d{9})|)(?!\d)"
 )
-# Names hold few numbers, and a stamp no more digits than nanoseconds with decimals have (own choices).
+# Names hold few numbers, and a stamp no more digits than nanoseconds with decimals have.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds, by how many there are in a second.
 UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
 # Digits of a part of a second, at most; a part is taken for a count if its largest step is so many times
 # smaller then than that of decimals: where it is one, frames of each first tenth of a second are missed
-# there in the other reading, two frames or more from 10 Hz on (own choice).
+# there in the other reading, two frames or more from 10 Hz on.
 PART_DIGITS, MORE_REGULAR = 9, 1.5
 # Parts that are nearer to each other count frames (own choice: 333 Hz, as above).
 LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3
-# Steps between frames, if the unit is right (own choices): at most 2000 Hz, keyframes of up to 10 s.
+# Steps between frames, if the unit is right: at most 2000 Hz, keyframes of up to 10 s.
 LEAST_STEP_NS, MOST_STEP_NS = NS_PER_S // 2000, 10 * NS_PER_S
 # From so many units a step on a number is of milliseconds, micro- and nanoseconds: 3 ms are 333 Hz, and
-# keyframes are less than 3 s apart (own choice).
+# keyframes are less than 3 s apart.
 STEPS_OF_UNITS = ((3e6, UNITS_NS[3]), (3e3, UNITS_NS[2]), (3.0, UNITS_NS[1]))
 
 
@@ -152,7 +152,7 @@ def _with_parts(whole: Sequence[int], rest: Sequence[str]) -> list[int]:
 
     Padded with zeros the part is both. Else it is decimals where one begins with a zero; a count where the
     longest are of nanoseconds and seconds are of today, as floats do not have so many decimals then; or what
-    makes the steps more regular (own rules).
+    makes the steps more regular.
 
     Args:
         whole: seconds.

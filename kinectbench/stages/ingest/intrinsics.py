@@ -24,11 +24,11 @@ NEEDED = ("fx", "fy", "cx", "cy")
 MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 # Focal lengths as shares of the image's side.
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
-# What any camera's are, pixels (own choices).
+# What any camera's are, pixels.
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
-# Poses and intrinsics of 50,000 frames; how many values there may be is bounded apart (own choice).
+# Poses and intrinsics of 50,000 frames; how many values there may be is bounded apart.
 JSON_BYTES = 16 << 20
-# Of one frame among many: apps write a few kilobytes (own choice).
+# Of one frame among many: apps write a few kilobytes.
 FRAME_JSON_BYTES = 256 << 10
 MM_PER_M = 1000.0
 # No unit of depth images is so long: such a scale is in units a metre.
@@ -185,7 +185,7 @@ def _units_a_metre(said: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:
-    """Read how colour lies to depth from camera.json: `color_camera` and `T_color_depth` (own rule).
+    """Read how colour lies to depth from camera.json: `color_camera` and `T_color_depth`.
 
     `color_camera` holds width, height, fx, fy, cx, cy and maybe `distortion` (Brown's coefficients);
     `T_color_depth` four rows, metres, depth camera to colour camera.

@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.images import (
 )
 
 # Damaged images or messages that are tried in search of one that is whole: five minutes at 30 frames a
-# second; an index may begin long before the images that were kept of it (own choice).
+# second; an index may begin long before the images that were kept of it.
 MOST_TRIED = 10_000
 Item = TypeVar("Item")
 Result = TypeVar("Result")

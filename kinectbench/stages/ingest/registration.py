@@ -16,7 +16,7 @@ SPLAT_PX = 1
 
 
 class ColorRegistration:
-    """Maps colour images of one camera, `color_px` large, onto another's depth by a z-buffer (own rule)."""
+    """Maps colour images of one camera, `color_px` large, onto another's depth by a z-buffer."""
 
     def __init__(self, depth: Camera, calibration: ColorCalibration) -> None:
         """Prepare for images of these cameras.

@@ -52,7 +52,7 @@ def rotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
 
 
 def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
-    """Whether these depth images (height, width) uint16, 0 = none, are rotated (own rule).
+    """Whether these depth images (height, width) uint16, 0 = none, are rotated.
 
     At least 95 % of the values are multiples of eight, one of them an odd multiple; all others have 1 in
     their low bits (8.2 to 16.4 m); and they are too many, and reach too high, for a picture with 8 bits.

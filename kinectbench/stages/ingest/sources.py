@@ -6,12 +6,12 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import printable, scanned
 
-# Two hours at 30 frames a second; depth, colour, mask and pose of each frame (own choices).
+# Two hours at 30 frames a second; depth, colour, mask and pose of each frame.
 MOST_FRAMES = 250_000
 MOST_FILES = 4 * MOST_FRAMES
-# No recording's folders lie deeper in each other (own choice).
+# No recording's folders lie deeper in each other.
 MOST_DEPTH = 32
-# Links to folders that are followed: a few that link to each other are a tree without end (own choice).
+# Links to folders that are followed: a few that link to each other are a tree without end.
 MOST_LINKED = 1000
 MISSING = "there is no such file or folder; correct the recording's `path:`"
 # Some of the way to a file, as a line for people may quote it.

@@ -29,7 +29,7 @@ KINDS = ("", ".include", ".exclude")
 MASK_NAME = re.compile(r"(frame_)?([0-9]{1,9})(|\.include|\.exclude)\.(?i:png)")
 # A view's number has so many or more, a frame's any.
 VIEW_DIGITS = 3
-# Names in one line (own choice).
+# Names in one line.
 MOST_TOLD = 5
 
 
@@ -76,7 +76,7 @@ def object_mask(
     tolerance_m: float,
     clear_m: float,
 ) -> Bools:
-    """The object in a view: where depth agrees with it rendered, and its fringe (own rule).
+    """The object in a view: where depth agrees with it rendered, and its fringe.
 
     The sensor's depth wanders along edges, and a solid made of noisy depth is often a pixel too narrow in the
     image. So a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it
@@ -104,7 +104,7 @@ def recorded_mask(
     box: OrientedBox,
     margin_m: float,
 ) -> Bools:
-    """The object in a view by the mask that came with the recording (own rule).
+    """The object in a view by the mask that came with the recording.
 
     Its pixels with depth whose points lie in the object's box: along outlines a mask also covers pixels whose
     depth is that of the background.

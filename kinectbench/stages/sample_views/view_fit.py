@@ -87,7 +87,7 @@ def fit_of_view(
 
 
 def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRenderer) -> float:
-    """The share of an object's outline that the image border cuts off (own rule).
+    """The share of an object's outline that the image border cuts off.
 
     Counted at every 8th pixel of an image three times as wide and high, the camera's own in its middle.
 

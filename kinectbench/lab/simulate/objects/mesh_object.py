@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RGB: Vector3 = (0.66, 0.60, 0.52)
 ALBEDO = 0.6
-# In millimetres what is larger than 5 mm is larger than 5 (own choice).
+# In millimetres what is larger than 5 mm is larger than 5.
 SMALLEST_M, LARGEST_M = 0.01, 5.0
 MOST_COLORS = 64
 VOXELS_ACROSS = 300

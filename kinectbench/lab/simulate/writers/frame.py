@@ -180,7 +180,7 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def color_json(rig: Rig) -> dict[str, Any]:
-    """How colour lies to depth, as plain JSON values (own rule).
+    """How colour lies to depth, as plain JSON values.
 
     `color_registered`, which readers know; where it is false also `color_camera` (size and intrinsics in
     pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), for whoever wants to

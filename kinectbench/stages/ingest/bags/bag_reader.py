@@ -8,13 +8,13 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
 from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, MessagePlace
 
-# No record of a bag takes less of its file, however well it is compressed, but for these (own choices).
+# No record of a bag takes less of its file, however well it is compressed, but for these.
 LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
-# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file (own choices).
+# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file.
 ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
 # Chunks that were read last are kept up to this many bytes, and always one.
 CACHED_BYTES = 64 << 20
-# How often all chunks may be unpacked before as many messages were read (own choice).
+# How often all chunks may be unpacked before as many messages were read.
 PASSES = 2
 
 

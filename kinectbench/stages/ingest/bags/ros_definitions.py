@@ -13,8 +13,8 @@ from kinectbench.core.untrusted import HEAD_BYTES
 if TYPE_CHECKING:
     from rosbags.interfaces import Typestore
 
-# Numbers of a fixed array: a covariance has 36 (own choice); fields in all once arrays are unrolled, and
-# messages in each other: stream_info of librealsense has 47 and 3 (own choices).
+# Numbers of a fixed array: a covariance has 36; fields in all once arrays are unrolled, and
+# messages in each other: stream_info of librealsense has 47 and 3.
 MOST_IN_ARRAY, MOST_FIELDS, MOST_DEPTH = 64, 1000, 8
 
 

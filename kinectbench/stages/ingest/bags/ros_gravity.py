@@ -16,7 +16,7 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 GRAVITY_MPS2 = 9.80665
 # The mean over a fifth of a second is of a camera that is still, or moves evenly, if it differs from gravity
-# by no more: a sensor's bias and scale are off by up to 2 % (own choice). What is left of the hand's own
+# by no more: a sensor's bias and scale are off by up to 2 %. What is left of the hand's own
 # acceleration is as often to one side as to the other.
 REACH_NS, STILL_MPS2 = 100_000_000, 0.5
 FRAMES, SAMPLES, LEAST_SAMPLES = 100, 20, 3

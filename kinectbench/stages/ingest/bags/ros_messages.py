@@ -17,13 +17,13 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# The longest name of a topic or type, and what a bag says of one: its definition, mostly (own choices).
+# The longest name of a topic or type, and what a bag says of one: its definition, mostly.
 LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
 # Enough of a message to hold its Header's sequence number and stamp.
 PEEK_BYTES = 16
 # In as many bytes a message that is compressed begins: a block of zstd and its head. How chunks are unpacked.
 PACKED_HEAD_BYTES, PART_BYTES = 256 << 10, 4 << 20
-# Messages of a topic that are tried for one that decodes, before it is none of images (own choice).
+# Messages of a topic that are tried for one that decodes, before it is none of images.
 FIRST_TRIED = 1000
 TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
 # rosbags' store of ROS 1 types lacks these.

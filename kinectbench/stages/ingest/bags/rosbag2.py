@@ -22,7 +22,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 
-# One a minute, for sixteen hours (own choice).
+# One a minute, for sixteen hours.
 MOST_FILES = 1000
 MAGICS = (rosbag2_sqlite.MAGIC, rosbag2_mcap.MAGIC)
 

@@ -30,8 +30,7 @@ CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92
 HEAD_BYTES, LEAST_PAGE_BYTES = 100, 512
 # A message as long as a page less this does not fit into a page with others.
 CELL_BYTES = 100
-# What rows of a file that was cut off speak of, as a multiple of what is left: the pages of some are lost
-# (own choice).
+# What rows of a file that was cut off speak of, as a multiple of what is left: the pages of some are lost.
 LOST_TIMES = 4
 
 

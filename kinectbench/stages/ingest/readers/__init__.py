@@ -40,9 +40,9 @@ FORMATS = {
 
 
 TRUTH = "truth.json"
-# Native units of 16-bit depth a metre: all that it can say lies within kilometres, or 6.5 cm (own choices).
+# Native units of 16-bit depth a metre: all that it can say lies within kilometres, or 6.5 cm.
 LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
-# Enough to find a recording near a path that is none; others are not looked at (own choices).
+# Enough to find a recording near a path that is none; others are not looked at.
 LOOKED_AT, LOOKED_AT_FOR_HINT = 1_000_000, 1000
 
 

@@ -13,9 +13,9 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 # Of a zip archive's first local header (APPNOTE.TXT 4.3.7).
 MAGIC = b"PK\x03\x04"
-# Three members a frame, an hour at 30 frames a second; each is listed with its name and times (own choices).
+# Three members a frame, an hour at 30 frames a second; each is listed with its name and times.
 MOST_MEMBERS, ROW_BYTES = 350_000, 128
-# An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB (own choice).
+# An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB.
 LARGEST_MEMBER_BYTES = 64 << 20
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # OSError where a member lies before the archive's begin.

@@ -10,7 +10,7 @@ from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-# Enough to tell a recording from a stray picture, and to find a folder of depth (own choices).
+# Enough to tell a recording from a stray picture, and to find a folder of depth.
 LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 # The head of a PNG, which tells its bits.

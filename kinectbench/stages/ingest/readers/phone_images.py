@@ -18,7 +18,7 @@ COLOR_PX = (1920, 1440)
 OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 # Polycam's own page says that intrinsics differ "a pixel or two" from frame to frame, as a phone focuses.
 USUAL_PX = 2.0
-# Frames that differ by more of the focal length are of several cameras (own choice).
+# Frames that differ by more of the focal length are of several cameras.
 LARGEST_SHARE = 0.03
 # ARKit's world: y is up by gravity (`gravity`, the default of ARConfiguration.worldAlignment).
 GRAVITY_UP = (0.0, 1.0, 0.0)
@@ -104,7 +104,7 @@ def scaled_to_depth(
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """One camera for frames whose intrinsics differ a little, by medians (own rule).
+    """One camera for frames whose intrinsics differ a little, by medians.
 
     Args:
         rows: (n, 4) fx, fy, cx, cy of each frame, pixels.

@@ -43,7 +43,7 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 NAMED = re.compile(rb"rgbd/\d{1,9}\.depth")
 MEMBER = re.compile(r"rgbd/(\d{1,9})\.depth")
 METADATA = "metadata"
-# Of LiDAR and of face cameras, where an older file does not say it; no phone's depth is larger (own choice).
+# Of LiDAR and of face cameras, where an older file does not say it; no phone's depth is larger.
 USUAL_PX = ((256, 192), (640, 480), (960, 720))
 LARGEST_SIDE_PX = 4096
 
