@@ -12,13 +12,14 @@ from kinectbench.core.errors import SettingsError
 SHOWN = 20
 
 
-@takes("as_json")
+@takes("as_json", "jobs")
 def fetch(
     common: Common,
     release: Annotated[
         str,
         typer.Argument(
-            metavar="NAME|URL", help="a release: its URL, folder, or name at KINECTBENCH_RELEASES"
+            metavar="NAME|URL|RECIPE",
+            help="a release: its URL, folder, or name at KINECTBENCH_RELEASES; or a folder with sources.yaml",
         ),
     ],
     split: Annotated[str | None, typer.Option(help="train, validation or test alone")] = None,
@@ -26,9 +27,45 @@ def fetch(
         list[str] | None, typer.Option(help="of this category alone; may be repeated")
     ] = None,
     views: Annotated[int | None, typer.Option(min=1, help="so many views of each recording")] = None,
-    out: Annotated[Path | None, typer.Option(help="folder; default: the last part of the URL")] = None,
-) -> None:
-    """Bring a release, or part of one, to this machine; each file is checked, and a stopped one goes on."""
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="of a recipe: so many scans of each category, drawn by its seed")
+    ] = None,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream", help="of a recipe: fetch, build and delete scan after scan, in 5 GB of disk"
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="folder; default: the last part of the URL, or the recipe's own")
+    ] = None,
+) -> int:
+    """Bring a release, part of one, or a recipe's scans here; each file is checked, a stopped one goes on."""
+    from kinectbench.release.recipe import is_recipe
+
+    if is_recipe(release):
+        from kinectbench.cli.recipe import fetch_recipe
+
+        if split is not None or views is not None:
+            raise SettingsError(
+                "--split and --views are of a release; of a recipe there are --category, --limit"
+            )
+        return fetch_recipe(common, Path(release), out, tuple(category or ()), limit, stream=stream)
+    if limit is not None or stream:
+        raise SettingsError(
+            f"{release}: no recipe (a folder with sources.yaml), and --limit and --stream are of one"
+        )
+    return _fetch_release(common, release, split, category, views, out)
+
+
+def _fetch_release(
+    common: Common,
+    release: str,
+    split: str | None,
+    category: list[str] | None,
+    views: int | None,
+    out: Path | None,
+) -> int:
     from kinectbench.cli import console
     from kinectbench.core.artefacts.targets import SPLITS
     from kinectbench.release.fetch import Part, fetch_release, release_url
@@ -52,6 +89,7 @@ def fetch(
         f"benchmark_sha256 {found.benchmark_sha256}",
     ]
     common.tell(result, lines)
+    return 0
 
 
 @takes("config", "as_json", at_url=True)

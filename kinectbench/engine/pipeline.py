@@ -24,6 +24,7 @@ from kinectbench.engine.failures import failed_before, forget_failure, keep_fail
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.recording_summary import RecordingSummary
+from kinectbench.engine.slim import refuse_slim
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
 from kinectbench.engine.time_limit import Hung, time_limit
 from kinectbench.engine.work import MASKS, Source, Work
@@ -239,6 +240,8 @@ def _make(
     started = time.monotonic()
     check_views = _checked_masks(job) if MASKS in sources else None
     folders = {name: job.build / folder for name, folder in FOLDERS.items() if name in stage.inputs}
+    for of_stage in folders.values():
+        refuse_slim(job.recording.id, of_stage)
     with artefact.write() as folder:
         progress = partial(report, stage.name)
         try:

@@ -1,5 +1,6 @@
 """The stages in their order: what each stands on, and which settings it depends on. `steps` runs them."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 from kinectbench.core.artefacts.views import MasksFile
 from kinectbench.core.errors import RecordingError
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
+from kinectbench.engine.slim import kept_source
 from kinectbench.engine.stage_settings import (
     FuseSettings,
     IngestSettings,
@@ -186,6 +188,8 @@ def _frame_masks(job: Job) -> Mapping[str, Source]:
 def _recording(job: Job) -> Mapping[str, Source]:
     if job.source_sha256 is not None:
         return {"recording": Source(job.source, job.source_sha256)}
+    if not os.path.exists(job.source) and (kept := kept_source(job.build)):  # noqa: PTH110 - of any name
+        return {"recording": Source(job.source, kept)}
     from kinectbench.stages.ingest.readers import source_files
     from kinectbench.stages.ingest.sources import check_there
 

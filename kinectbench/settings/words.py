@@ -3,7 +3,7 @@
 import difflib
 import types
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic.fields import FieldInfo
@@ -17,7 +17,9 @@ Location = tuple[str | int, ...]
 
 
 def without_none(annotation: Any) -> Any:
-    """`X | None` as X; anything else as it is."""
+    """`X | None` as X, without what checks it; anything else as it is."""
+    if get_origin(annotation) is Annotated:
+        return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
         return next(choice for choice in get_args(annotation) if choice is not type(None))
     return annotation

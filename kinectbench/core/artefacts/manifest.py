@@ -23,6 +23,9 @@ class Manifest(Stored):
     settings: dict[str, JsonValue] = Field(description="the settings that the stage depends on")
     inputs: dict[str, str] = Field(description="fingerprint of everything that it was made from")
     files: dict[str, int] = Field(description="size of each file in bytes, by its name below the folder")
+    removed: int | None = Field(
+        None, description="number of files that `fetch --stream` deleted after the build; absent if none"
+    )
     content: str | None = Field(
         None,
         pattern="^[0-9a-f]{64}$",

@@ -110,6 +110,31 @@ def _pause(seconds: float) -> None:
         raise StoppedError
 
 
+def check_stopped() -> None:
+    """End this thread's work, if its waiting would end.
+
+    Raises:
+        StoppedError: the event of `wait_until` is set.
+    """
+    stop: threading.Event | None = getattr(_thread, "stop", None)
+    if stop is not None and stop.is_set():
+        raise StoppedError
+
+
+def has_answered(url: str) -> bool:
+    """Whether the host of a URL has answered to this process, and so has a name that is known."""
+    return _host(url) in _answered
+
+
+def note_answer(url: str) -> None:
+    """Keep that the host of a URL has answered to this process."""
+    _heard_of(_host(url))
+
+
+def _host(url: str) -> str:
+    return "/".join(url.split("/")[:3])
+
+
 def patiently(
     place: str,
     call: Callable[[], T],
@@ -131,7 +156,7 @@ def patiently(
         OSError: of the machine's own disk.
     """
     since, wait_s, so_far, most_s = time.monotonic(), FIRST_WAIT_S, progress(), patience_s()
-    host = "/".join(place.split("/")[:3])
+    host = _host(place)
     while True:
         try:
             result = _called(place, call)

@@ -303,16 +303,19 @@ class Store:
 
 
 def in_parallel(
-    calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None
+    calls: Iterable[Callable[[], T]],
+    done: Callable[[int], None] = lambda count: None,
+    at_once: int = AT_ONCE,
 ) -> list[T]:
     """Call all, some at a time: they wait for a store. The first error ends it; what was not begun is not.
 
     Args:
         calls: of `Store`'s methods, by `functools.partial`.
         done: told in this thread how many have ended.
+        at_once: so many.
     """
     stop = threading.Event()
-    with ThreadPoolExecutor(AT_ONCE, "store", initializer=wait_until, initargs=(stop,)) as pool:
+    with ThreadPoolExecutor(at_once, "store", initializer=wait_until, initargs=(stop,)) as pool:
         left, waiting = iter(calls), deque[Future[T]]()
         results: list[T] = []
         try:

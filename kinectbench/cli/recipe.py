@@ -1,0 +1,119 @@
+"""`kinectbench fetch` of a recipe: its scans come here, or are built and deleted one after the other."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common
+
+if TYPE_CHECKING:
+    from kinectbench.release.recipe import FetchedScan, Recipe
+    from kinectbench.settings.sources import Scan
+
+# What `--stream` may take of the disk at any time, all that is built included.
+STREAM_BYTES = 5_000_000_000
+# Of a scan beside its archive while it is built, as a multiple of the archive, and at least.
+BUILD_RATIO, BUILD_BYTES = 2, 300_000_000
+
+
+def fetch_recipe(
+    common: Common,
+    folder: Path,
+    out: Path | None,
+    categories: tuple[str, ...],
+    limit: int | None,
+    *,
+    stream: bool,
+) -> int:
+    """Fetch the scans of a recipe that are asked for, and put them into its benchmark; the exit status."""
+    from kinectbench.cli import console
+    from kinectbench.release.recipe import NoRoomError, opened_recipe
+
+    with opened_recipe(folder, out) as recipe:
+        scans = recipe.chosen(categories, limit)
+        if stream:
+            return _stream(common, recipe, scans)
+        try:
+            with console.bar("fetch") as progress:
+                rows = recipe.fetch_all(scans, progress)
+        except NoRoomError:
+            recipe.add_to_benchmark([scan for scan in scans if (recipe.out / scan.path).exists()])
+            raise
+        here = [row for row in rows if row.error is None]
+        if here:
+            recipe.add_to_benchmark([row.scan for row in here])
+        return _tell(common, recipe, rows, f"next: kinectbench build -c {recipe.out / 'benchmark.yaml'}")
+
+
+def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
+    """Fetch, build and delete one scan after the other; the exit status."""
+    from kinectbench.cli import console
+    from kinectbench.cli.build import build_jobs
+    from kinectbench.core.artefacts.manifest import Failed
+    from kinectbench.core.errors import SettingsError
+    from kinectbench.core.extras import missing_extra
+    from kinectbench.engine.slim import is_slim, slim
+    from kinectbench.engine.stages import Job
+    from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
+    from kinectbench.settings.file import load_benchmark
+
+    if missing := missing_extra("build"):
+        raise SettingsError(missing)
+    rows = []
+    for number, scan in enumerate(scans, 1):
+        build = recipe.out / "build" / scan.id
+        failed = Failed.read_if_there(build) if build.is_dir() else None
+        if is_slim(build / "sequence") or failed is not None:
+            rows.append(
+                FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}" if failed else None)
+            )
+            continue
+        console.lines("fetch", [f"{scan.id}, {number} of {len(scans)}"], "cyan")
+        row = recipe.fetch(scan, partial(_refuse_beyond, recipe.out))
+        if row.error is None:
+            recipe.add_to_benchmark([scan])
+            settings = load_benchmark(recipe.out / BENCHMARK)
+            job = Job(settings, settings.by_id()[scan.id], recipe.out)
+            (built,) = build_jobs([job], "pairs", common.workers)
+            if built.error is not None:
+                row = FetchedScan(scan, True, f"{scan.id}: not built: {built.error}")
+            slim(build)
+            remove_scan(recipe.out, scan)
+        rows.append(row)
+    return _tell(common, recipe, rows, f"next: kinectbench publish -c {recipe.out / BENCHMARK}")
+
+
+def _refuse_beyond(out: Path, size: int) -> None:
+    """Refuse a scan with whose build the folder would hold more than `--stream` may take.
+
+    Raises:
+        NoRoomError: it would.
+    """
+    from kinectbench.core.untrusted import listed_below
+    from kinectbench.release.recipe import NoRoomError
+
+    used = sum(path.lstat().st_size for path in listed_below(out))
+    needed = size + max(BUILD_RATIO * size, BUILD_BYTES)
+    if used + needed > STREAM_BYTES:
+        raise NoRoomError(
+            f"{out}: holds {used / 1e9:.2f} GB; the next scan and its build may take {needed / 1e9:.2f} "
+            f"GB, and --stream keeps to {STREAM_BYTES / 1e9:.0f} GB: publish what is here, and go on with "
+            "--out NEW_FOLDER"
+        )
+
+
+def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then: str) -> int:
+    """Say what became of the scans; 1 if none is here, 3 if some failed."""
+    from kinectbench.cli import console
+
+    errors = [row.error for row in rows if row.error is not None]
+    fetched, here = sum(row.fetched for row in rows), len(rows) - len(errors)
+    lines = [f"{recipe.out}: {len(rows)} scans chosen, {fetched} fetched now, {len(errors)} failed"]
+    result = {
+        "recipe": str(recipe.out),
+        "scans": [{"id": row.scan.id, "fetched": row.fetched, "error": row.error} for row in rows],
+    }
+    common.tell(result, [*lines, *([then] if here else [])])
+    console.lines("error", console.at_most(errors), "red")
+    return (SOME_FAILED if here else CANNOT_BE_USED) if errors else 0

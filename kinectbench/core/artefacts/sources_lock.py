@@ -1,0 +1,37 @@
+"""What a recipe's fetch keeps beside sources.yaml, and the list of scans that it reads from a source."""
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Bare, Part, Stored
+from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.names import Name
+
+
+class LockedFile(Part):
+    """A file as it first came."""
+
+    bytes: int = Field(ge=0, description="its size")
+    sha256: str = Field(pattern="^[0-9a-f]{64}$", description="of its content")
+
+
+class SourcesLock(Stored):
+    """sources.lock of a recipe: what each file was when it first came; later fetches are held to it."""
+
+    FILE: ClassVar[str] = "sources.lock"
+    ADVICE: ClassVar[str] = "take it from where the recipe is from, or remove it to lock what comes next"
+    ERROR: ClassVar[type[KinectBenchError]] = SettingsError
+
+    format_version: int = Field(1, description="version of this file's format")
+    files: dict[str, LockedFile] = Field({}, description="by their names below the recipe's addresses")
+
+
+class ScanIndex(Bare):
+    """A source's own list: the ids of its scans by category."""
+
+    FILE: ClassVar[str] = "index.json"
+    ADVICE: ClassVar[str] = 'wanted {"category": ["id", …]}; correct `index` in sources.yaml'
+    ERROR: ClassVar[type[KinectBenchError]] = SettingsError
+
+    scans: dict[str, list[Name]] = Field(description="by the source's word for a category")

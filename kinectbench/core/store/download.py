@@ -1,0 +1,336 @@
+"""A file from plain web servers: by several addresses, from where it stopped, and held to what is known."""
+
+import contextlib
+import hashlib
+import http.client
+import socket
+import ssl
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+from urllib.parse import urljoin
+
+from kinectbench._version import __version__
+from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.core.storage import sha256_file, storage_errors
+from kinectbench.core.store.address import is_web, shown
+from kinectbench.core.store.attempts import (
+    LASTING,
+    PASSING,
+    UnsettledError,
+    check_stopped,
+    has_answered,
+    note_answer,
+    patiently,
+)
+from kinectbench.core.untrusted import COPIED_BYTES, printable
+
+# Until the next bytes come, and until all headers are here: as long as one request to a store may take.
+NEXT_S, HEADERS_S = 30.0, 60.0
+# Fewer bytes in a minute are no download: 1 kB/s, a fiftieth of the slowest modem's (own choice).
+LEAST_BYTES, WITHIN_S = 64 << 10, 60.0
+# As browsers and curl follow 20 to 50, and file servers need one or two (own choice).
+MOST_REDIRECTS = 5
+# Of an archive: 43 times the average of Redwood's scans (own choice).
+MOST_FILE_BYTES = 16 << 30
+# A sign of what was begun; it lies beside the file until that is whole.
+ENDING = ".part"
+
+
+class Content(NamedTuple):
+    """What a file is: its size in bytes, SHA-256 as hex."""
+
+    size: int
+    sha256: str
+
+
+class _RefusedError(Exception):
+    """This address does not give the file, and will not."""
+
+
+class _BrokenError(Exception):
+    """This address may give it another moment."""
+
+
+def download(
+    urls: Sequence[str],
+    path: Path,
+    sha256: str | None = None,
+    size: int | None = None,
+    *,
+    check: Callable[[Path], object] = lambda path: None,
+    most_bytes: int = MOST_FILE_BYTES,
+    room: Callable[[int], object] = lambda size: None,
+) -> Content:
+    """Bring a file to this machine; it appears at `path` when it is whole, and it is the known one.
+
+    What was begun lies beside it, and the next call goes on from there. All addresses are tried in order,
+    again and again for as long as a store may fail (`attempts.patience_s`).
+
+    Args:
+        urls: addresses of the same file.
+        path: its folder is made.
+        sha256: of its content; None: what comes is taken.
+        size: its bytes, where they are known, too.
+        check: called with the file when all of it has come; with what it raises the next address is asked.
+        most_bytes: a larger one is refused.
+        room: called with the bytes that are to come before they do; what it raises ends the call.
+
+    Raises:
+        StorageError: no address gives it, in one line with the reasons; or the disk cannot be written.
+    """
+    order, furthest = list(urls), 0
+
+    def come(at: int) -> None:
+        nonlocal furthest
+        furthest = max(furthest, at // LEAST_BYTES)
+
+    def attempt() -> Content:
+        refused, broken = list[str](), list[str]()
+        for url in tuple(order):
+            try:
+                return _Download(url, path, sha256, size, check, most_bytes, room, come).run()
+            except _RefusedError as error:
+                refused.append(f"{_host(url)}: {error}")
+            except _BrokenError as error:
+                broken.append(f"{_host(url)}: {error}")
+            order.append(order.pop(0))  # the next attempt begins with one that has not failed
+        if broken:
+            raise UnsettledError("; ".join((*broken, *refused)))
+        raise StorageError(f"{path.name} cannot be fetched: {'; '.join(refused)}")
+
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    content = patiently(_shown(urls[0]), attempt, lambda: furthest)
+    for left in begun(path):
+        left.unlink(missing_ok=True)
+    return content
+
+
+def begun(path: Path) -> list[Path]:
+    """What lies beside a file's place of downloads of it that were stopped."""
+    names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
+    return [each for each in names if each.name.startswith(f"{path.name}.")]
+
+
+class _Download:
+    """One attempt at one address."""
+
+    def __init__(
+        self,
+        url: str,
+        path: Path,
+        sha256: str | None,
+        size: int | None,
+        check: Callable[[Path], object],
+        most_bytes: int,
+        room: Callable[[int], object],
+        come: Callable[[int], None],
+    ) -> None:
+        self.url, self.path, self.sha256, self.size, self.check = url, path, sha256, size, check
+        self.most_bytes, self.room, self.come = most_bytes, room, come
+
+    def run(self) -> Content:
+        """Bring the file to its place.
+
+        Raises:
+            _RefusedError, _BrokenError: this address does not give it.
+            StorageError: the disk cannot be written, or `room` says no.
+        """
+        with _opened(self.url) as answer:
+            size, mark = self._checked_size(answer), _mark(answer)
+            part = self.path.with_name(f"{self.path.name}.{_key(self.url, mark, size)}{ENDING}")
+            at = part.stat().st_size if mark and part.is_file() else 0
+            at = at if at <= size else 0
+            self.room(size - at)
+            if at == 0:
+                self._copy(answer, part, 0, size)
+        if 0 < at < size:
+            with _opened(self.url, at, mark) as answer:
+                self._copy(answer, part, self._goes_on(answer, at, size), size)
+        return self._taken(part, size)
+
+    def _checked_size(self, answer: Any) -> int:
+        coding, length = answer.headers.get("Content-Encoding"), answer.headers.get("Content-Length", "")
+        if coding not in (None, "", "identity"):
+            raise _RefusedError(f"sends it packed ({printable(coding, 20)}), though nobody asked for that")
+        if not (length.isascii() and length.isdigit() and len(length) < 20):
+            raise _RefusedError("does not say how long it is (no Content-Length)")
+        size = int(length)
+        if size > self.most_bytes:
+            raise _RefusedError(f"{size} bytes are more than the {self.most_bytes} it may have")
+        if self.size not in (None, size):
+            raise _RefusedError(f"has {size} bytes, where {self.size} are known")
+        return size
+
+    def _goes_on(self, answer: Any, at: int, size: int) -> int:
+        """Where the bytes of an answer belong: 0 if the server begins anew, which it may."""
+        if answer.status == http.HTTPStatus.OK:
+            if self._checked_size(answer) != size:
+                raise _BrokenError("changed while it was fetched")
+            return 0
+        said = answer.headers.get("Content-Range", "")
+        if answer.status != http.HTTPStatus.PARTIAL_CONTENT or said != f"bytes {at}-{size - 1}/{size}":
+            raise _RefusedError(f"asked for bytes from {at} of {size}, it sends '{printable(said, 40)}'")
+        return at
+
+    def _copy(self, answer: Any, part: Path, at: int, size: int) -> None:
+        """Write the bytes of an answer from a place on, no more than there are to be."""
+        with storage_errors(self.path), part.open("ab" if at else "wb") as out:
+            since, then = time.monotonic(), at
+            while at < size:
+                check_stopped()
+                data = _read(answer, min(COPIED_BYTES, size - at))
+                if not data:
+                    raise _BrokenError(f"ended after {at} of {size} bytes")
+                out.write(data)
+                at += len(data)
+                self.come(at)
+                if time.monotonic() - since > WITHIN_S:
+                    if at - then < LEAST_BYTES:
+                        raise _BrokenError(f"sends {at - then} bytes in {WITHIN_S:.0f} s")
+                    since, then = time.monotonic(), at
+
+    def _taken(self, part: Path, size: int) -> Content:
+        """Put what came in its place if it is what it must be; else it goes."""
+        with storage_errors(self.path):
+            content = Content(size, sha256_file(part))
+            said = ""
+            if self.sha256 not in (None, content.sha256):
+                said = "sends other bytes than came first (SHA-256 differs)"
+            else:
+                try:
+                    self.check(part)
+                except KinectBenchError as error:
+                    said = str(error).removeprefix(f"{part}: ")
+            if said:
+                part.unlink()
+                raise _RefusedError(said)
+            part.replace(self.path)
+        return content
+
+
+def _mark(answer: Any) -> str:
+    """What tells this content from the next at the same address (RFC 9110, 8.8); "" where nothing does."""
+    tag = str(answer.headers.get("ETag", ""))
+    return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
+
+
+def _key(url: str, mark: str, size: int) -> str:
+    return hashlib.sha256(f"{url}\n{mark}\n{size}".encode()).hexdigest()[:8]
+
+
+def _shown(url: str) -> str:
+    return printable(shown(url), 200)
+
+
+def _host(url: str) -> str:
+    return _shown(url).split("/")[2]
+
+
+def _read(answer: IO[bytes], most: int) -> bytes:
+    try:
+        return bytes(answer.read1(most))  # type: ignore[attr-defined] # of http.client.HTTPResponse
+    except (OSError, http.client.HTTPException) as error:
+        raise _BrokenError(_why(error)) from None
+
+
+@contextlib.contextmanager
+def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[Any]:
+    """The answer of a server, from a byte on if it will; redirections are followed to web servers alone."""
+    headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
+    if at:
+        headers |= {"Range": f"bytes={at}-", "If-Range": mark}
+    for _ in range(MOST_REDIRECTS + 1):
+        answer = _answer(urllib.request.Request(url, headers=headers))
+        with contextlib.closing(answer):
+            place = _next(url, answer)
+            if place is None:
+                note_answer(url)
+                yield answer
+                return
+            url = place
+    raise _RefusedError(f"redirects more than {MOST_REDIRECTS} times")
+
+
+def _next(url: str, answer: Any) -> str | None:
+    """Where an answer redirects to; None if it is the file."""
+    status = answer.status
+    if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
+        return None
+    if status in (301, 302, 303, 307, 308):
+        place: str = urljoin(url, answer.headers.get("Location", ""))
+        if not is_web(place) or (url.startswith("https:") and not place.startswith("https:")):
+            raise _RefusedError(f"redirects to {_shown(place)}, which is not followed")
+        return place
+    said = f"answers {status} {printable(answer.reason or '', 40)}".rstrip()
+    if status in PASSING or (status >= 500 and status not in LASTING):
+        raise _BrokenError(said)
+    raise _RefusedError(said)
+
+
+def _answer(request: urllib.request.Request) -> Any:
+    opener = urllib.request.OpenerDirector()
+    # No handler of errors or redirections: they read the body of an answer, however long it is.
+    for handler in (urllib.request.ProxyHandler(), _Plain(), _Secure()):
+        opener.add_handler(handler)
+    try:
+        return opener.open(request, timeout=NEXT_S)
+    except urllib.error.URLError as error:
+        cause = error.reason if isinstance(error.reason, OSError) else error
+        lasting = isinstance(cause, ssl.SSLCertVerificationError) or (
+            isinstance(cause, socket.gaierror) and not has_answered(request.full_url)
+        )
+        raise (_RefusedError if lasting else _BrokenError)(_why(cause)) from None
+    except (OSError, http.client.HTTPException) as error:
+        raise _BrokenError(_why(error)) from None
+    except ValueError as error:  # a host that no name can be
+        raise _RefusedError(printable(str(error), 80)) from None
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, socket.gaierror):
+        return "no such host is known; check the network, or the address"
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"no secure connection ({printable(error.verify_message, 60)})"
+    if isinstance(error, TimeoutError):
+        return f"sends nothing for {NEXT_S:.0f} s"
+    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return printable(said, 80)
+
+
+class _Bounded(http.client.HTTPConnection):
+    """A connection whose headers are waited for as a whole, and not byte by byte."""
+
+    def getresponse(self) -> http.client.HTTPResponse:
+        """The answer with its headers."""
+        timer = threading.Timer(HEADERS_S, self._cut)
+        timer.daemon = True
+        timer.start()
+        try:
+            return super().getresponse()
+        finally:
+            timer.cancel()
+
+    def _cut(self) -> None:
+        if (sock := self.sock) is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+
+
+class _BoundedTls(_Bounded, http.client.HTTPSConnection):
+    pass
+
+
+class _Plain(urllib.request.HTTPHandler):
+    def http_open(self, req: urllib.request.Request) -> Any:
+        return self.do_open(_Bounded, req)
+
+
+class _Secure(urllib.request.HTTPSHandler):
+    def https_open(self, req: urllib.request.Request) -> Any:
+        return self.do_open(_BoundedTls, req, context=ssl.create_default_context())

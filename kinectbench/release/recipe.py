@@ -1,0 +1,285 @@
+"""A recipe: public scans come to this machine by its sources.yaml, and stand in its benchmark from then on.
+
+sources.yaml and sources.lock are strangers' files, and so are the scans. What came first is locked.
+"""
+
+import contextlib
+import json
+import shutil
+import threading
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from kinectbench.core.artefacts.sources_lock import LockedFile, ScanIndex, SourcesLock
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.storage import replaced_file, sha256_file, storage_errors
+from kinectbench.core.store.download import MOST_FILE_BYTES, Content, begun, download
+from kinectbench.core.store.store import in_parallel
+from kinectbench.core.types import Progress
+from kinectbench.core.untrusted import open_plain, read_plain_text
+from kinectbench.engine.locks import locked
+from kinectbench.release.unpack import unpack_tar
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.sources import SOURCES_YAML, Scan, SourcesSettings, chosen_scans, read_sources
+
+BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
+SCANS, INDEX = "scans", "index.json"
+# Scans that are fetched at a time: public servers are shared (own choice; a browser opens six).
+AT_ONCE = 4
+# A list of a million ids has 16 MB.
+INDEX_BYTES = 16 << 20
+HEADER = """\
+# Written by `kinectbench fetch`: a recording for each scan that was fetched. What you change stays;
+# scans that are fetched later are added at the end.
+recordings:
+"""
+
+
+class NoRoomError(StorageError):
+    """What is to come has no room: nor has what comes after it."""
+
+
+@dataclass(frozen=True)
+class FetchedScan:
+    """What became of a scan.
+
+    Attributes:
+        scan: which.
+        fetched: whether it came now; else it was here.
+        error: why it did not come, one line; None if it is here.
+    """
+
+    scan: Scan
+    fetched: bool
+    error: str | None = None
+
+
+def is_recipe(name: str) -> bool:
+    """Whether a folder of this machine is a recipe."""
+    return (Path(name) / SOURCES_YAML).is_file()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe at work; `opened_recipe` makes it.
+
+    Attributes:
+        folder: that holds sources.yaml, and sources.lock.
+        out: the folder of the benchmark, perhaps the same.
+        sources: what sources.yaml says.
+    """
+
+    folder: Path
+    out: Path
+    sources: SourcesSettings
+    _locked: dict[str, LockedFile]
+    _writing: threading.Lock = field(default_factory=threading.Lock)
+
+    def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
+        """The scans that are asked for; the source's own list is fetched if it is not here.
+
+        Raises:
+            SettingsError: there are none, or the list is none.
+            StorageError: it cannot be fetched.
+        """
+        listed: dict[str, list[str]] = {}
+        index = self.sources.index
+        if index is not None:
+            path = self.out / SCANS / INDEX
+            self._bring(
+                index.file, path, index.bases, index.sha256, most_bytes=INDEX_BYTES, check=ScanIndex.read_file
+            )
+            listed = ScanIndex.read_file(path).scans
+        return chosen_scans(self.sources, listed, categories, limit)
+
+    def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
+        """Bring scans here, some at a time; one that fails does not stop the others.
+
+        Raises:
+            NoRoomError: the disk has no room for one.
+        """
+
+        def done(count: int) -> None:
+            if progress:
+                progress(count, len(scans))
+
+        return in_parallel((partial(self.fetch, scan) for scan in scans), done, AT_ONCE)
+
+    def fetch(self, scan: Scan, room: Callable[[int], object] | None = None) -> FetchedScan:
+        """Bring a scan here.
+
+        Args:
+            scan: which.
+            room: called with the bytes that are to come; default: refuses what the disk has no room for.
+
+        Raises:
+            NoRoomError: there is no room.
+        """
+        path = self.out / scan.path
+        archive = path.with_name(f"{path.name}.tgz") if scan.unpacked else path
+        try:
+            if scan.unpacked and path.is_dir():
+                return FetchedScan(scan, False)
+            is_zip = archive.suffix == ".zip"
+            check = partial(unpack_tar, folder=path) if scan.unpacked else _check_zip if is_zip else _no_check
+            came = self._bring(scan.file, archive, self.sources.bases, room=room, check=check)
+            if scan.unpacked:
+                archive.unlink()
+        except NoRoomError:
+            raise
+        except KinectBenchError as error:
+            return FetchedScan(scan, False, f"{scan.id}: {error}")
+        return FetchedScan(scan, came)
+
+    def _bring(
+        self,
+        file: str,
+        path: Path,
+        bases: Sequence[str],
+        sha256: str | None = None,
+        *,
+        check: Callable[[Path], object],
+        most_bytes: int = MOST_FILE_BYTES,
+        room: Callable[[int], object] | None = None,
+    ) -> bool:
+        """Bring a file here if it is not, and lock what it is once it is checked; whether it came now."""
+        row = self._locked.get(file)
+        if row is not None and sha256 not in (None, row.sha256):
+            raise SettingsError(
+                f"{self.folder / SourcesLock.FILE}: '{file}' is not the one of {SOURCES_YAML}"
+            )
+        if path.exists():
+            here = Content(path.stat().st_size, sha256_file(path))
+            if here.sha256 != (row.sha256 if row else sha256 or here.sha256):
+                raise StorageError(f"{path}: is not the file that came first; remove it to fetch it again")
+            check(path)
+            self._lock(file, here)
+            return False
+        found = download(
+            [f"{base}/{file}" for base in bases],
+            path,
+            row.sha256 if row else sha256,
+            row.bytes if row else None,
+            check=check,
+            most_bytes=most_bytes,
+            room=room or partial(_refuse_full, path),
+        )
+        self._lock(file, found)
+        return True
+
+    def _lock(self, file: str, content: Content) -> None:
+        """Keep in sources.lock what a file is that came for the first time."""
+        with self._writing:
+            if file in self._locked:
+                return
+            self._locked[file] = LockedFile(bytes=content.size, sha256=content.sha256)
+            with replaced_file(self.folder / SourcesLock.FILE) as temporary:
+                files = dict(sorted(self._locked.items()))
+                temporary.write_text(SourcesLock(files=files).text(), encoding="utf-8")
+
+    def add_to_benchmark(self, scans: Sequence[Scan]) -> None:
+        """Put scans into recordings.yaml, which the recipe's benchmark.yaml includes; what is there stays.
+
+        Raises:
+            SettingsError: benchmark.yaml is wrong, or does not include it.
+        """
+        config, path = self.out / BENCHMARK, self.out / RECORDINGS
+        text = _text(path) if path.exists() else HEADER
+        known = _ids(text, str(path))
+        text = text if text.endswith("\n") else f"{text}\n"
+        text += "".join(_entry(scan, self.sources) for scan in scans if scan.id not in known)
+        if path.exists() and text == _text(path):
+            return
+        if not config.exists():
+            with storage_errors(config):
+                shutil.copyfile(self.folder / BENCHMARK, config)
+        with replaced_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        missing = {scan.id for scan in scans} - load_benchmark(config).by_id().keys()
+        if missing:
+            raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
+
+
+@contextlib.contextmanager
+def opened_recipe(folder: Path, out: Path | None = None) -> Iterator[Recipe]:
+    """A recipe at work, in a folder where no other fetch works meanwhile.
+
+    Args:
+        folder: that holds sources.yaml.
+        out: the benchmark's folder; default: the same.
+
+    Raises:
+        SettingsError: sources.yaml or sources.lock is wrong.
+        StorageError: the folder cannot be written.
+    """
+    sources = read_sources(folder)
+    place = out or folder
+    if not (folder / BENCHMARK).is_file() and not (place / BENCHMARK).is_file():
+        raise SettingsError(f"{folder / BENCHMARK}: no such file; a recipe has one beside {SOURCES_YAML}")
+    with locked(place / SCANS):
+        lock = SourcesLock.read_if_there(folder) or SourcesLock()
+        yield Recipe(folder, place, sources, dict(lock.files))
+
+
+def _refuse_full(path: Path, size: int) -> None:
+    """Refuse what the disk has no room for, before it comes."""
+    free = shutil.disk_usage(path.parent).free
+    if size > free:
+        raise NoRoomError(
+            f"{path}: {size / 1e9:.2f} GB are to come, and the disk has {free / 1e9:.2f}; free some "
+            "space, or use --stream"
+        )
+
+
+def _check_zip(path: Path) -> None:
+    """Refuse what is no zip archive, or has no end of one."""
+    with open_plain(path) as file:
+        if not zipfile.is_zipfile(file):
+            raise StorageError(f"{path}: sends no whole zip archive")
+
+
+def _no_check(path: Path) -> None:
+    """The readers look at other files."""
+
+
+def remove_scan(out: Path, scan: Scan) -> None:
+    """Delete a scan and what was begun of it."""
+    path = out / scan.path
+    for each in (path, *begun(path)):
+        if each.is_dir():
+            shutil.rmtree(each)
+        else:
+            each.unlink(missing_ok=True)
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_plain_text(path, INDEX_BYTES)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: cannot be read ({getattr(error, 'strerror', '') or error})") from None
+
+
+def _ids(text: str, source: str) -> set[str]:
+    """The ids of the recordings of a file that `benchmark.yaml` includes."""
+    entries = yaml_nodes.items(yaml_nodes.compose(text, source)).get("recordings")
+    rows = entries.value if entries is not None and isinstance(entries.value, list) else []
+    return {str(id_.value) for row in rows if (id_ := yaml_nodes.items(row).get("id"))}
+
+
+def _entry(scan: Scan, sources: SourcesSettings) -> str:
+    """A recording as lines of YAML; a text in JSON is one in YAML, too."""
+    rows: dict[str, object] = {"path": scan.path, "category": scan.category, "split": scan.split}
+    if scan.object != scan.id:
+        rows["object"] = scan.object
+    if scan.camera is not None:
+        rows["camera"] = scan.camera.model_dump(exclude_unset=True)
+    rows |= {"license": sources.license, "source": sources.source}
+    lines = [
+        f"  - id: {json.dumps(scan.id)}",
+        *(f"    {key}: {json.dumps(row)}" for key, row in rows.items()),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,206 @@
+"""Settings of a recipe, sources.yaml: where public scans are, what they are of, and whose they are."""
+
+import hashlib
+import re
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import Category, Name
+from kinectbench.core.store.address import is_web, unusable
+from kinectbench.core.types import Split
+from kinectbench.core.untrusted import below
+from kinectbench.settings.base import Settings
+from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.texts import Line
+from kinectbench.settings.yaml_model import read_model
+
+SOURCES_YAML = "sources.yaml"
+# What stands in a file's name for the scan's id.
+ID = "{id}"
+# Of archives that are unpacked when they are here: no reader opens them as they are.
+UNPACKED = (".tgz", ".tar.gz")
+
+
+def _base(value: str) -> str:
+    if said := unusable(value):
+        raise ValueError(said)
+    if not is_web(value) or re.search(r"[\s?#@]", value):
+        raise ValueError("wanted an address that begins with https://, without user and query")
+    return value.rstrip("/")
+
+
+def _file(value: str) -> str:
+    below(Path(), value.replace(ID, "0"))
+    if re.search(r"[^A-Za-z0-9._/+-]", value.replace(ID, "")):
+        raise ValueError("use letters, digits, '.', '_', '+', '-', '/' and {id} only")
+    return value
+
+
+Base = Annotated[str, AfterValidator(_base)]
+File = Annotated[str, AfterValidator(_file)]
+
+
+class SplitSettings(Settings):
+    """How objects are divided; what is in no other split is for testing."""
+
+    seed: int = Field(0, ge=0, description="of the draw; also of the scans that --limit takes")
+    train: float = Field(0.0, ge=0, le=1, description="share of the objects")
+    validation: float = Field(0.0, ge=0, le=1, description="share of the objects")
+
+    @model_validator(mode="after")
+    def _leaves_some(self) -> "SplitSettings":
+        if self.train + self.validation > 1:
+            raise ValueError("train and validation are more than 1 together")
+        return self
+
+
+class IndexSettings(Settings):
+    """The source's own list of what its scans are of: JSON, {category: [id, …]}."""
+
+    bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
+    file: File = Field(description="its name below them")
+    sha256: str | None = Field(
+        None, pattern="^[0-9a-f]{64}$", description="of the list; default: any is read"
+    )
+
+
+class ScanSettings(Settings):
+    """One scan of a source that has no list of its own."""
+
+    id: Name = Field(description="of the scan, and of its recording")
+    category: Category = Field(description="in the source's words")
+    file: File | None = Field(None, description="default: `file` of the whole")
+    object: Name | None = Field(None, description="the thing itself, where it is scanned more than once")
+    camera: CameraSettings | None = Field(None, description="only what the scan does not say")
+
+
+class SourcesSettings(Settings):
+    """All of sources.yaml."""
+
+    format_version: Literal[1] = Field(description="version of this file's format")
+    bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
+    file: File = Field(description="a scan's name below them; {id} stands for its id")
+    license: Line = Field(description="of the scans, such as CC-BY-4.0")
+    source: Line = Field(description="who recorded them, as whoever uses them must say")
+    index: IndexSettings | None = Field(None, description="the source's own list of scans")
+    scans: list[ScanSettings] | None = Field(None, min_length=1, description="in place of `index`")
+    objects: dict[Name, Name] = Field({}, description="by a scan's id the thing that others show, too")
+    categories: dict[str, Category] = Field(
+        min_length=1, description="by the source's word for a category the benchmark's; others are left out"
+    )
+    camera: CameraSettings | None = Field(None, description="of all scans: only what they do not say")
+    split: SplitSettings = Field(SplitSettings(), description="how objects are divided")
+
+    @model_validator(mode="after")
+    def _one_list(self) -> "SourcesSettings":
+        if (self.index is None) is (self.scans is None):
+            raise ValueError("give either `index` or `scans`, which say what there is")
+        if self.index is not None and ID not in self.file:
+            raise ValueError(f"`file` must hold {ID}: all scans of `index` would be one file")
+        return self
+
+
+class Scan(Settings):
+    """A scan that a recipe chooses.
+
+    Attributes:
+        id: of the recording.
+        file: below each base.
+        category: the benchmark's word.
+        object: the thing itself.
+        split: of the thing.
+        camera: what the scan does not say.
+    """
+
+    id: str
+    file: str
+    category: str
+    object: str
+    split: Split
+    camera: CameraSettings | None = None
+
+    @property
+    def unpacked(self) -> bool:
+        """Whether its archive is unpacked here."""
+        return self.file.endswith(UNPACKED)
+
+    @property
+    def path(self) -> str:
+        """Its recording, relative to benchmark.yaml: an archive by the scan's id, or a folder."""
+        suffix = "" if self.unpacked else PurePosixPath(self.file).suffix
+        return f"scans/{self.id}{suffix}"
+
+
+def read_sources(folder: Path) -> SourcesSettings:
+    """Read sources.yaml of a recipe's folder.
+
+    Raises:
+        SettingsError: one line for each error.
+    """
+    return read_model(folder / SOURCES_YAML, SourcesSettings, "bases: [https://…]")
+
+
+def chosen_scans(
+    sources: SourcesSettings,
+    listed: dict[str, list[str]],
+    categories: tuple[str, ...] = (),
+    limit: int | None = None,
+) -> list[Scan]:
+    """The scans of a recipe in the order of a draw by its seed, which a limit does not change.
+
+    Args:
+        sources: the recipe.
+        listed: the ids of each category in the source's words; not used where the recipe has `scans`.
+        categories: the benchmark's words; none: all.
+        limit: so many of each category at most.
+
+    Raises:
+        SettingsError: the recipe has none of a category, or an id is listed twice.
+    """
+    known = sorted(set(sources.categories.values()))
+    for name in categories:
+        if name not in known:
+            raise SettingsError(f"--category {name}: the recipe has {', '.join(known)}")
+    if sources.scans is not None:
+        rows = sources.scans
+    else:
+        rows = [
+            ScanSettings(id=id_, category=name) for name in sources.categories for id_ in listed.get(name, ())
+        ]
+    found: dict[str, Scan] = {}
+    for row in rows:
+        category = sources.categories.get(row.category)
+        if category is None or (categories and category not in categories):
+            continue
+        if row.id in found:
+            raise SettingsError(f"the scan '{row.id}' is listed twice; correct {SOURCES_YAML} or its index")
+        found[row.id] = _scan(sources, row, category)
+    counts = dict.fromkeys(known, 0)
+    chosen = []
+    for scan in sorted(found.values(), key=lambda scan: _draw(sources.split.seed, "scan", scan.id)):
+        counts[scan.category] += 1
+        if limit is None or counts[scan.category] <= limit:
+            chosen.append(scan)
+    if not chosen:
+        raise SettingsError(f"{SOURCES_YAML}: no scan of {', '.join(categories or known)} is listed")
+    return chosen
+
+
+def _scan(sources: SourcesSettings, row: ScanSettings, category: str) -> Scan:
+    name = sources.objects.get(row.id) or row.object or row.id
+    share, split = _draw(sources.split.seed, "split", name), sources.split
+    part: Split = "test"
+    if share < split.train + split.validation:
+        part = "train" if share < split.train else "validation"
+    file = (row.file or sources.file).replace(ID, row.id)
+    camera = row.camera or sources.camera
+    return Scan(id=row.id, file=file, category=category, object=name, split=part, camera=camera)
+
+
+def _draw(seed: int, what: str, name: str) -> float:
+    """A number from 0 to 1 that the seed and a name give, whatever other names there are."""
+    digest = hashlib.sha256(f"{seed} {what} {name}".encode()).digest()
+    return int.from_bytes(digest[:6], "big") / 2**48

@@ -1,0 +1,71 @@
+"""A YAML file that holds one model: read with one line for every error."""
+
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable, quoted, read_plain_text
+from kinectbench.settings import yaml_nodes
+from kinectbench.settings.base import Settings
+from kinectbench.settings.words import field_at, model_of, suggestion, wanted
+
+Model = TypeVar("Model", bound=Settings)
+# Such a file has some thirty keys, or a row for each scan of a small source (own choice).
+MOST_BYTES = 1 << 20
+# Of its errors; each line takes as long as all keys (own choice).
+SHOWN = 20
+
+
+def read_model(path: Path, model: type[Model], example: str) -> Model:
+    """Read and check a file.
+
+    Args:
+        path: the file.
+        model: what it holds.
+        example: of a line of it, for whoever wrote something else.
+
+    Raises:
+        SettingsError: it cannot be read, or one line for each error: file and line, key, what is wanted.
+    """
+    try:
+        text = read_plain_text(path, MOST_BYTES)
+    except UnicodeDecodeError:
+        raise SettingsError(f"{path}: not UTF-8 text; save the file as UTF-8") from None
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
+    root = yaml_nodes.compose(text, str(path))
+    if not isinstance(root, yaml.MappingNode):
+        raise SettingsError(f"{path}: holds no settings; wanted lines like '{example}'")
+    values = yaml_nodes.plain(root)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        lines = [_line(root, one, model) for one in found[:SHOWN]]
+        if len(found) > SHOWN:
+            lines.append(f"{path}: and {len(found) - SHOWN} more errors")
+        raise SettingsError(*dict.fromkeys(lines)) from None
+
+
+def _line(root: yaml.Node, error: object, model: type[Settings]) -> str:
+    """One of pydantic's errors in plain words."""
+    assert isinstance(error, dict)
+    # Of a mapping's key that is no name pydantic says so by one part more.
+    location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
+    annotation, constraints, used = field_at(location, model)
+    where = yaml_nodes.place(yaml_nodes.find(root, location)[0])
+    key = printable(".".join(str(part) for part in location))
+    begin = f"{where}: {key}: " if key else f"{where}: "
+    if kind == "extra_forbidden":
+        inner = model_of(annotation)
+        return (
+            begin + f"unknown key; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
+        )
+    if kind == "value_error":
+        return begin + str(error["msg"]).removeprefix("Value error, ")
+    if kind == "missing" and used == len(location):
+        return begin + f"missing; wanted {wanted(annotation, constraints)}"
+    return begin + f"found {quoted(error['input'])}; wanted {wanted(annotation, constraints)}"

@@ -1,0 +1,290 @@
+"""Recipes: scans of a list come here, are locked, and stand in the benchmark; nothing climbs out of it."""
+
+import io
+import json
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from scan_server import ScanServer
+from small_benchmark import Run
+from small_recipe import SOURCES, write_recipe
+
+from kinectbench.core.store.attempts import PATIENCE_VARIABLE
+from kinectbench.release import recipe as recipes
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.sources import chosen_scans, read_sources
+
+Command = Callable[..., Run]
+IDS = [f"{number:05d}" for number in range(1, 13)]
+
+
+def zipped(content: str) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("depth/a", content * 20_000)
+    return packed.getvalue()
+
+
+FILES = {f"/{name}.zip": zipped(name) for name in IDS}
+LISTED = {"seat": IDS[:8], "table": IDS[8:], "car": ["00099"]}
+INDEX = json.dumps(LISTED).encode()
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ScanServer]:
+    monkeypatch.setenv(PATIENCE_VARIABLE, "1")
+    monkeypatch.setenv("no_proxy", "*")
+    with ScanServer({**FILES, "/categories.json": INDEX}) as found:
+        yield found
+
+
+def fetched(folder: Path) -> list[str]:
+    return sorted(path.stem for path in (folder / "scans").glob("*.zip"))
+
+
+def test_a_recipe_with_two_interruptions_and_a_lying_server(
+    command: Command, server: ScanServer, tmp_path: Path
+) -> None:
+    with ScanServer({**FILES, "/categories.json": INDEX}, lambda number, path: "short") as lying:
+        recipe = write_recipe(tmp_path / "r", server.url)
+        assert command(tmp_path, "fetch", "r", "--limit", "1").status == 0
+        first = fetched(recipe)
+        assert len(first) == 2  # one of each category
+        for path in (recipe / "scans").glob("*.zip"):
+            path.unlink()
+        (recipe / "sources.yaml").write_text(SOURCES.format(bases=f"{lying.url}, {server.url}"))
+        server.choose = lambda number, path: "cut" if number in (3, 5) else ""
+        done = command(tmp_path, "fetch", "r", "--limit", "1")
+        assert (done.status, done.err) == (0, "") and fetched(recipe) == first
+        assert [path for path, asked in server.asked if asked] != []  # it went on
+    for name in first:
+        assert (recipe / "scans" / f"{name}.zip").read_bytes() == FILES[f"/{name}.zip"]
+    rows = load_benchmark(recipe / "benchmark.yaml").by_id()
+    assert sorted(rows) == first and {row.category for row in rows.values()} == {"chair", "table"}
+    assert {(row.license, row.source) for row in rows.values()} == {("CC0-1.0", "Choi et al. 2016")}
+
+
+def test_a_larger_limit_adds_and_keeps(command: Command, server: ScanServer, tmp_path: Path) -> None:
+    recipe = write_recipe(tmp_path / "r", server.url)
+    command(tmp_path, "fetch", "r", "--limit", "2", "--category", "chair")
+    first = fetched(recipe)
+    text = (recipe / "recordings.yaml").read_text()
+    changed = text.replace('category: "chair"', 'underside: closed\n    category: "chair"', 1)
+    (recipe / "recordings.yaml").write_text(changed)
+    asked = len(server.asked)
+    done = command(tmp_path, "fetch", "r", "--limit", "4", "--category", "chair", "--json")
+    rows = json.loads(done.out)["scans"]
+    assert [row["fetched"] for row in rows] == [row["id"] not in first for row in rows]
+    assert set(first) < set(fetched(recipe)) and len(server.asked) == asked + 2
+    assert (recipe / "recordings.yaml").read_text().startswith(changed)
+    assert server.most_at_once <= recipes.AT_ONCE
+
+
+def test_what_came_first_is_locked(command: Command, server: ScanServer, tmp_path: Path) -> None:
+    recipe = write_recipe(tmp_path / "r", server.url)
+    command(tmp_path, "fetch", "r", "--category", "table")
+    locked = json.loads((recipe / "sources.lock").read_text())["files"]
+    assert set(locked) == {"categories.json", *(f"{name}.zip" for name in IDS[8:])}
+    (recipe / "scans" / "00009.zip").unlink()
+    (recipe / "scans" / "00010.zip").write_bytes(b"PK\x03\x04 damaged")
+    server.files["/00009.zip"] = zipped("99999")
+    done = command(tmp_path, "fetch", "r", "--category", "table")
+    assert done.status == 3 and "Traceback" not in done.err
+    text = " ".join(done.err.split())
+    assert "00009: 00009.zip cannot be fetched" in text and "sends other bytes than came first" in text
+    assert "00010.zip: is not the file that came first; remove it to fetch it again" in text
+    assert json.loads((recipe / "sources.lock").read_text())["files"] == locked
+
+
+def test_the_scans_go_to_another_folder(command: Command, server: ScanServer, tmp_path: Path) -> None:
+    recipe = write_recipe(tmp_path / "r", server.url)
+    assert command(tmp_path, "fetch", "r", "--category", "table", "--out", "bench").status == 0
+    assert fetched(tmp_path / "bench") == IDS[8:] and not (recipe / "scans").exists()
+    assert len(load_benchmark(tmp_path / "bench" / "benchmark.yaml").recordings) == 4
+    assert (recipe / "sources.lock").is_file()
+
+
+def test_a_missing_scan_does_not_stop_the_others(
+    command: Command, server: ScanServer, tmp_path: Path
+) -> None:
+    recipe = write_recipe(tmp_path / "r", server.url)
+    del server.files["/00011.zip"]
+    done = command(tmp_path, "fetch", "r", "--category", "table")
+    assert done.status == 3 and "00011.zip cannot be fetched: 127.0.0.1" in done.err and "404" in done.err
+    assert [row.id for row in load_benchmark(recipe / "benchmark.yaml").recordings].count("00011") == 0
+
+
+def test_a_full_disk_is_told_before_a_scan_comes(
+    command: Command, server: ScanServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recipe(tmp_path / "r", server.url)
+    command(tmp_path, "fetch", "r", "--category", "table", "--limit", "1")
+
+    class Full:
+        free = 1000
+
+    monkeypatch.setattr(recipes.shutil, "disk_usage", lambda path: Full)
+    done = command(tmp_path, "fetch", "r", "--category", "table")
+    assert done.status == 1 and "free some space, or use --stream" in " ".join(done.err.split())
+    assert len(done.err.strip().splitlines()) == 1
+
+
+def test_the_split_is_of_objects_and_does_not_depend_on_the_limit(server: ScanServer, tmp_path: Path) -> None:
+    text = SOURCES + "objects: {'00003': '00001', '00005': '00001'}\n"
+    sources = read_sources(
+        write_recipe(tmp_path / "r", server.url, sources=text.replace("{'", "{{'").replace("'}", "'}}"))
+    )
+    scans = {scan.id: scan for scan in chosen_scans(sources, LISTED)}
+    assert len({scans[name].split for name in ("00001", "00003", "00005")}) == 1
+    assert {scan.split for scan in scans.values()} == {"test", "validation"}
+    few = chosen_scans(sources, LISTED, ("chair",), 3)
+    assert len(few) == 3 and few == chosen_scans(sources, LISTED, ("chair",), 5)[:3]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"{{id}}.zip"', '"../{{id}}.zip"', "sources.yaml:3: file: '../0.zip' leads out of the folder"),
+        ('"{{id}}.zip"', '"/etc/{{id}}"', "leads out of the folder"),
+        ('"{{id}}.zip"', '"{{id}}?.zip"', "use letters, digits"),
+        ('"{{id}}.zip"', '"one.zip"', "must hold {id}"),
+        (
+            "bases: [{bases}]\nfile",
+            "bases: ['file:///etc']\nfile",
+            "bases.0: wanted an address that begins with",
+        ),
+        (
+            "bases: [{bases}]\nfile",
+            "bases: ['s3://b/c']\nfile",
+            "wanted an address that begins with https://",
+        ),
+        ("bases: [{bases}]\nfile", "bases: [3]\nfile", "bases"),
+        ("seat: chair", "seat: [1]", "categories"),
+        ("seat: chair", "seat: ../x", "use letters"),
+        ("validation: 0.5", "validation: 2", "validation: found 2; wanted a number from 0 to 1"),
+        ("validation: 0.5", "train: 0.6, validation: 0.5", "more than 1 together"),
+        ("format_version: 1", "format_version: 2", "format_version: found 2; wanted 1"),
+        ("split:", "splits:", "unknown key; did you mean 'split'?"),
+        ("license: CC0-1.0\n", "", "license: missing; wanted text"),
+    ],
+)
+def test_a_wrong_sources_yaml_is_a_line(
+    command: Command, tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    assert old in SOURCES
+    recipe = write_recipe(tmp_path / "r", "http://127.0.0.1:9", sources=SOURCES.replace(old, new))
+    done = command(tmp_path, "fetch", "r")
+    assert done.status == 2 and words in " ".join(done.err.split()), done.err
+    assert len(done.err.strip().splitlines()) == 1 and not (recipe / "scans").exists()
+
+
+@pytest.mark.parametrize(
+    ("index", "words"),
+    [
+        ({"seat": ["../../up"]}, "'seat.0': use letters"),
+        ({"seat": ["a/b"]}, "use letters, digits"),
+        ({"seat": "00001"}, "'seat': Input should be"),
+        ({"seat": ["00001", "00001"]}, "'00001' is listed twice"),
+        ({"other": ["00001"]}, "no scan of chair, table is listed"),
+        ([1], "Input should be an object"),
+    ],
+)
+def test_a_wrong_index_is_a_line(
+    command: Command, server: ScanServer, tmp_path: Path, index: object, words: str
+) -> None:
+    write_recipe(tmp_path / "r", server.url)
+    server.files["/categories.json"] = json.dumps(index).encode()
+    done = command(tmp_path, "fetch", "r")
+    assert done.status in (1, 2) and words in " ".join(done.err.split()), done.err
+    assert len(done.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "text", ["{", '{"files": {"../a": 1}}', '{"files": {"a": {"bytes": -1, "sha256": ""}}}', "\0"]
+)
+def test_a_wrong_lock_is_a_line(command: Command, server: ScanServer, tmp_path: Path, text: str) -> None:
+    (write_recipe(tmp_path / "r", server.url) / "sources.lock").write_text(text)
+    done = command(tmp_path, "fetch", "r")
+    assert done.status == 2 and "sources.lock" in done.err and len(done.err.strip().splitlines()) == 1
+
+
+def test_an_unknown_category_and_options_of_releases(
+    command: Command, server: ScanServer, tmp_path: Path
+) -> None:
+    write_recipe(tmp_path / "r", server.url)
+    assert (
+        "--category sofa: the recipe has chair, table"
+        in command(tmp_path, "fetch", "r", "--category", "sofa").err
+    )
+    assert "are of a release" in " ".join(command(tmp_path, "fetch", "r", "--views", "3").err.split())
+    (tmp_path / "empty").mkdir()
+    assert "no recipe" in " ".join(command(tmp_path, "fetch", "empty", "--stream").err.split())
+
+
+def tgz(members: dict[str, bytes | str]) -> bytes:
+    """An archive; a text is where a link leads."""
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for name, content in members.items():
+            info = tarfile.TarInfo(name)
+            if isinstance(content, str):
+                info.type, info.linkname = tarfile.SYMTYPE, content
+                archive.addfile(info)
+            else:
+                info.size = len(content)
+                archive.addfile(info, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def tum(folder: Path, server: ScanServer, archive: bytes) -> Path:
+    """A recipe of one .tgz without an index."""
+    server.files["/f1/plant.tgz"] = archive
+    text = SOURCES.replace("index: {{bases: [{bases}], file: categories.json}}\n", "").replace(
+        "seat: chair", "seat: p"
+    )
+    text += "scans: [{{id: plant, category: seat, file: f1/plant.tgz, object: thing}}]\n"
+    return write_recipe(folder, server.url, sources=text)
+
+
+def test_a_tgz_becomes_a_folder(command: Command, server: ScanServer, tmp_path: Path) -> None:
+    members: dict[str, bytes | str] = {
+        "set/depth.txt": b"1",
+        "set/depth/a.png": b"2",
+        "set/up": "/etc",
+        "set/._x": b"3",
+    }
+    recipe = tum(tmp_path / "r", server, tgz(members))
+    assert command(tmp_path, "fetch", "r").status == 0
+    found = {
+        path.relative_to(recipe / "scans").as_posix()
+        for path in (recipe / "scans").rglob("*")
+        if path.is_file()
+    }
+    assert found == {".lock", "plant/depth.txt", "plant/depth/a.png"}
+    (row,) = load_benchmark(recipe / "benchmark.yaml").recordings
+    assert (row.path, row.object, row.camera and row.camera.fx) == ("scans/plant", "thing", 131.25)
+    asked = len(server.asked)
+    assert command(tmp_path, "fetch", "r").status == 0 and len(server.asked) == asked
+
+
+@pytest.mark.parametrize(
+    ("archive", "words"),
+    [
+        (tgz({"../../up": b"1"}), "leads out of the folder"),
+        (tgz({"/etc/up": b"1"}), "leads out of the folder"),
+        (tgz({"a": bytes(80 << 20), "b": bytes(80 << 20)}), "it unpacks to more than"),
+        (tgz({"a": b"1" * 5000})[:-30], "cannot be unpacked"),
+        (b"\x1f\x8b no gzip", "cannot be unpacked"),
+    ],
+    ids=["upwards", "absolute", "bomb", "cut", "none"],
+)
+def test_a_hostile_tgz_is_a_line(
+    command: Command, server: ScanServer, tmp_path: Path, archive: bytes, words: str
+) -> None:
+    tum(tmp_path / "r", server, archive)
+    done = command(tmp_path, "fetch", "r")
+    assert done.status == 1 and words in " ".join(done.err.split()), done.err
+    assert not list(tmp_path.rglob("up")) and not (tmp_path / "r" / "scans" / "plant").exists()

@@ -1,0 +1,108 @@
+"""Two scans of a recipe are fetched and built; with --stream each is deleted, and the release is the same."""
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from made_once import made_once
+from scan_server import ScanServer
+from small_benchmark import Run, run
+from small_recipe import make_scans, served, write_recipe
+
+from kinectbench.cli import recipe as cli_recipe
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.engine.slim import is_slim
+
+Command = Callable[..., Run]
+HERE = {"no_proxy": "*", "KINECTBENCH_STORE_PATIENCE_S": "2"}
+
+
+def build_both_ways(root: Path) -> None:
+    """`all/`: fetched with two interruptions and a lying server, then built; `one/`: streamed by its lock."""
+    files = served(make_scans(root / "scans"))
+    with (
+        ScanServer(files, lambda number, path: "page") as lying,
+        ScanServer(files, lambda number, path: "cut" if number in (1, 3) else "") as good,
+    ):
+        write_recipe(root / "all", lying.url, good.url)
+        fetched = run(root / "all", "fetch", ".", variables=HERE)
+        assert (fetched.status, fetched.err) == (0, "") and any(asked for _, asked in good.asked)
+        built = run(root / "all", "build", "--jobs", "1")
+        assert built.status == 0, built.err
+        write_recipe(root / "one", good.url)
+        (root / "one" / "sources.lock").write_bytes((root / "all" / "sources.lock").read_bytes())
+        good.choose = lambda number, path: "cut" if number % 3 == 0 else ""
+        streamed = run(root / "one", "fetch", ".", "--stream", "--jobs", "1", variables=HERE)
+        assert streamed.status == 0, streamed.err
+
+
+@pytest.fixture
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_once(tmp_path_factory, "recipe", build_both_ways)
+
+
+def identity(root: Path) -> str:
+    return ReleaseInfo.read(root / "benchmark").benchmark_sha256
+
+
+def pairs(root: Path) -> dict[str, str]:
+    found = sorted((root / "build").glob("*/pairs/*.npz"))
+    return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+
+
+def test_a_streamed_benchmark_has_the_same_pairs_and_no_scans(both: Path) -> None:
+    assert pairs(both / "one") == pairs(both / "all") != {}
+    assert [path.name for path in (both / "one" / "scans").glob("0*")] == []
+    for build in (both / "one" / "build").iterdir():
+        assert is_slim(build / "sequence") and is_slim(build / "reconstruction")
+        assert {path.suffix for path in (build / "sequence").rglob("*") if path.is_file()} == {".json"}
+        assert Manifest.read(build / "sequence").removed >= 2 * 72
+
+
+def test_what_was_streamed_is_current_and_published_with_its_licence(both: Path, tmp_path: Path) -> None:
+    for name in ("one", "all"):
+        shutil.copytree(both / name, tmp_path / name)
+        done = run(tmp_path / name, "publish", "--jobs", "1", "--allow-poor")
+        assert done.status == 0, done.err
+    assert run(tmp_path / "one", "build", "--status").status == 0
+    assert identity(tmp_path / "one") == identity(tmp_path / "all")
+    assert "Choi et al. 2016" in (tmp_path / "one" / "benchmark" / "README.md").read_text()
+    assert run(tmp_path / "one", "verify", "benchmark").status == 0
+    # Again: nothing is fetched, as no server is there but for the list, which is here.
+    again = run(tmp_path / "one", "fetch", ".", "--stream", variables=HERE)
+    assert again.status == 0 and "2 scans chosen, 0 fetched now, 0 failed" in again.out
+
+
+def test_what_needs_the_deleted_frames_says_how_to_get_them(
+    command: Command, both: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(both / "one", tmp_path / "one")
+    done = command(tmp_path / "one", "build", "00021", "--jobs", "1", "--set", "views.count=2")
+    text = " ".join(done.err.split())
+    assert (
+        done.status == 1 and "its frames were deleted after the build; fetch the scan again and run" in text
+    )
+    gone = command(tmp_path / "one", "build", "00021", "--jobs", "1", "--force")
+    assert gone.status == 1 and "Traceback" not in gone.err
+    shutil.copytree(both / "scans", tmp_path / "one" / "scans", dirs_exist_ok=True)
+    back = command(tmp_path / "one", "build", "00021", "--jobs", "1", "--force", "--set", "views.count=2")
+    assert back.status == 0, back.err
+
+
+def test_streaming_keeps_to_its_disk(
+    command: Command, both: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli_recipe, "STREAM_BYTES", 1_000_000)
+    monkeypatch.setenv("no_proxy", "*")
+    with ScanServer(served(both / "scans")) as server:
+        write_recipe(tmp_path / "r", server.url)
+        done = command(tmp_path, "fetch", "r", "--stream")
+    text = " ".join(done.err.split())
+    assert (
+        done.status == 1
+        and "the next scan and its build may take 0.30 GB, and --stream keeps to 0 GB" in text
+    )
+    assert not list((tmp_path / "r" / "scans").glob("*.zip*")) and "Traceback" not in done.err
