@@ -53,7 +53,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     from kinectbench.core.artefacts.manifest import Failed
     from kinectbench.core.errors import SettingsError
     from kinectbench.core.extras import missing_extra
-    from kinectbench.engine.slim import is_slim, slim
+    from kinectbench.engine.slim import is_slim, keep_failed_source, slim
     from kinectbench.engine.stages import Job
     from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
     from kinectbench.settings.file import load_benchmark
@@ -79,6 +79,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
             if built.error is not None:
                 row = FetchedScan(scan, True, f"{scan.id}: not built: {built.error}")
             slim(build)
+            keep_failed_source(build)
             remove_scan(recipe.out, scan)
         rows.append(row)
     return _tell(common, recipe, rows, f"next: kinectbench publish -c {recipe.out / BENCHMARK}")

@@ -146,6 +146,11 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
     if cache is not None and entries != known:
         with replaced_file(cache / Sources.FILE) as temporary:
             temporary.write_text(sources.text(), encoding="utf-8")
+    return whole_hash(sources)
+
+
+def whole_hash(sources: Sources) -> str:
+    """One hash over the names and contents of files whose hashes are known."""
     return sha256_text(canonical_json(sources.sha256))
 
 

@@ -5,10 +5,10 @@ Its stages stay current. What would have to be made from the deleted frames is r
 
 from pathlib import Path
 
-from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.manifest import Failed, Manifest, Sources
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.storage import replaced_file
-from kinectbench.engine.artefact import whole_manifest
+from kinectbench.engine.artefact import whole_hash, whole_manifest
 
 # Folders of `build/<recording>/` of which only later stages read more than the JSON files. Of 300 frames of
 # 640x480 with 50 views 33 MB of 78 stay, and the scan of 43 MB goes, too.
@@ -42,6 +42,19 @@ def slim(build: Path) -> int:
     return freed
 
 
+def keep_failed_source(build: Path) -> None:
+    """Keep in failed.json what the scan was that is deleted, so that its reason is said again without it.
+
+    Args:
+        build: `build/<recording>/` of a recording that could not be read; of another nothing is changed.
+    """
+    failed, sources = Failed.read_if_there(build), Sources.read_if_there(build)
+    if failed is not None and sources is not None and not is_slim(build / "sequence"):
+        with replaced_file(build / Failed.FILE) as temporary:
+            whole = failed.model_copy(update={"scan_sha256": whole_hash(sources)})
+            temporary.write_text(whole.text(), encoding="utf-8")
+
+
 def is_slim(folder: Path) -> bool:
     """Whether files of a stage's folder were deleted."""
     manifest = whole_manifest(folder)
@@ -51,7 +64,10 @@ def is_slim(folder: Path) -> bool:
 def kept_source(build: Path) -> str | None:
     """The one hash over the files of a scan that was deleted; None if none was."""
     manifest = whole_manifest(build / "sequence")
-    return None if manifest is None or manifest.removed is None else manifest.inputs.get("recording")
+    if manifest is not None:
+        return None if manifest.removed is None else manifest.inputs.get("recording")
+    failed = Failed.read_if_there(build)
+    return None if failed is None else failed.scan_sha256
 
 
 def refuse_slim(recording: str, folder: Path) -> None:

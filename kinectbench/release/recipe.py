@@ -4,7 +4,6 @@ sources.yaml and sources.lock are strangers' files, and so are the scans. What c
 """
 
 import contextlib
-import json
 import shutil
 import threading
 import zipfile
@@ -25,6 +24,7 @@ from kinectbench.release.unpack import unpack_tar
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import SOURCES_YAML, Scan, SourcesSettings, chosen_scans, read_sources
+from kinectbench.settings.template import yaml_text
 
 BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
 SCANS, INDEX = "scans", "index.json"
@@ -271,7 +271,7 @@ def _ids(text: str, source: str) -> set[str]:
 
 
 def _entry(scan: Scan, sources: SourcesSettings) -> str:
-    """A recording as lines of YAML; a text in JSON is one in YAML, too."""
+    """A recording as lines of YAML."""
     rows: dict[str, object] = {"path": scan.path, "category": scan.category, "split": scan.split}
     if scan.object != scan.id:
         rows["object"] = scan.object
@@ -279,7 +279,7 @@ def _entry(scan: Scan, sources: SourcesSettings) -> str:
         rows["camera"] = scan.camera.model_dump(exclude_unset=True)
     rows |= {"license": sources.license, "source": sources.source}
     lines = [
-        f"  - id: {json.dumps(scan.id)}",
-        *(f"    {key}: {json.dumps(row)}" for key, row in rows.items()),
+        f"  - id: {yaml_text(scan.id)}",
+        *(f"    {key}: {yaml_text(row)}" for key, row in rows.items()),
     ]
     return "\n".join(lines) + "\n"

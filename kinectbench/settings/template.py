@@ -63,7 +63,9 @@ def _top_level(folder_name: str) -> list[str]:
     fields = BenchmarkSettings.model_fields
     values = {key: fields[key].default for key in ("license", "source")}
     values = {"name": _safe(folder_name, "benchmark"), **values}
-    return [_commented(f"{key}: {_text(value)}", fields[key].description) for key, value in values.items()]
+    return [
+        _commented(f"{key}: {yaml_text(value)}", fields[key].description) for key, value in values.items()
+    ]
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
@@ -71,8 +73,8 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
-        f"  - id: {_text(name)}",
-        _commented(f"    path: {_text(path)}", kind),
+        f"  - id: {yaml_text(name)}",
+        _commented(f"    path: {yaml_text(path)}", kind),
         _commented(f"    category: {UNKNOWN_CATEGORY}", ASK_CATEGORY),
         _commented("    # object: …", ASK_OBJECT),
         _commented(f"    # underside: {underside.default}", f"say what you know; {underside.description}"),
@@ -97,7 +99,7 @@ def _categories() -> list[str]:
     """What may be said of a category, as comments: one that no recording has would be refused."""
     about = (CategorySettings.__doc__ or "").splitlines()[0]
     inner = ", ".join(
-        f"{key}: {_text(field.default)}" for key, field in CategorySettings.model_fields.items()
+        f"{key}: {yaml_text(field.default)}" for key, field in CategorySettings.model_fields.items()
     )
     return [_commented("# categories:", about), f"#   chair: {{{inner}}}"]
 
@@ -111,7 +113,7 @@ def _section(name: str, defaults: Settings) -> list[str]:
         words = f"{field.description} ({limits})" if limits else field.description
         value = getattr(defaults, key)
         shown = value.model_dump() if isinstance(value, Settings) else value
-        lines.append(_commented(f"  # {key}: {_text(shown)}", words))
+        lines.append(_commented(f"  # {key}: {yaml_text(shown)}", words))
     return lines
 
 
@@ -120,7 +122,7 @@ def _commented(text: str, comment: str | None) -> str:
     return f"{text:<34}  # {comment}" if comment else text
 
 
-def _text(value: Any) -> str:
+def yaml_text(value: Any) -> str:
     """A value on one line of YAML, in quotes where it needs them."""
     if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
         return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()

@@ -72,7 +72,7 @@ def test_a_larger_limit_adds_and_keeps(command: Command, server: ScanServer, tmp
     command(tmp_path, "fetch", "r", "--limit", "2", "--category", "chair")
     first = fetched(recipe)
     text = (recipe / "recordings.yaml").read_text()
-    changed = text.replace('category: "chair"', 'underside: closed\n    category: "chair"', 1)
+    changed = text.replace("category: chair", "underside: closed\n    category: chair", 1)
     (recipe / "recordings.yaml").write_text(changed)
     asked = len(server.asked)
     done = command(tmp_path, "fetch", "r", "--limit", "4", "--category", "chair", "--json")

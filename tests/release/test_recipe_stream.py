@@ -1,7 +1,9 @@
 """Two scans of a recipe are fetched and built; with --stream each is deleted, and the release is the same."""
 
 import hashlib
+import io
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -106,3 +108,24 @@ def test_streaming_keeps_to_its_disk(
         and "the next scan and its build may take 0.30 GB, and --stream keeps to 0 GB" in text
     )
     assert not list((tmp_path / "r" / "scans").glob("*.zip*")) and "Traceback" not in done.err
+
+
+def test_a_scan_that_cannot_be_read_is_deleted_and_its_reason_stays(
+    command: Command, both: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("rgb/0000001-000000000000.jpg", b"no image")
+    monkeypatch.setenv("no_proxy", "*")
+    with ScanServer({**served(both / "scans"), "/00007.zip": packed.getvalue()}) as server:
+        root = write_recipe(tmp_path / "r", server.url)
+        words = ("fetch", "r", "--stream", "--category", "table")
+        first = command(tmp_path, *words)
+        assert (
+            first.status == 1 and "only colour" in first.err and not (root / "scans" / "00007.zip").exists()
+        )
+        asked = len(server.asked)
+        again = command(tmp_path, *words)
+        assert again.status == 1 and "failed before: " in again.err and len(server.asked) == asked
+    built = command(root, "build")
+    assert built.status == 1 and "only colour" in built.err and "no such recording" not in built.err

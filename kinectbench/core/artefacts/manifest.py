@@ -55,6 +55,9 @@ class Failed(Stored):
         "package's version is another; null if it may succeed (a full disk, a killed process)",
     )
     package_version: str | None = Field(None, description="version of KinectBench that failed; null likewise")
+    scan_sha256: str | None = Field(
+        None, description="one hash over the files of the scan, if `fetch --stream` deleted it; absent if not"
+    )
 
 
 class SourceFile(NamedTuple):
