@@ -28,16 +28,17 @@ def fetch_recipe(
 ) -> int:
     """Fetch the scans of a recipe that are asked for, and put them into its benchmark; the exit status."""
     from kinectbench.cli import console
+    from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
 
-    with opened_recipe(folder, out) as recipe:
+    with opened_recipe(folder, out, partial(console.waiting, "fetch")) as recipe:
         scans = recipe.chosen(categories, limit)
         if stream:
             return _stream(common, recipe, scans)
         try:
             with console.bar("fetch") as progress:
                 rows = recipe.fetch_all(scans, progress)
-        except NoRoomError:
+        except (NoRoomError, StoreGoneError):
             recipe.add_to_benchmark([scan for scan in scans if (recipe.out / scan.path).exists()])
             raise
         here = [row for row in rows if row.error is None]

@@ -4,6 +4,7 @@ sources.yaml and sources.lock are strangers' files, and so are the scans. What c
 """
 
 import contextlib
+import os
 import shutil
 import threading
 import zipfile
@@ -15,6 +16,7 @@ from pathlib import Path
 from kinectbench.core.artefacts.sources_lock import LockedFile, ScanIndex, SourcesLock
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.storage import replaced_file, sha256_file, storage_errors
+from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.download import MOST_FILE_BYTES, Content, begun, download
 from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
@@ -60,7 +62,7 @@ class FetchedScan:
 
 def is_recipe(name: str) -> bool:
     """Whether a folder of this machine is a recipe."""
-    return (Path(name) / SOURCES_YAML).is_file()
+    return os.path.isfile(f"{name}/{SOURCES_YAML}")  # noqa: PTH113 - whatever the name is
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class Recipe:
 
         Raises:
             NoRoomError: the disk has no room for one.
+            StoreGoneError: no server answers any more.
         """
 
         def done(count: int) -> None:
@@ -118,6 +121,7 @@ class Recipe:
 
         Raises:
             NoRoomError: there is no room.
+            StoreGoneError: no server answers any more.
         """
         path = self.out / scan.path
         archive = path.with_name(f"{path.name}.tgz") if scan.unpacked else path
@@ -129,7 +133,7 @@ class Recipe:
             came = self._bring(scan.file, archive, self.sources.bases, room=room, check=check)
             if scan.unpacked:
                 archive.unlink()
-        except NoRoomError:
+        except (NoRoomError, StoreGoneError):
             raise
         except KinectBenchError as error:
             return FetchedScan(scan, False, f"{scan.id}: {error}")
@@ -197,6 +201,11 @@ class Recipe:
         if not config.exists():
             with storage_errors(config):
                 shutil.copyfile(self.folder / BENCHMARK, config)
+        found = set[str]()
+        with contextlib.suppress(SettingsError):
+            found = _ids(text, str(path))
+        if found != known | {scan.id for scan in scans}:
+            raise SettingsError(f"{path}: nothing can be added to it; begin each entry with '  - id: …'")
         with replaced_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
         missing = {scan.id for scan in scans} - load_benchmark(config).by_id().keys()
@@ -205,12 +214,15 @@ class Recipe:
 
 
 @contextlib.contextmanager
-def opened_recipe(folder: Path, out: Path | None = None) -> Iterator[Recipe]:
+def opened_recipe(
+    folder: Path, out: Path | None = None, waiting: Callable[[str], None] | None = None
+) -> Iterator[Recipe]:
     """A recipe at work, in a folder where no other fetch works meanwhile.
 
     Args:
         folder: that holds sources.yaml.
         out: the benchmark's folder; default: the same.
+        waiting: called once with who else fetches there, before waiting.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong.
@@ -220,7 +232,9 @@ def opened_recipe(folder: Path, out: Path | None = None) -> Iterator[Recipe]:
     place = out or folder
     if not (folder / BENCHMARK).is_file() and not (place / BENCHMARK).is_file():
         raise SettingsError(f"{folder / BENCHMARK}: no such file; a recipe has one beside {SOURCES_YAML}")
-    with locked(place / SCANS):
+    if place.exists() and not place.is_dir():
+        raise SettingsError(f"--out {place}: a file; name a folder")
+    with locked(place / SCANS, waiting=waiting):
         lock = SourcesLock.read_if_there(folder) or SourcesLock()
         yield Recipe(folder, place, sources, dict(lock.files))
 

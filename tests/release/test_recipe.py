@@ -3,6 +3,7 @@
 import io
 import json
 import tarfile
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -130,6 +131,48 @@ def test_a_full_disk_is_told_before_a_scan_comes(
     done = command(tmp_path, "fetch", "r", "--category", "table")
     assert done.status == 1 and "free some space, or use --stream" in " ".join(done.err.split())
     assert len(done.err.strip().splitlines()) == 1
+
+
+def test_without_a_network_one_line_ends_it(command: Command, tmp_path: Path) -> None:
+    with ScanServer({**FILES, "/categories.json": INDEX}) as server:
+        write_recipe(tmp_path / "r", server.url)
+        command(tmp_path, "fetch", "r", "--category", "table", "--limit", "1")
+    (tmp_path / "r" / "sources.yaml").write_text(
+        SOURCES.format(bases="https://one.invalid, https://two.invalid")
+    )
+    done = command(tmp_path, "fetch", "r")
+    assert done.status == 1 and "one.invalid: no such host is known" in " ".join(done.err.split())
+    assert "two.invalid" in done.err and done.err.count("error:") == 1
+
+
+def test_servers_that_are_gone_end_it_soon(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PATIENCE_VARIABLE, "1")
+    monkeypatch.setenv("no_proxy", "*")
+    with ScanServer({**FILES, "/categories.json": INDEX}) as server:
+        write_recipe(tmp_path / "r", server.url)
+        command(tmp_path, "fetch", "r", "--category", "table", "--limit", "1")
+    begun = time.monotonic()
+    done = command(tmp_path, "fetch", "r")
+    assert done.status == 1 and "run the same command again when it does" in " ".join(done.err.split())
+    assert done.err.count("error:") == 1 and time.monotonic() - begun < 8
+
+
+def test_a_list_that_somebody_wrote_otherwise_is_left_as_it_is(
+    command: Command, server: ScanServer, tmp_path: Path
+) -> None:
+    recipe = write_recipe(tmp_path / "r", server.url)
+    text = "recordings: [{id: own, path: own, category: chair}]\n"
+    (recipe / "recordings.yaml").write_text(text)
+    done = command(tmp_path, "fetch", "r", "--limit", "1")
+    assert done.status == 2 and "nothing can be added to it" in " ".join(done.err.split())
+    assert (recipe / "recordings.yaml").read_text() == text
+    assert (
+        command(tmp_path, "fetch", "r", "--out", "r/benchmark.yaml")
+        .err.strip()
+        .endswith("a file; name a folder")
+    )
 
 
 def test_the_split_is_of_objects_and_does_not_depend_on_the_limit(server: ScanServer, tmp_path: Path) -> None:

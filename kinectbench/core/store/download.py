@@ -21,6 +21,7 @@ from kinectbench.core.store.address import is_web, shown
 from kinectbench.core.store.attempts import (
     LASTING,
     PASSING,
+    StoreGoneError,
     UnsettledError,
     check_stopped,
     has_answered,
@@ -52,6 +53,10 @@ class _RefusedError(Exception):
     """This address does not give the file, and will not."""
 
 
+class _UnknownError(_RefusedError):
+    """No such host is known: nobody here gives anything, or there is no network."""
+
+
 class _BrokenError(Exception):
     """This address may give it another moment."""
 
@@ -81,7 +86,8 @@ def download(
         room: called with the bytes that are to come before they do; what it raises ends the call.
 
     Raises:
-        StorageError: no address gives it, in one line with the reasons; or the disk cannot be written.
+        StoreGoneError: none of the servers answers at all, in one line with the reasons.
+        StorageError: no address gives it, likewise; or the disk cannot be written.
     """
     order, furthest = list(urls), 0
 
@@ -90,22 +96,24 @@ def download(
         furthest = max(furthest, at // LEAST_BYTES)
 
     def attempt() -> Content:
-        refused, broken = list[str](), list[str]()
+        refused, broken, unknown = list[str](), list[str](), 0
         for url in tuple(order):
             try:
                 return _Download(url, path, sha256, size, check, most_bytes, room, come).run()
             except _RefusedError as error:
                 refused.append(f"{_host(url)}: {error}")
+                unknown += isinstance(error, _UnknownError)
             except _BrokenError as error:
                 broken.append(f"{_host(url)}: {error}")
             order.append(order.pop(0))  # the next attempt begins with one that has not failed
         if broken:
             raise UnsettledError("; ".join((*broken, *refused)))
-        raise StorageError(f"{path.name} cannot be fetched: {'; '.join(refused)}")
+        kind = StoreGoneError if unknown == len(order) else StorageError
+        raise kind(f"{path.name} cannot be fetched: {'; '.join(refused)}")
 
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    content = patiently(_shown(urls[0]), attempt, lambda: furthest)
+    content = patiently(_shown(urls[0]), attempt, lambda: furthest, lambda: _any_answers(urls))
     for left in begun(path):
         left.unlink(missing_ok=True)
     return content
@@ -257,6 +265,19 @@ def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[Any]:
     raise _RefusedError(f"redirects more than {MOST_REDIRECTS} times")
 
 
+def _any_answers(urls: Sequence[str]) -> None:
+    """Ask all servers for anything, whatever it is.
+
+    Raises:
+        _BrokenError: none answers.
+    """
+    for url in urls:
+        with contextlib.suppress(_RefusedError, _BrokenError):
+            _answer(urllib.request.Request(url, method="HEAD")).close()
+            return
+    raise _BrokenError
+
+
 def _next(url: str, answer: Any) -> str | None:
     """Where an answer redirects to; None if it is the file."""
     status = answer.status
@@ -282,10 +303,12 @@ def _answer(request: urllib.request.Request) -> Any:
         return opener.open(request, timeout=NEXT_S)
     except urllib.error.URLError as error:
         cause = error.reason if isinstance(error.reason, OSError) else error
-        lasting = isinstance(cause, ssl.SSLCertVerificationError) or (
-            isinstance(cause, socket.gaierror) and not has_answered(request.full_url)
-        )
-        raise (_RefusedError if lasting else _BrokenError)(_why(cause)) from None
+        kind: type[Exception] = _BrokenError
+        if isinstance(cause, ssl.SSLCertVerificationError):
+            kind = _RefusedError
+        elif isinstance(cause, socket.gaierror) and not has_answered(request.full_url):
+            kind = _UnknownError
+        raise kind(_why(cause)) from None
     except (OSError, http.client.HTTPException) as error:
         raise _BrokenError(_why(error)) from None
     except ValueError as error:  # a host that no name can be
