@@ -41,9 +41,7 @@ def fetch_recipe(
         except (NoRoomError, StoreGoneError):
             recipe.add_to_benchmark([scan for scan in scans if (recipe.out / scan.path).exists()])
             raise
-        here = [row for row in rows if row.error is None]
-        if here:
-            recipe.add_to_benchmark([row.scan for row in here])
+        recipe.add_to_benchmark([row.scan for row in rows if row.error is None])
         return _tell(common, recipe, rows, f"next: kinectbench build -c {recipe.out / 'benchmark.yaml'}")
 
 

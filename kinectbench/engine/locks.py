@@ -107,11 +107,10 @@ def _holder(file: Path) -> str:
 
 
 def _write(lock: IO[str], text: str) -> None:
+    # Past the file's buffer, which would be written once more when it is closed.
     with contextlib.suppress(OSError):  # a full disk: the lock holds without a name on it
-        lock.seek(0)
-        lock.truncate()
-        lock.write(text)
-        lock.flush()
+        os.ftruncate(lock.fileno(), 0)
+        os.write(lock.fileno(), text.encode(errors="replace"))
 
 
 def _myself() -> str:

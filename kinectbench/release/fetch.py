@@ -82,7 +82,7 @@ def release_url(name: str | Path) -> str:
     if url is not None:
         return url
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):  # noqa: PTH112 - whatever the name is
         return path.resolve().as_uri()
     base = url_of(os.environ.get(RELEASES_VARIABLE, ""))
     if base is None or len(path.parts) != 1:

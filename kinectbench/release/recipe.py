@@ -191,6 +191,8 @@ class Recipe:
         Raises:
             SettingsError: benchmark.yaml is wrong, or does not include it.
         """
+        if not scans:
+            return
         config, path = self.out / BENCHMARK, self.out / RECORDINGS
         text = _text(path) if path.exists() else HEADER
         known = _ids(text, str(path))
@@ -244,8 +246,7 @@ def _refuse_full(path: Path, size: int) -> None:
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise NoRoomError(
-            f"{path}: {size / 1e9:.2f} GB are to come, and the disk has {free / 1e9:.2f}; free some "
-            "space, or use --stream"
+            f"{path}: {size} bytes are to come, and the disk has {free}; free some space, or use --stream"
         )
 
 

@@ -232,3 +232,7 @@ def test_no_traceback_shows_a_password(tmp_path: Path) -> None:
 def test_the_address_of_a_cluster_is_no_place(command: Command, tmp_path: Path, written: list[str]) -> None:
     made = command(tmp_path, "build", *written)
     assert made.status == 2 and made.err.startswith("error: benchmark.yaml: no such file")
+
+
+def test_a_name_that_no_file_can_have(command: Command, tmp_path: Path) -> None:
+    assert "no such folder and no URL; name a release's URL" in said(command, tmp_path, "fetch", "a" * 5000)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 # cut: the connection ends in the middle; lie: other bytes of that length; short: another length; whole: 200
 # in place of 206; shifted: a 206 of other bytes than asked for; endless: no length and no end; elsewhere: it
-# redirects to a file of this machine; loop: to itself; busy: 503; gone: 404; page: an HTML page; packed: a
+# redirects to `place`; loop: to itself; busy: 503; gone: 404; page: an HTML page; packed: a
 # coding that nobody asked for.
 Fault = Literal[
     "",
@@ -35,12 +35,14 @@ class ScanServer:
     Attributes:
         files: by their paths, such as "/a.zip".
         choose: may be replaced at any time.
+        place: where `elsewhere` redirects to.
         asked: (path, range or "") of each request so far.
         most_at_once: of requests that were answered at the same time.
     """
 
     def __init__(self, files: dict[str, bytes], choose: Choose = lambda number, path: "") -> None:
         self.files, self.choose = files, choose
+        self.place = "file:///etc/passwd"
         self.asked: list[tuple[str, str]] = []
         self.most_at_once = self._now = 0
         self._counting = threading.Lock()
@@ -87,7 +89,7 @@ class ScanServer:
             _end(to, 404)
             return
         if fault in ("busy", "elsewhere", "loop"):
-            place = {"elsewhere": "file:///etc/passwd", "loop": to.path}.get(fault, "")
+            place = {"elsewhere": self.place, "loop": to.path}.get(fault, "")
             _end(to, 302 if place else 503, place)
             return
         tag = f'"{hashlib.sha256(content).hexdigest()[:16]}"'

@@ -284,7 +284,7 @@ def _next(url: str, answer: Any) -> str | None:
     if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
         return None
     if status in (301, 302, 303, 307, 308):
-        place: str = urljoin(url, answer.headers.get("Location", ""))
+        place = _joined(url, str(answer.headers.get("Location", "")))
         if not is_web(place) or (url.startswith("https:") and not place.startswith("https:")):
             raise _RefusedError(f"redirects to {_shown(place)}, which is not followed")
         return place
@@ -292,6 +292,13 @@ def _next(url: str, answer: Any) -> str | None:
     if status in PASSING or (status >= 500 and status not in LASTING):
         raise _BrokenError(said)
     raise _RefusedError(said)
+
+
+def _joined(url: str, place: str) -> str:
+    try:
+        return urljoin(url, place)
+    except ValueError:  # brackets that hold no address
+        return place
 
 
 def _answer(request: urllib.request.Request) -> Any:
@@ -309,10 +316,10 @@ def _answer(request: urllib.request.Request) -> Any:
         elif isinstance(cause, socket.gaierror) and not has_answered(request.full_url):
             kind = _UnknownError
         raise kind(_why(cause)) from None
+    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # a host or a port that is none
+        raise _RefusedError(printable(str(error), 80)) from None
     except (OSError, http.client.HTTPException) as error:
         raise _BrokenError(_why(error)) from None
-    except ValueError as error:  # a host that no name can be
-        raise _RefusedError(printable(str(error), 80)) from None
 
 
 def _why(error: Exception) -> str:

@@ -111,6 +111,32 @@ def test_what_is_no_such_file_goes_and_the_next_address_is_asked(server: ScanSer
         assert download(urls, tmp_path / "a.zip", check=refuse_pages) == KNOWN
 
 
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("ftp://127.0.0.1/a.zip", "which is not followed"),
+        ("data:,PK", "which is not followed"),
+        ("http://[::1", "127.0.0.1"),
+        ("http://127.0.0.1:99999/", "127.0.0.1"),
+        ("http://127.0.0.1:x/", "nonnumeric port"),
+        ("http:///a.zip", "redirects more than 5 times"),
+        ("http://h h/", "127.0.0.1"),
+        ("http://\xe4.invalid/\xe4", "127.0.0.1"),
+        ("", "127.0.0.1"),
+    ],
+)
+def test_redirections_to_no_web_server(server: ScanServer, tmp_path: Path, place: str, words: str) -> None:
+    server.choose, server.place = lambda number, path: "elsewhere", place
+    assert words in said(f"{server.url}/a.zip", path=tmp_path / "a.zip")
+
+
+def test_a_redirection_to_a_web_server_is_followed(server: ScanServer, tmp_path: Path) -> None:
+    with ScanServer({"/moved/b.zip": CONTENT}, lambda number, path: "cut" if number == 0 else "") as good:
+        server.choose, server.place = lambda number, path: "elsewhere", f"{good.url}/moved/b.zip"
+        assert download([f"{server.url}/a.zip"], tmp_path / "a.zip") == KNOWN
+        assert [asked for _, asked in good.asked if asked] == [f"bytes={len(CONTENT) // 2}-"]
+
+
 def test_a_range_that_was_not_asked_for(server: ScanServer, tmp_path: Path) -> None:
     server.choose = lambda number, path: ("cut", "", "shifted")[min(number, 2)]  # type: ignore[return-value]
     assert "it sends 'bytes 0-" in said(f"{server.url}/a.zip", path=tmp_path / "a.zip")
