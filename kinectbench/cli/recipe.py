@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
 # What `--stream` may take of the disk at any time, all that is built included.
 STREAM_BYTES = 5_000_000_000
-# Of a scan beside its archive while it is built, as a multiple of the archive, and at least.
+# Of a scan beside its archive while it is built, as a multiple of the archive, and at least. Of 300 frames of
+# 640x480, an archive of 43 MB, 114 MB were measured: a copy of the frames, and what does not grow with them.
 BUILD_RATIO, BUILD_BYTES = 2, 300_000_000
 
 

@@ -18,7 +18,7 @@ SLIMMED, KEPT = ("sequence", "reconstruction"), ".json"
 def slim(build: Path) -> int:
     """Delete the frames and the scene's volume of what was built; returns how many bytes went.
 
-    A recording that failed on the way is treated alike.
+    So it is with a recording that failed on the way.
 
     Args:
         build: `build/<recording>/`; nobody may be building it.

@@ -30,7 +30,7 @@ from kinectbench.settings.template import yaml_text
 
 BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
 SCANS, INDEX = "scans", "index.json"
-# Scans that are fetched at a time: public servers are shared (own choice; a browser opens six).
+# Scans that are fetched at a time: public servers are shared, and a browser opens six.
 AT_ONCE = 4
 # A list of a million ids has 16 MB.
 INDEX_BYTES = 16 << 20

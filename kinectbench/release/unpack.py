@@ -18,7 +18,7 @@ from kinectbench.core.untrusted import (
     unpacked_bound,
 )
 
-# Of what stands before a member, such as a long name: tarfile reads it as a whole (own choice).
+# Of what stands before a member, such as a long name: tarfile reads it as a whole. Linux has paths of 4 kB.
 HEADER_BYTES = 1 << 20
 DAMAGED = (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError)
 

@@ -13,9 +13,9 @@ from kinectbench.settings.base import Settings
 from kinectbench.settings.words import field_at, model_of, suggestion, wanted
 
 Model = TypeVar("Model", bound=Settings)
-# Such a file has some thirty keys, or a row for each scan of a small source (own choice).
+# Such a file has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
 MOST_BYTES = 1 << 20
-# Of its errors; each line takes as long as all keys (own choice).
+# Of its errors; each line takes as long as all keys; nobody reads more.
 SHOWN = 20
 
 

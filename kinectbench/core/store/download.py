@@ -32,11 +32,11 @@ from kinectbench.core.untrusted import COPIED_BYTES, printable
 
 # Until the next bytes come, and until all headers are here: as long as one request to a store may take.
 NEXT_S, HEADERS_S = 30.0, 60.0
-# Fewer bytes in a minute are no download: 1 kB/s, a fiftieth of the slowest modem's (own choice).
+# Fewer bytes in a minute are no download: 1 kB/s is a seventh of what a 56k modem brings.
 LEAST_BYTES, WITHIN_S = 64 << 10, 60.0
-# As browsers and curl follow 20 to 50, and file servers need one or two (own choice).
+# Browsers follow 20, curl 50; file servers need one or two.
 MOST_REDIRECTS = 5
-# Of an archive: 43 times the average of Redwood's scans (own choice).
+# Of an archive: 46 times the average of Redwood's scans (4 TB by 10,933).
 MOST_FILE_BYTES = 16 << 30
 # A sign of what was begun; it lies beside the file until that is whole.
 ENDING = ".part"
@@ -176,7 +176,7 @@ class _Download:
         return size
 
     def _goes_on(self, answer: Any, at: int, size: int) -> int:
-        """Where the bytes of an answer belong: 0 if the server begins anew, which it may."""
+        """Where the bytes of an answer belong: 0 if the server begins at the start, which it may."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
                 raise _BrokenError("changed while it was fetched")
@@ -223,7 +223,7 @@ class _Download:
 
 
 def _mark(answer: Any) -> str:
-    """What tells this content from the next at the same address (RFC 9110, 8.8); "" where nothing does."""
+    """The mark of this content, another one for the next at the same address (RFC 9110, 8.8); "" where nothing does."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 
