@@ -89,13 +89,17 @@ def _refuse_beyond(out: Path, size: int) -> None:
     """Refuse a scan with whose build the folder would hold more than `--stream` may take.
 
     Raises:
+        StorageError: it would, even if nothing else were there: the next scan may be smaller.
         NoRoomError: it would.
     """
+    from kinectbench.core.errors import StorageError
     from kinectbench.core.untrusted import listed_below
     from kinectbench.release.recipe import NoRoomError
 
     used = sum(path.lstat().st_size for path in listed_below(out))
     needed = size + max(BUILD_RATIO * size, BUILD_BYTES)
+    if needed > STREAM_BYTES:
+        raise StorageError(f"{size} bytes are too large for --stream; fetch it without, and build it")
     if used + needed > STREAM_BYTES:
         raise NoRoomError(
             f"{out}: holds {used / 1e9:.2f} GB; the next scan and its build may take {needed / 1e9:.2f} "

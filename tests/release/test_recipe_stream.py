@@ -11,7 +11,7 @@ import pytest
 from made_once import made_once
 from scan_server import ScanServer
 from small_benchmark import Run, run
-from small_recipe import make_scans, served, write_recipe
+from small_recipe import SOURCES, make_scans, served, write_recipe
 
 from kinectbench.cli import recipe as cli_recipe
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
@@ -97,17 +97,22 @@ def test_what_needs_the_deleted_frames_says_how_to_get_them(
 def test_streaming_keeps_to_its_disk(
     command: Command, both: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli_recipe, "STREAM_BYTES", 1_000_000)
     monkeypatch.setenv("no_proxy", "*")
+    root = write_recipe(tmp_path / "r", "http://127.0.0.1:9")
     with ScanServer(served(both / "scans")) as server:
-        write_recipe(tmp_path / "r", server.url)
-        done = command(tmp_path, "fetch", "r", "--stream")
-    text = " ".join(done.err.split())
+        (root / "sources.yaml").write_text(SOURCES.format(bases=server.url))
+        monkeypatch.setattr(cli_recipe, "STREAM_BYTES", 1_000_000)
+        large = command(tmp_path, "fetch", "r", "--stream")
+        monkeypatch.setattr(cli_recipe, "STREAM_BYTES", 302_000_000)
+        (root / "other").write_bytes(bytes(2_000_000))
+        full = command(tmp_path, "fetch", "r", "--stream")
+    assert large.status == 1 and large.err.count("are too large for --stream; fetch it without") == 2
+    text = " ".join(full.err.split())
     assert (
-        done.status == 1
+        full.status == 1
         and "the next scan and its build may take 0.30 GB, and --stream keeps to 0 GB" in text
     )
-    assert not list((tmp_path / "r" / "scans").glob("*.zip*")) and "Traceback" not in done.err
+    assert not list((root / "scans").glob("*.zip*")) and full.err.count("error:") == 1
 
 
 def test_a_scan_that_cannot_be_read_is_deleted_and_its_reason_stays(

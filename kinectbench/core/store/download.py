@@ -223,7 +223,7 @@ class _Download:
 
 
 def _mark(answer: Any) -> str:
-    """The mark of this content, another one for the next at the same address (RFC 9110, 8.8); "" where nothing does."""
+    """The mark of this content, another one for the next at the same address (RFC 9110, 8.8), or ""."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 
