@@ -21,6 +21,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import COLUMNS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
+from kinectbench.core.artefacts.triage import TriageFile
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 
 PAGE = Path(__file__).parents[1] / "docs" / "format.md"
@@ -36,6 +37,7 @@ MODELS: tuple[type[Stored], ...] = (
     PairsFile,
     CandidatesFile,
     Failed,
+    TriageFile,
     PublishStamp,
     ReleaseInfo,
     Splits,

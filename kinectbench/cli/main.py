@@ -29,6 +29,7 @@ from kinectbench.cli.segment import segment
 from kinectbench.cli.simulate import simulate
 from kinectbench.cli.synthesize import synthesize
 from kinectbench.cli.track import track
+from kinectbench.cli.triage import triage
 from kinectbench.cli.verify import verify
 from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
 from kinectbench.core.extras import missing_extra, missing_module
@@ -70,7 +71,7 @@ PANELS: Mapping[str, Mapping[str, Command]] = {
         "formats": formats,
         "gc": gc,
     },
-    "Look at what was made": {"report": report},
+    "Look at what was made": {"report": report, "triage": triage},
     "Publish it": {"publish": publish, "verify": verify, "fetch": fetch, "export": export, "import": import_},
     "Score predictions": {
         "baseline": baseline,
@@ -100,7 +101,7 @@ def _options(
 
 
 # What works on recordings needs an extra; the others say so where they need it.
-ON_RECORDINGS = ("build", "inspect", *STAGE_COMMANDS, "track", "segment", "publish")
+ON_RECORDINGS = ("build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish")
 
 
 def _with_build(command: Command) -> Command:

@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,
-    "publish": 33,
+    "publish": 34,
     "synthesize": 2,
     "score": 6,
     "baselines": 3,

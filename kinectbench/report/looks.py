@@ -86,10 +86,10 @@ class FramePicture:
     color: str | None
 
 
-def frame_pictures(folder: Path, views: ViewsFile) -> tuple[FramePicture, ...]:
-    """Some of the views, evenly chosen; `folder` holds their images."""
+def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> tuple[FramePicture, ...]:
+    """Some of the views, `most` at most, evenly chosen; `folder` holds their images."""
     rows = views.views
-    chosen = np.unique(np.linspace(0, len(rows) - 1, min(FRAMES_SHOWN, len(rows))).astype(int))
+    chosen = np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int))
     shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
     return tuple(frame for frame in shown if frame)
 

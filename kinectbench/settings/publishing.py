@@ -22,7 +22,7 @@ class ReviewSettings(Settings):
     """What a person decided after looking at what was built of a recording."""
 
     decision: Literal["accept", "reject"] = Field(
-        description="accept: publish it though it does not keep `publish.gate`; reject: leave it out"
+        description="accept: publish it, whatever `triage` says against it; reject: leave it out"
     )
     reason: Line = Field(description="why; the release says so")
 

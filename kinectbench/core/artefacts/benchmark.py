@@ -77,6 +77,9 @@ class RecordingInfo(Part):
         (), description="limits of `publish.gate` that it does not keep; no figures where they are held back"
     )
     accepted: str | None = Field(None, description="why it is published all the same")
+    look: tuple[str, ...] = Field(
+        (), description="what a person should look at, and nobody has; no figures where they are held back"
+    )
     rebuilt_iou: float | None = Field(
         None,
         description="held back: IoU with the truth, where that is known, of a solid carved from all public "
@@ -85,6 +88,27 @@ class RecordingInfo(Part):
     rebuilt_single_iou: float | None = Field(
         None, description="the same of one view alone, mean over some of the views"
     )
+
+
+class Flow(Part):
+    """How many recordings were tried, and what became of them."""
+
+    tried: int = Field(description="recordings of the benchmark")
+    not_built: int = Field(description="of these, not built, or not asked for")
+    failed: int = Field(description="whose build failed")
+    rejected: int = Field(description="that a person rejected")
+    below_limits: int = Field(description="that do not keep `publish.gate`")
+    without_pair: int = Field(description="without a view that has a pair")
+    of_one_object: int = Field(description="by `--isolate`: of whose object another view is published")
+    published: int = Field(description="in this release")
+    poor: int = Field(description="of those published, that do not keep `publish.gate`, and were let pass")
+    look: int = Field(description="of those published, that a person should look at, and nobody has")
+
+    @property
+    def left_out(self) -> int:
+        """How many are not published."""
+        steps = (self.not_built, self.failed, self.rejected, self.below_limits)
+        return sum(steps) + self.without_pair + self.of_one_object
 
 
 class ReleaseInfo(ReleaseFile):
@@ -112,7 +136,10 @@ class ReleaseInfo(ReleaseFile):
     packages: dict[str, str] = Field(description="versions of what the data was computed with")
     recordings: dict[str, RecordingInfo] = Field(description="by id")
     left_out: dict[str, str] | None = Field(
-        None, description="recording that was built and is not published → why"
+        None, description="recording that was built, or whose build failed, and is not published → why"
+    )
+    flow: Flow | None = Field(
+        None, description="how many were tried, and what became of them; missing: not made from recordings"
     )
     version: str | None = Field(None, description="of the data")
     held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")

@@ -43,7 +43,7 @@ from kinectbench.release.contents import (
 )
 from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown
-from kinectbench.release.publish.gate import left_out_line, poor_line
+from kinectbench.release.publish.gate import left_out_line, look_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.isolate import isolated_line
 from kinectbench.release.publish.rebuilt import rebuilt_line
@@ -54,7 +54,9 @@ from kinectbench.settings.yaml_nodes import compose, items
 # Of an object whose truth is held back.
 PUBLIC_OF_OBJECT = ("floor.json",)
 # In a line of the card, after the name of a recording.
-OF_GATE = re.compile(" is left out: | is published all the same ")
+OF_GATE = re.compile(
+    " is left out: | is published all the same | is published, and a person should look at it: "
+)
 # A CITATION.cff of two thousand authors; PyYAML reads 0.1 MB a second. LICENSE and README.md may
 # have as much beside what benchmark.json lets them say, such as the words of a licence.
 CITATION_BYTES = 256 << 10
@@ -226,6 +228,8 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
     for name, info in metadata.recordings.items():
         if info.poor:
             wanted[name] = poor_line(name, info.poor, info.accepted or "")
+        elif info.look:
+            wanted[name] = look_line(name, info.look)
     lines = (line.removeprefix("- ") for _, line in _lines(text) if line.startswith("- "))
     said = {ids[0]: line for line in lines if len(ids := OF_GATE.split(line, maxsplit=1)) == 2}
     for name in sorted(wanted.keys() | said.keys()):

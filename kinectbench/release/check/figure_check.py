@@ -65,6 +65,13 @@ def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
         if info.accepted not in (None, ALLOWED) and not _reviewed(reviews.get(name), "accept"):
             yield f"{where}: 'accepted' is by no review of the settings, nor {ALLOWED}"
         yield from (f"{where}: {fault}" for fault in _poor_problems(info, limits))
+    if (flow := metadata.flow) is not None:
+        there, left_out = len(metadata.recordings), len(metadata.left_out or {})
+        look = sum(bool(info.look) for info in metadata.recordings.values())
+        poor = sum(bool(info.poor) for info in metadata.recordings.values())
+        counted = (flow.tried, flow.published, flow.left_out - flow.not_built, flow.look, flow.poor)
+        if counted != (len(reviews), there, left_out, look, poor):
+            yield f"{BENCHMARK_JSON}: flow has other counts than recordings, left_out and settings.recordings"
     for name, why in (metadata.left_out or {}).items():
         where = f"{BENCHMARK_JSON}: left_out.{printable(name)}"
         if name in metadata.recordings or name not in reviews:

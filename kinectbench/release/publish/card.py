@@ -143,6 +143,7 @@ def card(
         example=example.file,
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
+        flow=flow_section(info),
         quality=figures(info),
         origins=origins_table(info.recordings),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
@@ -217,6 +218,31 @@ def figures(info: ReleaseInfo) -> str:
     ]
     table = _markdown(["recording", "object", "pairs", "passed over", *labels], rows)
     return "\n\n".join(filter(None, (table, PASSED_OVER, underside_line(info.recordings))))
+
+
+def flow_section(info: ReleaseInfo) -> str:
+    """How many recordings were tried, at which step how many were left out, and why; empty without any."""
+    flow = info.flow
+    if flow is None:
+        return ""
+    left, rows = flow.tried, [["tried", str(flow.tried), ""]]
+    for step, count, why in (
+        ("built", flow.failed + flow.not_built, f"{flow.failed} failed, {flow.not_built} not built"),
+        ("not rejected by a person", flow.rejected, ""),
+        ("within the limits of `publish.gate`, or let pass", flow.below_limits, ""),
+        ("with a pair", flow.without_pair, ""),
+        ("the one recording of its object (`--isolate`)", flow.of_one_object, ""),
+    ):
+        left -= count
+        if count or step == "built":
+            rows.append([step, str(left), f"{count}{f': {why}' if why and count else ''}"])
+    rows.append(["**published**", str(flow.published), ""])
+    told = [
+        f"Of these, {flow.poor} do not keep the limits and were let pass. A person should look at "
+        f"{flow.look}, and nobody has. The warnings say why, and why each of the others is left out."
+    ]
+    lines = ["## From recordings to this release", _markdown(["step", "recordings", "left out"], rows), *told]
+    return "\n\n".join(lines) + "\n\n"
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:

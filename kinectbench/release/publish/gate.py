@@ -1,18 +1,16 @@
-"""Whether a recording is good enough to be published: what was built says so, or a person decides.
+"""Which recordings are published: what the rules of triage decide, or a person.
 
-Limits are `publish.gate` of benchmark.yaml. `recordings[].review` accepts or rejects one recording with a
-reason, and `publish --allow-poor` lets all pass; a release says of each whether its limits were passed over.
+`recordings[].review` accepts or rejects one recording with a reason, and `publish --allow-poor` lets all pass
+that were built; a release says of each that was tried what became of it, and why.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.sequence import CameraFile
-from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
+from kinectbench.core.artefacts.benchmark import Flow
+from kinectbench.release.triage.rules import NOT_BUILT, judged
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
-from kinectbench.settings.publishing import GateSettings
 
 ALLOWED = "--allow-poor"
 REJECTED = "rejected by review: "
@@ -21,8 +19,8 @@ ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, 
 NOT_TOLD = "why is held back, as its truth is"
 # Where no recording can be published, the reasons of so many are named.
 SHOWN_REASONS = 4
-# Of a doubt, which advises after it.
-SHOWN_OF_DOUBT = ";"
+WITHOUT_PAIR = "not a single view passed the checks of the pairs"
+OF_ONE_OBJECT = "with --isolate one view of its object is published, or it has no pair"
 
 
 def first_lines(lines: Sequence[str]) -> str:
@@ -41,6 +39,11 @@ def poor_line(name: str, limits: Sequence[str], why: str) -> str:
     return f"{name} is published all the same ({why}): {'; '.join(limits)}"
 
 
+def look_line(name: str, look: Sequence[str]) -> str:
+    """How the card says that a person should look at a recording, and nobody has."""
+    return f"{name} is published, and a person should look at it: {'; '.join(look)}"
+
+
 @dataclass(frozen=True)
 class Gate:
     """What becomes of some recordings.
@@ -50,26 +53,65 @@ class Gate:
         poor: of these, id -> limits that it does not keep, and why it is published all the same.
         refused: id -> limits that it does not keep.
         rejected: id -> a person's reason to leave it out.
+        failed: id -> why its build failed.
+        look: id of some of those published -> what a person should look at, and nobody has.
+        not_built: how many of the benchmark are not built, or not asked for.
+        without_pair: ids of those that would be published, and have no pair.
+        of_one_object: ids of those whose object another recording shows, by `--isolate`.
     """
 
     published: tuple[str, ...]
     poor: Mapping[str, tuple[tuple[str, ...], str]]
     refused: Mapping[str, tuple[str, ...]]
     rejected: Mapping[str, str]
+    failed: Mapping[str, str] = field(default_factory=dict)
+    look: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    not_built: int = 0
+    without_pair: tuple[str, ...] = ()
+    of_one_object: tuple[str, ...] = ()
 
     @property
     def left_out(self) -> dict[str, str]:
         """Id -> why it is not in the release, in a line."""
-        return {name: "; ".join(limits) for name, limits in self.refused.items()} | {
-            name: f"{REJECTED}{reason}" for name, reason in self.rejected.items()
+        return {
+            **{name: "; ".join(limits) for name, limits in self.refused.items()},
+            **{name: f"{REJECTED}{reason}" for name, reason in self.rejected.items()},
+            **self.failed,
+            **dict.fromkeys(self.without_pair, WITHOUT_PAIR),
+            **dict.fromkeys(self.of_one_object, OF_ONE_OBJECT),
         }
+
+    @property
+    def flow(self) -> Flow:
+        """How many recordings were tried, and what became of them."""
+        there = set(self.published) - set(self.left_out)
+        return Flow(
+            tried=len(there) + len(self.left_out) + self.not_built,
+            not_built=self.not_built,
+            failed=len(self.failed),
+            rejected=len(self.rejected),
+            below_limits=len(self.refused),
+            without_pair=len(self.without_pair),
+            of_one_object=len(self.of_one_object),
+            published=len(there),
+            poor=len(there & self.poor.keys()),
+            look=len(there & self.look.keys()),
+        )
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
         """The same without the figures and reasons of some recordings, whose truth is held back."""
         poor = {name: ((NOT_TOLD,), NOT_TOLD) if name in hidden else it for name, it in self.poor.items()}
         refused = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.refused.items()}
         rejected = {name: NOT_TOLD if name in hidden else it for name, it in self.rejected.items()}
-        return replace(self, poor=poor, refused=refused, rejected=rejected)
+        failed = {name: NOT_TOLD if name in hidden else it for name, it in self.failed.items()}
+        look = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.look.items()}
+        return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
+
+    def said(self, say: Callable[[str], str]) -> "Gate":
+        """The same with each line about what was built as `say` writes it."""
+        failed = {name: say(why) for name, why in self.failed.items()}
+        look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
+        return replace(self, failed=failed, look=look)
 
     def first_reasons(self) -> str:
         """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
@@ -88,69 +130,47 @@ class Gate:
         yield from self.reasons()
         for name, (limits, why) in self.poor.items():
             yield poor_line(name, limits, why)
+        for name, why_look in self.look.items():
+            yield look_line(name, why_look)
 
 
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:
-    """Decide which of some built recordings are published.
+    """Decide which recordings of a benchmark are published.
 
     Args:
         settings: the benchmark's: limits, and what people decided.
         build: holds a folder per recording.
-        recordings: ids.
+        recordings: ids of those that were built.
         allow_poor: whether those that do not keep the limits pass, too.
 
     Raises:
         StorageError: a built file is damaged.
     """
-    by_id = settings.by_id()
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()
-    refused, rejected = dict[str, tuple[str, ...]](), dict[str, str]()
-    for name in recordings:
-        review = by_id[name].review
+    failed, refused, rejected = dict[str, str](), dict[str, tuple[str, ...]](), dict[str, str]()
+    look, not_built = dict[str, tuple[str, ...]](), 0
+    for each in judged(settings, build, recordings):
+        name, review = each.recording.id, each.recording.review
+        why = _why_all_the_same(each.recording, allow_poor)
         if review is not None and review.decision == "reject":
             rejected[name] = review.reason
-            continue
-        limits = tuple(_beyond(settings.publish.gate, build / name))
-        why = _why_all_the_same(by_id[name], allow_poor)
-        if limits and why is None:
-            refused[name] = limits
-            continue
-        published.append(name)
-        if limits and why is not None:
-            poor[name] = limits, why
-    return Gate(tuple(published), poor, refused, rejected)
+        elif each.failure == NOT_BUILT:
+            not_built += 1
+        elif each.failure is not None:
+            failed[name] = each.failure
+        elif each.limits and why is None:
+            refused[name] = each.limits
+        else:
+            published.append(name)
+            if each.limits and why is not None:
+                poor[name] = each.limits, why
+            elif each.decision == "look":
+                look[name] = each.look
+    ordered = tuple(name for name in recordings if name in published)
+    return Gate(ordered, poor, refused, rejected, failed, look, not_built)
 
 
 def _why_all_the_same(recording: RecordingSettings, allow_poor: bool) -> str | None:
     if recording.review is not None:
         return f"accepted by review: {recording.review.reason}"
     return ALLOWED if allow_poor else None
-
-
-def _beyond(limits: GateSettings, folder: Path) -> Iterator[str]:
-    """The limits that a built recording does not keep, with its figures; what is not known breaks none."""
-    quality = QualityFile.read(folder / "object")
-    health = TrajectoryHealth.read_if_there(folder / "trajectory")
-    grade = None if health is None else health.grade
-    # The poses' errors that an estimate counts are those of the trajectory: is that not good, less is sure.
-    doubtful = grade == "not good" and quality.estimated_iou_low is not None
-    value = quality.estimated_iou_low if doubtful else quality.estimated_iou
-    if value is not None and value < limits.min_estimated_iou:
-        what = (
-            "lower end of the estimated IoU, as the trajectory is not good," if doubtful else "estimated IoU"
-        )
-        yield f"{what} {value:.2f}, less than publish.gate.min_estimated_iou: {limits.min_estimated_iou:g}"
-    if grade is not None and GRADES.index(grade) < GRADES.index(limits.min_grade):
-        yield f"the trajectory is {grade}, below publish.gate.min_grade: {limits.min_grade}"
-    unknown = quality.unknown_share
-    if unknown is not None and unknown > limits.max_unknown_share:
-        yield (
-            f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
-            f"{limits.max_unknown_share:g}"
-        )
-    head = CameraFile.read_if_there(folder / "sequence")
-    doubts = (*(() if head is None else head.doubts), *quality.known_doubts)
-    if len(doubts) > limits.max_doubts:
-        first = doubts[0].split(SHOWN_OF_DOUBT, 1)[0]
-        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object, its floor or its size"
-        yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"

@@ -123,7 +123,11 @@ def publish(
     _refuse_many_files(settings, build, passed.published)
     hidden_ids = _hidden(settings, options)
     isolated = drawn(settings, build, hidden_ids & set(passed.published)) if options.isolate else Isolated()
-    passed = replace(passed, published=tuple(n for n in passed.published if n not in isolated.left_out))
+    passed = replace(
+        passed,
+        published=tuple(n for n in passed.published if n not in isolated.left_out),
+        of_one_object=isolated.left_out,
+    )
     complete = options.model_copy(update={"hold_back": ()})
     if not options.hold_back:
         with replaced_folder(out) as folder:
@@ -188,9 +192,11 @@ def _write(
 ) -> PublishSummary:
     """Fill one folder."""
     found = list[Removed]()
-    made, without_pair = _pairs(settings, build, folder, passed, options, isolated, found)
+    passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, found)["left_out"])
+    made = _pairs(settings, build, folder, passed, options, isolated, found)
+    passed = replace(passed, without_pair=tuple(name for name in passed.published if name not in made))
     if not made:
-        why = first_lines([*without_pair, *passed.lines()])
+        why = first_lines([*passed.lines()])
         raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused; {why}")
     infos = {name: published.info for name, published in made.items()}
     # A recording without a pair is not published, whatever its figures.
@@ -200,7 +206,6 @@ def _write(
         *reasons_against_distribution(infos),
         *_gives_away(settings, options.hold_back, infos, isolated),
         *passed.lines(),
-        *without_pair,
         *_doubted(infos),
         *_unknown(made),
         *_without_thresholds(settings, infos),
@@ -219,6 +224,7 @@ def _write(
         citation=settings.publish.citation,
         held_back=options.hold_back,
         left_out=passed.left_out,
+        flow=passed.flow,
         isolated=alone,
     )
     refuse_large(folder)  # before other files are made of them
@@ -248,29 +254,28 @@ def _pairs(
     options: PublishOptions,
     isolated: Isolated,
     found: list[Removed],
-) -> tuple[dict[str, Published], list[str]]:
-    """Write the pairs of each recording; what was published by id, and a line for each without a pair."""
-    made, without_pair = dict[str, Published](), list[str]()
+) -> dict[str, Published]:
+    """Write the pairs of each recording; what was published by id, but for those without a pair."""
+    made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
         hidden, only = name in hidden_ids, isolated.views.get(name)
         built = Built(settings, by_id[name], build / name, hidden, most_named, only)
         published = publish_recording(built, folder, found)
-        if published is None:
-            without_pair.append(f"{name}: not a single view passed the checks of the pairs; it is left out")
-        else:
-            made[name] = _with_poor(published, passed, name)
-    return made, without_pair
+        if published is not None:
+            made[name] = _with_doubts(published, passed, name)
+    return made
 
 
-def _with_poor(published: Published, passed: Gate, name: str) -> Published:
-    """What was published of a recording, with the limits that it does not keep."""
-    if name not in passed.poor:
-        return published
-    limits, why = passed.poor[name]
-    info = published.info.model_copy(update={"poor": limits, "accepted": why})
-    return replace(published, info=info)
+def _with_doubts(published: Published, passed: Gate, name: str) -> Published:
+    """What was published of a recording, with the limits that it does not keep, and what to look at."""
+    told = dict[str, Any]()
+    if name in passed.poor:
+        told["poor"], told["accepted"] = passed.poor[name]
+    if name in passed.look:
+        told["look"] = passed.look[name]
+    return replace(published, info=published.info.model_copy(update=told)) if told else published
 
 
 def _write_texts(

@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.benchmark import (
     SHA256_VERSION,
     UNSPECIFIED,
     Distribution,
+    Flow,
     RecordingInfo,
     ReleaseInfo,
     SettingsInfo,
@@ -75,7 +76,8 @@ class Head:
         texts: what the card says of it.
         citation: how it is cited.
         held_back: splits of which only the inputs are there.
-        left_out: recording that was built and is not published -> why.
+        left_out: recording that was built, or failed, and is not published -> why.
+        flow: how many were tried, and what became of them; None: it is not made from recordings.
         isolated: recordings of which one view is published.
     """
 
@@ -88,6 +90,7 @@ class Head:
     citation: CitationSettings = field(default_factory=CitationSettings)
     held_back: tuple[Split, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+    flow: Flow | None = None
     isolated: tuple[str, ...] = ()
 
 
@@ -180,6 +183,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         "version": head.citation.version,
         "held_back": head.held_back,
         "left_out": dict(head.left_out),
+        "flow": head.flow,
         "isolated": head.isolated,
     }
     return info.model_copy(update={key: value for key, value in there.items() if value})

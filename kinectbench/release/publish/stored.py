@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, PublishStamp
-from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.storage import write_below
@@ -56,6 +56,7 @@ def publish_stored(
     store, names = Store(url), [job.recording.id for job in jobs]
     with scratch_folder() as root, named_as_there(store, root):
         _fetch_state(store, root)
+        _fetch_failures(store, root, [each.id for each in settings.recordings if each.id not in names])
         found = [checkout(job, root) for job in jobs]
         in_parallel(partial(_fetch_pairs_manifest, each) for each in found)
         summary = None if force else already_published(settings, root, names, options)
@@ -83,6 +84,17 @@ def _fetch_state(store: Store, root: Path) -> None:
         content = store.read_if_there(name)
         if content is not None:
             write_below(root / name, content)
+
+
+def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
+    """Fetch why some recordings are not built."""
+    for name, content in zip(
+        names,
+        in_parallel(partial(store.read_if_there, f"build/{name}/{Failed.FILE}") for name in names),
+        strict=True,
+    ):
+        if content is not None:
+            write_below(root / "build" / name / Failed.FILE, content)
 
 
 def _fetch_pairs_manifest(found: Checkout) -> None:

@@ -1,0 +1,43 @@
+"""`kinectbench triage`: which recordings can be trusted, which a person should look at."""
+
+from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
+from kinectbench.cli.common import Common, takes
+
+COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first reason"}
+
+
+@takes("config", "overrides", "jobs", "as_json")
+def triage(common: Common) -> int:
+    """Sort what was built into accept, look and reject: triage/triage.json, and a page with pictures."""
+    from kinectbench.cli import console
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.release.triage.triage import triage as sorted_out
+    from kinectbench.report.triage import write_triage_page
+
+    settings, root = common.settings, common.root
+    rows = build_recordings(common, None, "pairs", told=True)
+    found = sorted_out(settings, root / "build", built(rows))
+    folder = root / "triage"
+    folder.mkdir(exist_ok=True)
+    with replaced_file(folder / found.FILE) as temporary:
+        temporary.write_text(found.text(), encoding="utf-8")
+    page = folder / "index.html"
+    with console.bar("triage") as progress:
+        write_triage_page(settings.name, found, root / "build", page, progress)
+    console.lines("warning", [pair.line for pair in found.same_object], "yellow")
+    shown = [
+        {"recording": row.recording, "decision": row.decision, "reason": _first(row.reasons, row.review)}
+        for row in found.rows
+    ]
+    if not common.as_json:
+        console.out.print(console.table(shown[:SHOWN_RECORDINGS], COLUMNS, {}))
+    counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())
+    common.tell(found.json_value(), [counts, f"wrote {page.resolve()}"])
+    return exit_status(rows)
+
+
+def _first(reasons: tuple[str, ...], review: str | None) -> str:
+    """The first reason, or a person's, and how many more there are."""
+    lines = [*([f"review: {review}"] if review else []), *reasons]
+    more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+    return f"{lines[0]}{more}" if lines else ""

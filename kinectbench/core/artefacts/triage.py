@@ -1,0 +1,70 @@
+"""triage.json: which recordings of a build can be trusted, which a person should look at, and why."""
+
+from collections import Counter
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.types import Split
+
+Decision = Literal["accept", "look", "reject"]
+DECISIONS: tuple[Decision, ...] = ("reject", "look", "accept")  # the gravest first
+
+
+class TriageRow(Part):
+    """What becomes of one recording."""
+
+    recording: str = Field(description="its id")
+    object: str = Field(description="the thing recorded")
+    split: Split = Field(description="train, validation or test")
+    decision: Decision = Field(
+        description="accept: nothing speaks against it; look: it is published, and a person should look at "
+        "it; reject: it is left out of a release"
+    )
+    reasons: tuple[str, ...] = Field(description="why, one line each; of accept what a person passed over")
+    review: str | None = Field(None, description="why a person decided so; null: the rules did")
+    estimated_iou: float | None = Field(None, description="of quality.json")
+    estimated_iou_low: float | None = Field(None, description="of quality.json")
+    built: bool = Field(description="whether it has everything up to the pairs")
+
+
+class SameObject(Part):
+    """Two recordings whose built objects have one shape, though they have different names."""
+
+    recordings: tuple[str, str] = Field(description="their ids")
+    agreement: float = Field(
+        description="of what was measured of each, the share that lies near the other's surface; the lesser"
+    )
+    splits: tuple[Split, Split] = Field(description="those that they stand in")
+    write: str = Field(description="what to write to the second in benchmark.yaml, if they are one object")
+
+    @property
+    def line(self) -> str:
+        """The same for people."""
+        a, b = self.recordings
+        apart = self.splits[0] != self.splits[1]
+        where = f", and stand in the splits {self.splits[0]} and {self.splits[1]}" if apart else ""
+        return (
+            f"{a} and {b} have one shape ({self.agreement:.0%} of their surfaces agree){where}: "
+            f"if they are one object, write `{self.write}` to {b} in benchmark.yaml"
+        )
+
+
+class TriageFile(Stored):
+    """triage/triage.json: what the rules and people decide of each recording of a benchmark."""
+
+    FILE: ClassVar[str] = "triage.json"
+    ADVICE: ClassVar[str] = "`kinectbench triage` makes it again"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    rows: tuple[TriageRow, ...] = Field(description="the largest doubt first")
+    same_object: tuple[SameObject, ...] = Field(
+        (), description="recordings that may show one object, and do not say so"
+    )
+
+    @property
+    def counts(self) -> dict[Decision, int]:
+        """How many recordings have each decision, in the order of `DECISIONS`."""
+        found = Counter(row.decision for row in self.rows)
+        return {decision: found[decision] for decision in DECISIONS}

@@ -1,0 +1,164 @@
+"""What speaks against a recording: the limits that it does not keep, and what a person should look at.
+
+Limits are `publish.gate` of benchmark.yaml: a recording that does not keep one is rejected. What is to be
+looked at is published, and the release says so. `benchmarks/triage.py` holds the decisions against the truth
+of simulated recordings.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+
+from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import CameraFile
+from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
+from kinectbench.core.artefacts.triage import Decision
+from kinectbench.core.errors import StorageError
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
+from kinectbench.settings.publishing import GateSettings
+
+# A doubt advises after this.
+END_OF_DOUBT = ";"
+# A lower end of the estimate below it says little of the truth.
+LEAST_LOW = 0.6
+# Shares beyond which a person should look. docs/evidence/releases.md has the recordings they were chosen by.
+MOST_LOST, MOST_MOVING, MOST_BEYOND, MOST_BEHIND = 0.1, 0.1, 0.02, 0.1
+# Of all directions around the object, that no camera looked from: beyond a third of the way a whole side of
+# a box is seen from nowhere.
+MOST_UNSEEN_RAD = 2.1
+# Words of the warnings of ingest that say that frames are missing.
+DAMAGED = ("is cut off", "is damaged", "frame left out", "depth images are empty")
+NOT_BUILT = "not built, or not asked for"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What speaks against one recording, a line each.
+
+    Attributes:
+        recording: its settings, with the review of a person.
+        failure: why it is not built; None: it is.
+        limits: those of `publish.gate` that it does not keep.
+        look: what a person should look at.
+    """
+
+    recording: RecordingSettings
+    failure: str | None = None
+    limits: tuple[str, ...] = ()
+    look: tuple[str, ...] = ()
+
+    @property
+    def decision(self) -> Decision:
+        """What becomes of it: a person's review comes first, then the rules."""
+        review = self.recording.review
+        if self.failure or (review and review.decision == "reject"):
+            return "reject"
+        if review:
+            return "accept"
+        return "reject" if self.limits else "look" if self.look else "accept"
+
+
+def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
+    """Judge every recording of a benchmark, in the order of its settings; what is not known speaks for none.
+
+    Args:
+        settings: the benchmark's: limits, and what people decided.
+        build: holds a folder per recording.
+        built: ids of those that have everything up to the pairs.
+
+    Raises:
+        StorageError: a built file is damaged.
+    """
+    for recording in settings.recordings:
+        folder = build / recording.id
+        if recording.id not in built:
+            yield Judged(recording, failure=failure(folder))
+            continue
+        quality = QualityFile.read(folder / "object")
+        health = TrajectoryHealth.read_if_there(folder / "trajectory")
+        head = CameraFile.read_if_there(folder / "sequence")
+        limits = tuple(_beyond(settings.publish.gate, quality, health, head))
+        look = (*_of_poses(health), *_of_object(quality), *_of_frames(head))
+        # A doubt is not said twice.
+        look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
+        yield Judged(recording, limits=limits, look=look)
+
+
+def failure(folder: Path) -> str:
+    """Why `build/<recording>/` is not complete, in a line."""
+    try:
+        failed = Failed.read_if_there(folder)
+    except StorageError:  # damaged: nobody can read the reason
+        failed = None
+    if failed is None:
+        return NOT_BUILT
+    return f"its build failed{f' at {failed.stage}' if failed.stage else ''}: {failed.error}"
+
+
+def _beyond(
+    limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
+) -> Iterator[str]:
+    """The limits that are not kept, with the figures."""
+    grade = None if health is None else health.grade
+    # The poses' errors that an estimate counts are those of the trajectory: is that not good, less is sure.
+    doubtful = grade == "not good" and quality.estimated_iou_low is not None
+    value = quality.estimated_iou_low if doubtful else quality.estimated_iou
+    if value is not None and value < limits.min_estimated_iou:
+        what = (
+            "lower end of the estimated IoU, as the trajectory is not good," if doubtful else "estimated IoU"
+        )
+        yield f"{what} {value:.2f}, less than publish.gate.min_estimated_iou: {limits.min_estimated_iou:g}"
+    if grade is not None and GRADES.index(grade) < GRADES.index(limits.min_grade):
+        yield f"the trajectory is {grade}, below publish.gate.min_grade: {limits.min_grade}"
+    unknown = quality.unknown_share
+    if unknown is not None and unknown > limits.max_unknown_share:
+        yield (
+            f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
+            f"{limits.max_unknown_share:g}"
+        )
+    doubts = (*(() if head is None else head.doubts), *quality.known_doubts)
+    if len(doubts) > limits.max_doubts:
+        first = doubts[0].split(END_OF_DOUBT, 1)[0]
+        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object, its floor or its size"
+        yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"
+
+
+def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
+    """What is to be looked at of the camera's path."""
+    if health is None:
+        return
+    if health.grade == "not good":
+        yield f"the trajectory is {health.verdict}"
+    lost = (len(health.lost) + len(health.rejected)) / max(1, health.frames)
+    if lost > MOST_LOST:
+        yield f"{lost:.0%} of the frames have no pose or are left out"
+
+
+def _of_object(quality: QualityFile) -> Iterator[str]:
+    """What is to be looked at of the object."""
+    yield from (line.split(END_OF_DOUBT, 1)[0] for line in quality.known_doubts)
+    low = quality.estimated_iou_low
+    if low is not None and low < LEAST_LOW:
+        yield f"the estimated IoU is wide, {quality.estimated_iou_words()}: its lower end below {LEAST_LOW}"
+    behind_m3 = sum(frontier.volume_m3 for frontier in quality.frontiers)
+    if quality.volume_m3 and behind_m3 > MOST_BEHIND * quality.volume_m3:
+        yield (
+            f"nobody looked into {len(quality.frontiers)} opening{'s' * (len(quality.frontiers) > 1)}: what "
+            f"lies behind has {behind_m3 / quality.volume_m3:.0%} of the solid's volume"
+        )
+    if (side := quality.unseen_side) is not None and side.gap_rad > MOST_UNSEEN_RAD:
+        yield f"no camera looked at it from a side of {degrees(side.gap_rad):.0f}°"
+    if (moving := quality.moving) is not None and len(moving.frames) > MOST_MOVING * moving.judged:
+        yield f"something moves in {len(moving.frames)} of {moving.judged} frames"
+    if (beyond := quality.beyond_share or 0.0) > MOST_BEYOND:
+        yield f"{beyond:.0%} of the depth around the object is farther than what is fused"
+
+
+def _of_frames(head: CameraFile | None) -> Iterator[str]:
+    """What is to be looked at of the recording itself: a file that ends early, frames that are damaged."""
+    if head is None:
+        return
+    yield from (line.split(END_OF_DOUBT, 1)[0] for line in head.doubts)
+    yield from (line for line in head.warnings if any(word in line for word in DAMAGED))

@@ -1,0 +1,140 @@
+"""Recordings of one and the same object: their shapes are turned about the vertical until they agree.
+
+docs/releases.md has the rule, and what was measured of it; `benchmarks/same_object.py` measures it again.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
+from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core.types import Float64
+
+# Points that are kept of a surface, and of these the ones that are laid onto another: a tenth of 2 m^2 of a
+# chair is a point on each square centimetre. Chosen by hand.
+KEPT, LAID = 20_000, 1_500
+# Turns that are tried, 10 degrees apart, by a fifth of the points; and of them the best that are refined, in
+# so many steps. Chosen by hand.
+TURNS, THIN, REFINED, STEPS = 36, 5, 4, 12
+# A point agrees that is nearer than this share of the larger diagonal, and than two voxels of 3 mm of what is
+# small: the surfaces of one chair, built twice, lie 4 mm apart.
+NEAR_SHARE, NEAR_M = 0.012, 0.006
+# Farther points pull no more, as what one recording has not seen. Chosen by hand.
+REACH, LEAST_REACH, LEAST_POINTS = 8.0, 2.0, 10
+# Heights, lengths and widths of one object differ by less between its recordings (4 % at most, measured).
+SIZES_APART = 0.12
+# Two shapes are one object if their agreement is at least this: docs/releases.md has what it was chosen by.
+LEAST_AGREEMENT = 0.9
+
+
+@dataclass(frozen=True)
+class Shape:
+    """An object's surface as it stands on its floor; frame floor (z up), metres.
+
+    Attributes:
+        measured: (n, 3) points of it that cameras measured.
+        surface: (m, 3) points of all of it, with what was inferred.
+    """
+
+    measured: Float64
+    surface: Float64
+
+    @classmethod
+    def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
+        """A shape of these points; of many, some that are spread evenly."""
+        middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
+        few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
+        return cls(*few)
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """The shape of `build/<recording>/object/`; None where nothing of it was measured.
+
+        Raises:
+            StorageError: a file is missing or damaged.
+        """
+        volume, floor = ObjectVolume.read(folder), FloorFile.read(folder)
+        outside = volume.solid & ~ndimage.binary_erosion(volume.solid)
+        cells, measured = np.argwhere(outside), volume.labels[outside] == Label.SURFACE
+        if measured.sum() < LEAST_POINTS:
+            return None
+        centres_grid = (cells + 0.5) * volume.grid.voxel_size_m
+        points = transform_points(np.array(floor.T_floor_world) @ volume.grid.T_world_grid, centres_grid)
+        return cls.of(points[measured], points)
+
+
+def agreement(a: Shape, b: Shape) -> float:
+    """How well two shapes agree, 0 to 1, turned about the vertical and moved against each other.
+
+    Returns:
+        The lesser of two shares: of what was measured of one that lies near the surface of the other.
+    """
+    diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
+    near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
+    tree_a, tree_b = cKDTree(a.surface), cKDTree(b.surface)
+    laid, other = (shape.measured[:: max(1, len(shape.measured) // LAID)] for shape in (a, b))
+    turns = [yaw_rotation(turn * 2 * np.pi / TURNS) for turn in range(TURNS)]
+    apart = [np.minimum(tree_b.query(laid[::THIN] @ R.T)[0], REACH * near_m).mean() for R in turns]
+    best = 0.0
+    for first in np.argsort(apart, kind="stable")[:REFINED]:
+        R, t = _refined(laid, turns[first], tree_b, near_m)
+        of_a = np.mean(tree_b.query(laid @ R.T + t)[0] < near_m)
+        of_b = np.mean(tree_a.query((other - t) @ R)[0] < near_m)
+        best = max(best, float(min(of_a, of_b)))
+    return best
+
+
+def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
+    """R (3, 3) and t (3,) that lay points (n, 3) onto the nearest others, by a turn about z and a shift."""
+    t = np.zeros(3)
+    for step in range(STEPS):
+        placed = points @ R.T + t
+        distance_m, nearest = tree.query(placed)
+        used = distance_m < near_m * max(REACH / (1 + step), LEAST_REACH)
+        if used.sum() < LEAST_POINTS:
+            break
+        here, there = placed[used], tree.data[nearest[used]]
+        middle, target = here.mean(axis=0), there.mean(axis=0)
+        p, q = (here - middle)[:, :2], (there - target)[:, :2]
+        sine, cosine = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()
+        turn = yaw_rotation(float(np.arctan2(sine, cosine)))
+        R, t = turn @ R, turn @ (t - middle) + target
+    return R, t
+
+
+def same_objects(
+    folders: Mapping[str, Path], sizes_m: Mapping[str, Float64], objects: Mapping[str, str]
+) -> Iterator[tuple[str, str, float]]:
+    """Yield pairs of recordings that have one shape and two names, and how well their shapes agree.
+
+    Only shapes of about one height, length and width are compared: a side that one recording has not seen may
+    hide that they are one.
+
+    Args:
+        folders: recording -> its `object/`.
+        sizes_m: recording -> (3,) the longer side, the shorter side and the height of its object, metres.
+        objects: recording -> the name of its object.
+
+    Raises:
+        StorageError: a file is missing or damaged.
+    """
+    shapes = dict[str, Shape | None]()
+    for a, b in combinations(sizes_m, 2):
+        larger_m = np.maximum(sizes_m[a], sizes_m[b])
+        if objects[a] == objects[b] or (np.abs(sizes_m[a] - sizes_m[b]) > SIZES_APART * larger_m).any():
+            continue
+        for name in (a, b):
+            if name not in shapes:
+                shapes[name] = Shape.read(folders[name])
+        one, other = shapes[a], shapes[b]
+        if one is not None and other is not None and (value := agreement(one, other)) >= LEAST_AGREEMENT:
+            yield a, b, value

@@ -1,0 +1,86 @@
+"""The page of a triage, one file: a picture of each recording, its decision and the reasons."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinectbench.core import images
+from kinectbench.core.artefacts.object import QualityFile, with_interval
+from kinectbench.core.artefacts.triage import TriageFile, TriageRow
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import StorageError
+from kinectbench.core.pages import render_page
+from kinectbench.core.storage import replaced_file
+from kinectbench.report.looks import FRAME_PX, frame_pictures
+from kinectbench.stages.ingest.sequence_folder import read_sequence
+
+TONES = {"accept": "good", "look": "warn", "reject": "bad"}
+# Of a recording, beside each other. More than two make the page of a thousand recordings too large to open.
+VIEWS = 2
+
+
+@dataclass(frozen=True)
+class Card:
+    """One recording on the page; pictures are `data:` addresses."""
+
+    row: TriageRow
+    tone: str
+    estimate: str
+    pictures: tuple[str, ...]
+
+
+def write_triage_page(
+    name: str, found: TriageFile, build: Path, out: Path, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Write the page.
+
+    Args:
+        name: of the benchmark.
+        found: the triage, in the order of the page.
+        build: holds a folder per recording.
+        out: the page.
+        progress: called with (recordings drawn, recordings in all).
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    cards = []
+    for number, row in enumerate(found.rows, start=1):
+        cards.append(_card(row, build / row.recording))
+        if progress:
+            progress(number, len(found.rows))
+    shown = {
+        "name": name,
+        "cards": cards,
+        "counts": found.counts,
+        "same_object": found.same_object,
+        "tones": TONES,
+    }
+    with replaced_file(out) as temporary:
+        temporary.write_text(render_page("report/triage.html", shown), encoding="utf-8")
+
+
+def _card(row: TriageRow, folder: Path) -> Card:
+    try:
+        pictures = tuple(_pictures(folder))
+    except StorageError:  # what failed may have left anything
+        pictures = ()
+    quality = QualityFile.read_if_there(folder / "object") if row.built else None
+    high = quality.estimated_iou_high if quality else None
+    estimate = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2) or ""
+    return Card(row, TONES[row.decision], estimate, pictures)
+
+
+def _pictures(folder: Path) -> list[str]:
+    """Views with the object's mask; where there are none the frame in the middle of the recording."""
+    views = ViewsFile.read_if_there(folder / "views")
+    if views is not None and views.views:
+        return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]
+    if not (folder / "sequence").is_dir():
+        return []
+    sequence = read_sequence(folder / "sequence")
+    middle = len(sequence) // 2
+    picture = sequence.color_rgb(middle)
+    if picture is None:
+        picture = images.depth_picture(sequence.frames.depth_native(middle))
+    return [images.data_uri(images.shrunk(picture, FRAME_PX))]
