@@ -16,6 +16,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
 from kinectbench.core.artefacts.triage import Decision
 from kinectbench.core.errors import StorageError
+from kinectbench.release.triage.one_block import one_block
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
 
@@ -80,7 +81,8 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         health = TrajectoryHealth.read_if_there(folder / "trajectory")
         head = CameraFile.read_if_there(folder / "sequence")
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
-        look = (*_of_poses(health), *_of_object(quality), *_of_frames(head))
+        of_object = (*_of_object(quality), *_of_block(folder / "object"))
+        look = (*_of_poses(health), *of_object, *_of_frames(head))
         # A doubt is not said twice.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look)
@@ -154,6 +156,15 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
         yield f"something moves in {len(moving.frames)} of {moving.judged} frames"
     if (beyond := quality.beyond_share or 0.0) > MOST_BEYOND:
         yield f"{beyond:.0%} of the depth around the object is farther than what is fused"
+
+
+def _of_block(folder: Path) -> Iterator[str]:
+    """What is to be looked at of the solid: whether it is the object alone."""
+    if (block := one_block(folder)) is not None:
+        yield (
+            f"{block[0]:.0%} of the solid is one block that fills {block[1]:.0%} of its box: does another "
+            "thing stand against the object?"
+        )
 
 
 def _of_frames(head: CameraFile | None) -> Iterator[str]:

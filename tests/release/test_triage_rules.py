@@ -1,0 +1,151 @@
+"""What `triage` decides of recordings, and why: the rules that `publish` keeps, and what people say."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from analytic_scenes import health_of
+from synthetic_release import CAMERA, RECORDINGS, synthetic_settings, write_build, write_json
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, Flow, ReleaseInfo
+from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.artefacts.triage import TriageFile
+from kinectbench.release.check.figure_check import gate_problems
+from kinectbench.release.check.verify import verify
+from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.publish import publish
+from kinectbench.release.triage.one_block import LEAST_VOLUME_SHARE, MOST_BOX_SHARE, largest_block
+from kinectbench.release.triage.triage import triage
+
+NAMES = [recording[0] for recording in RECORDINGS]
+NAME = NAMES[0]
+SOUND = {"estimated_iou": 0.93, "estimated_iou_low": 0.8, "unknown_share": 0.2, "volume_m3": 0.01}
+FRONTIER = {
+    "direction": "up", "area_m2": 0.09, "size_m": [0.31, 0.29], "center_m": [0, 0, 0.6],
+    "look_from": [0, 0, 1], "advice": "record from above", "volume_m3": 0.002, "inside_share": 0.5, "solid_share": 1.0,
+}  # fmt: skip
+
+
+def settings(review: Any = None, **limits: Any) -> Any:
+    made = synthetic_settings(publish={"gate": limits}).model_dump(mode="json")
+    made["recordings"][0]["review"] = review
+    return type(synthetic_settings()).model_validate(made)
+
+
+def built(
+    folder: Path, grade: str = "good", warnings: tuple[str, ...] = (), lost: int = 0, **quality: Any
+) -> Path:
+    """What the rules read of the first recording."""
+    for name in ("object", "trajectory", "sequence"):
+        (folder / NAME / name).mkdir(parents=True, exist_ok=True)
+    write_json(folder / NAME / "object/quality.json", SOUND | quality)
+    write_json(folder / NAME / "sequence/camera.json", CAMERA | {"warnings": warnings})
+    health = health_of(8, grade=grade).model_copy(update={"lost": tuple(range(lost))})
+    health.write(folder / NAME / "trajectory")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        ({"grade": "not good"}, "the trajectory is"),
+        ({"lost": 2}, "25% of the frames have no pose"),
+        ({"estimated_iou_low": 0.59}, "0.93, its lower end below 0.6"),
+        ({"frontiers": [FRONTIER]}, "behind has 20% of the solid's volume"),
+        ({"unseen_side": {"gap_deg": 150, "towards_deg": 0, "share": 0.3}}, "from a side of 150°"),
+        ({"moving": {"judged": 40, "frames": [3, 4, 5, 6, 7], "largest_share": 0.1}}, "in 5 of 40 frames"),
+        ({"beyond_share": 0.05}, "5% of the depth"),
+        ({"warnings": ("x.klg: is cut off",)}, "x.klg: is cut off"),
+    ],
+)
+def test_what_speaks_against_a_recording_is_looked_at(
+    found: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    words = {"estimated_iou_high": 0.93} if "estimated_iou_low" in found else {}
+    build = built(tmp_path, **found, **words)
+    row = _row(triage(settings(), build, [NAME]))
+    assert row.decision == "look" and any(said.split(", ")[-1] in line for line in row.reasons), row.reasons
+    # `publish` publishes it, and its card says so.
+    passed = gate(settings(), build, [NAME], allow_poor=False)
+    assert passed.published == (NAME,) and passed.look[NAME] == row.reasons
+    assert any("a person should look at it" in line for line in passed.lines())
+    # Somebody has looked.
+    review = {"decision": "accept", "reason": "it is sound"}
+    row = _row(triage(settings(review), build, [NAME]))
+    assert (row.decision, row.review) == ("accept", "it is sound") and row.reasons
+    assert not gate(settings(review), build, [NAME], allow_poor=False).look
+
+
+def _row(found: TriageFile) -> Any:
+    return next(row for row in found.rows if row.recording == NAME)
+
+
+def test_sound_recordings_are_accepted_and_limits_reject(tmp_path: Path) -> None:
+    assert _row(triage(settings(), built(tmp_path), [NAME])).decision == "accept"
+    row = _row(triage(settings(), built(tmp_path, estimated_iou=0.45), [NAME]))
+    assert row.decision == "reject" and "publish.gate.min_estimated_iou: 0.7" in row.reasons[0]
+    # A limit of the settings moves both decisions.
+    assert _row(triage(settings(min_estimated_iou=0.4), tmp_path, [NAME])).decision == "accept"
+    review = {"decision": "reject", "reason": "a cloth hangs over it"}
+    assert _row(triage(settings(review), built(tmp_path), [NAME])).decision == "reject"
+
+
+def test_a_doubt_is_not_said_twice(tmp_path: Path) -> None:
+    build = built(tmp_path, doubts=["it is several things; look at it"])
+    assert len(_row(triage(settings(), build, [NAME])).reasons) == 1
+    row = _row(triage(settings(max_doubts=1), build, [NAME]))
+    assert (row.decision, row.reasons) == ("look", ("it is several things",))
+
+
+def test_the_largest_doubt_comes_first_and_what_failed_says_why(tmp_path: Path) -> None:
+    build = built(tmp_path)
+    (build / NAMES[1]).mkdir()
+    Failed(stage="track", error="no frame has depth").write(build / NAMES[1])
+    found = triage(settings(), build, [NAME])
+    assert [row.recording for row in found.rows][-1] == NAME
+    failed = next(row for row in found.rows if row.recording == NAMES[1])
+    assert failed.reasons == ("its build failed at track: no frame has depth",) and not failed.built
+    assert found.counts == {"reject": 4, "look": 0, "accept": 1}
+    assert TriageFile.parse(found.text(), "triage.json") == found
+
+
+def test_the_release_says_what_became_of_every_recording(tmp_path: Path) -> None:
+    build = tmp_path / "build"
+    write_build(build)
+    built(build, beyond_share=0.05)
+    Failed(stage="segment", error="/home/someone/data: no floor was found").write(build / NAMES[1])
+    write_json(build / NAMES[3] / "pairs/pairs.json", {"pairs": [], "refused": []})
+    summary = publish(settings(), build, tmp_path / "out", [NAME, NAMES[2], NAMES[3]])
+    assert verify(summary.folder) == []
+    info = ReleaseInfo.read(summary.folder)
+    assert info.flow == Flow(
+        tried=5, not_built=1, failed=1, rejected=0, below_limits=0, without_pair=1, of_one_object=0,
+        published=2, poor=0, look=1,
+    )  # fmt: skip
+    # Paths of the machine are not published.
+    assert info.left_out is not None and info.left_out[NAMES[1]].endswith("data: no floor was found")
+    assert "/home" not in (summary.folder / BENCHMARK_JSON).read_text()
+    card = (summary.folder / "README.md").read_text()
+    assert "| built | 3 | 2: 1 failed, 1 not built |" in card and "| **published** | 2 |  |" in card
+    assert f"- {NAMES[1]} is left out: its build failed at segment" in card
+    assert f"- {NAME} is published, and a person should look at it: 5% of the depth" in card
+    flow = json.loads(info.text())["flow"]
+    forged = info.model_copy(update={"flow": Flow.model_validate(flow | {"tried": 4})})
+    assert any("flow has other counts" in line for line in gate_problems(forged))
+
+
+def test_what_stands_against_an_object_is_one_block_of_its_solid() -> None:
+    chair = np.zeros((60, 60, 100), bool)
+    for x in (2, 54):
+        for y in (2, 54):
+            chair[x : x + 4, y : y + 4, :50] = True
+    chair[2:58, 2:58, 50:55] = True
+    chair[2:58, 2:6, 55:] = True
+    assert largest_block(chair) == (0.0, 0.0)
+    joined = np.pad(chair, ((0, 60), (0, 0), (0, 0)))
+    joined[58:90, 10:50, :40] = True
+    volume_share, box_share = largest_block(joined)
+    assert volume_share > LEAST_VOLUME_SHARE and box_share < MOST_BOX_SHARE
+    assert largest_block(np.ones((40, 40, 40), bool)) == pytest.approx((1.0, 1.0), abs=0.05)

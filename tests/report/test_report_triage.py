@@ -1,0 +1,53 @@
+"""`kinectbench triage`: triage.json, its page, and what is printed."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_benchmark import Run, copied
+
+from kinectbench.core.artefacts.triage import TriageFile
+
+Command = Callable[..., Run]
+
+
+@pytest.fixture
+def two(small: Path, tmp_path: Path) -> Path:
+    """The small benchmark as it was built, and a recording that cannot be read."""
+    root = copied(small, tmp_path / "two")
+    text = (root / "benchmark.yaml").read_text(encoding="utf-8")
+    line = "  - {id: broken, path: recordings/none, category: chair}\n"
+    (root / "recordings" / "none").mkdir()
+    (root / "benchmark.yaml").write_text(text.replace("fusion:", f"{line}fusion:", 1), encoding="utf-8")
+    return root
+
+
+def test_triage_of_a_build(two: Path, command: Command) -> None:
+    done = command(two, "triage", "--jobs", "1")
+    assert done.status == 3, done.err
+    found = TriageFile.read(two / "triage")
+    rows = {row.recording: row for row in found.rows}
+    assert set(rows) == {"chair", "table", "broken"} and rows["broken"].decision == "reject"
+    assert rows["broken"].reasons[0].startswith("its build failed at ingest: ")
+    assert found.rows[0].decision == "reject"
+    page = (two / "triage/index.html").read_text(encoding="utf-8")
+    assert page.count("<article>") == 3 and page.count('<img src="data:image/') == 4
+    assert "There is no picture of it." in page and "http" not in page.replace("http-equiv", "")
+    counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())
+    assert counts in done.out and "its build failed at ingest" in " ".join(done.out.split())
+    again = command(two, "triage", "--jobs", "1", "--json")
+    assert json.loads(again.out) == found.json_value()
+
+
+def test_a_review_decides_and_a_strangers_words_are_text(two: Path, command: Command) -> None:
+    text = (two / "benchmark.yaml").read_text(encoding="utf-8")
+    review = "category: chair, review: {decision: reject, reason: '<b>a cloth</b>'}, underside"
+    (two / "benchmark.yaml").write_text(
+        text.replace("category: chair, underside", review, 1), encoding="utf-8"
+    )
+    command(two, "triage", "--jobs", "1")
+    row = next(row for row in TriageFile.read(two / "triage").rows if row.recording == "chair")
+    assert (row.decision, row.review) == ("reject", "<b>a cloth</b>")
+    page = (two / "triage/index.html").read_text(encoding="utf-8")
+    assert "&lt;b&gt;a cloth&lt;/b&gt;" in page and "<b>a cloth" not in page
