@@ -27,7 +27,7 @@ WANTED = (
 )
 NAME = "poor"
 # Of one part, all of whose sections are compared in one way.
-WHOLE = {"settings.pairs", "distribution", "recordings.<name>.quality"}
+WHOLE = {"settings.pairs", "distribution", "flow", "recordings.<name>.quality"}
 # No other value of these can be in a release of one part, or each has a test of its own.
 NOT_FORGED = {
     *("format_version", "benchmark_sha256_version", "benchmark_sha256"),
@@ -107,6 +107,8 @@ FORGED: dict[str, Change] = {
     "recordings.<name>.poor": of_recording(poor=["estimated IoU 0.69, publish.gate.min_estimated_iou: 0.7"]),
     "recordings.<name>.accepted": of_recording(accepted="--allow-poor"),
     "left_out": lambda stated: stated.update(left_out={"out": "rejected by review: looked at"}),
+    "recordings.<name>.look": lambda stated: stated["recordings"]["good"].update(look=["it is askew"]),
+    "flow": lambda stated: stated["flow"].update(failed=1, below_limits=0),
     "version": lambda stated: stated.update(version="2.0.0"),
     "held_back": lambda stated: stated.update(held_back=["test"]),
 } | {

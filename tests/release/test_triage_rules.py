@@ -24,7 +24,8 @@ NAME = NAMES[0]
 SOUND = {"estimated_iou": 0.93, "estimated_iou_low": 0.8, "unknown_share": 0.2, "volume_m3": 0.01}
 FRONTIER = {
     "direction": "up", "area_m2": 0.09, "size_m": [0.31, 0.29], "center_m": [0, 0, 0.6],
-    "look_from": [0, 0, 1], "advice": "record from above", "volume_m3": 0.002, "inside_share": 0.5, "solid_share": 1.0,
+    "look_from": [0, 0, 1], "advice": "record from above", "volume_m3": 0.003, "inside_share": 0.5,
+    "solid_share": 1.0,
 }  # fmt: skip
 
 
@@ -53,7 +54,7 @@ def built(
         ({"grade": "not good"}, "the trajectory is"),
         ({"lost": 2}, "25% of the frames have no pose"),
         ({"estimated_iou_low": 0.59}, "0.93, its lower end below 0.6"),
-        ({"frontiers": [FRONTIER]}, "behind has 20% of the solid's volume"),
+        ({"frontiers": [FRONTIER]}, "behind has 30% of the solid's volume"),
         ({"unseen_side": {"gap_deg": 150, "towards_deg": 0, "share": 0.3}}, "from a side of 150°"),
         ({"moving": {"judged": 40, "frames": [3, 4, 5, 6, 7], "largest_share": 0.1}}, "in 5 of 40 frames"),
         ({"beyond_share": 0.05}, "5% of the depth"),

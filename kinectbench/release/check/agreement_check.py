@@ -203,7 +203,12 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     )
     if stated.says_twice:
         metadata = stated.metadata
-        rows = f"{card.figures(metadata)}\n{card.origins_table(metadata.recordings)}"
+        tables = (
+            card.figures(metadata),
+            card.origins_table(metadata.recordings),
+            card.flow_section(metadata),
+        )
+        rows = "\n".join(tables)
         yield from _missing(text, rows, f"the row '{{}}' of {BENCHMARK_JSON}")
         yield from _gate_missing(text, metadata)
         yield from _held_back_missing(text, metadata)

@@ -196,8 +196,7 @@ def _write(
     made = _pairs(settings, build, folder, passed, options, isolated, found)
     passed = replace(passed, without_pair=tuple(name for name in passed.published if name not in made))
     if not made:
-        why = first_lines([*passed.lines()])
-        raise ReleaseError(f"{build}: no pair to publish; run pairs and see what it refused; {why}")
+        raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}")
     infos = {name: published.info for name, published in made.items()}
     # A recording without a pair is not published, whatever its figures.
     passed = replace(passed, poor={name: it for name, it in passed.poor.items() if name in made})

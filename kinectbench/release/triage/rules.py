@@ -25,7 +25,7 @@ END_OF_DOUBT = ";"
 # A lower end of the estimate below it says little of the truth.
 LEAST_LOW = 0.6
 # Shares beyond which a person should look. docs/evidence/releases.md has the recordings they were chosen by.
-MOST_LOST, MOST_MOVING, MOST_BEYOND, MOST_BEHIND = 0.1, 0.1, 0.02, 0.1
+MOST_LOST, MOST_MOVING, MOST_BEYOND, MOST_BEHIND = 0.1, 0.1, 0.02, 0.2
 # Of all directions around the object, that no camera looked from: beyond a third of the way a whole side of
 # a box is seen from nowhere.
 MOST_UNSEEN_RAD = 2.1
