@@ -1,8 +1,12 @@
 """`kinectbench triage`: which recordings can be trusted, which a person should look at."""
 
+from textwrap import shorten
+
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
 from kinectbench.cli.common import Common, takes
 
+# Letters of a reason in the table, so that it fits beside the decision; the page has all of it.
+REASON = 60
 COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first reason"}
 
 
@@ -40,4 +44,4 @@ def _first(reasons: tuple[str, ...], review: str | None) -> str:
     """The first reason, or a person's, and how many more there are."""
     lines = [*([f"review: {review}"] if review else []), *reasons]
     more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
-    return f"{lines[0]}{more}" if lines else ""
+    return f"{shorten(lines[0], REASON, placeholder=' …')}{more}" if lines else ""

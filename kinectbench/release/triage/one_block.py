@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from kinectbench.core.artefacts.object_grids import ObjectVolume
+from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Bools
 
 # Cells along the longest side; finer ones changed no share by more than 0.02.
@@ -27,14 +28,13 @@ def one_block(folder: Path) -> tuple[float, float] | None:
     """The largest block's share of the volume, and of the box around all; None unless it is to be looked at.
 
     Args:
-        folder: `object/`, with or without its volume.
-
-    Raises:
-        StorageError: the volume is damaged.
+        folder: `object/`, with or without its volume; a damaged one says nothing, and is refused where it is
+            published.
     """
-    if not (folder / ObjectVolume.FILE).is_file():
+    try:
+        solid = ObjectVolume.read(folder).solid
+    except StorageError:
         return None
-    solid = ObjectVolume.read(folder).solid
     if not solid.any():
         return None
     volume_share, box_share = largest_block(solid)
