@@ -113,6 +113,12 @@ class Gate:
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
+    def with_pairs(self, made: Collection[str]) -> "Gate":
+        """The same, knowing which recordings have a pair: the others are not published, however good."""
+        without = tuple(name for name in self.published if name not in made)
+        poor = {name: lines for name, lines in self.poor.items() if name in made}
+        return replace(self, without_pair=without, poor=poor)
+
     def first_reasons(self) -> str:
         """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]

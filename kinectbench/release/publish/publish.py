@@ -194,12 +194,10 @@ def _write(
     found = list[Removed]()
     passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, found)["left_out"])
     made = _pairs(settings, build, folder, passed, options, isolated, found)
-    passed = replace(passed, without_pair=tuple(name for name in passed.published if name not in made))
+    passed = passed.with_pairs(made)
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}")
     infos = {name: published.info for name, published in made.items()}
-    # A recording without a pair is not published, whatever its figures.
-    passed = replace(passed, poor={name: it for name, it in passed.poor.items() if name in made})
     # What would do harm first, then what is wrong with the truth, and last how it is used.
     warnings = [
         *reasons_against_distribution(infos),

@@ -1,7 +1,7 @@
 """What speaks against a recording: the limits that it does not keep, and what a person should look at.
 
 Limits are `publish.gate` of benchmark.yaml: a recording that does not keep one is rejected. What is to be
-looked at is published, and the release says so. `benchmarks/triage.py` holds the decisions against the truth
+looked at is published, and the release says so. docs/evidence/releases.md has the decisions beside the truth
 of simulated recordings.
 """
 

@@ -1,6 +1,7 @@
 """Recordings of one and the same object: their shapes are turned about the vertical until they agree.
 
-docs/releases.md has the rule, and what was measured of it; `benchmarks/same_object.py` measures it again.
+docs/releases.md has the rule, docs/evidence/releases.md what was measured of it by
+`python benchmarks/run.py same_object`.
 """
 
 from collections.abc import Iterator, Mapping
