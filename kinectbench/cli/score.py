@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 PROTOCOLS = "paper, known, occluded, measured, known-unsaid"
+# Of predictions in the camera frame.
+IN_SPACE = "camera, aligned"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
 # Options that say what `--recheck` takes from the table, or write what it does not.
@@ -38,7 +40,9 @@ def score(
         ),
     ] = None,
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help=f"{PROTOCOLS}; default: all there are")] = None,
+    protocol: Annotated[
+        list[str] | None, typer.Option(help=f"{PROTOCOLS}; or {IN_SPACE}; default: all there are")
+    ] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
     save_thresholds: Annotated[
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
@@ -81,10 +85,14 @@ def score(
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
-    if gallery:
+    # Galleries and baselines are of voxels alone.
+    of_voxels = not any(table.in_space for table in tables)
+    if gallery and of_voxels:
         with console.bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
-    beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
+    beside = (
+        baselines_of(release, folder, tables, upsampling, common.workers) if baselines and of_voxels else []
+    )
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
     tell_scores(common, tables, beside, page)
     return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
@@ -126,11 +134,17 @@ def tell_scores(
     """The scores: a table for people, or the means over all categories for machines."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table
+    from kinectbench.cli.space_tables import space_table
 
+    of_voxels = [table for table in tables if not table.in_space]
+    in_space = [table for table in tables if table.in_space]
     if common.as_json:
         console.say_json([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables])
     else:
-        console.out.print(score_table([*tables, *beside], published=True))
+        if of_voxels:
+            console.out.print(score_table([*of_voxels, *beside], published=True))
+        if in_space:
+            console.out.print(space_table(in_space))
         console.say(f"page: {page.resolve()}")
 
 
@@ -266,7 +280,9 @@ def compare(
     common: Common,
     scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
     metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",
-    protocol: Annotated[str, typer.Option(help=PROTOCOLS)] = "known",
+    protocol: Annotated[
+        str, typer.Option(help=f"{PROTOCOLS}; or camera, camera-occluded, aligned-t+s and others")
+    ] = "known",
 ) -> None:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console

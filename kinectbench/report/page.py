@@ -146,7 +146,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)
     # The protocol that the charts and the gallery show; "" without scores.
-    primary = protocols[0] if protocols else next((r.protocol for t in parsed for r in t.rows), "")
+    primary = protocols[0] if protocols else next((r.heading for t in parsed for r in t.rows), "")
     objects = tables.truth_of_objects(parsed, primary)
     ordered = tables.best_first(parsed, primary)
     galleries = {table.method: gallery for table, gallery in zip(parsed, beside.galleries, strict=False)}

@@ -266,7 +266,7 @@ def _scores(
         targets = {target.name: target for target in release.split("test")}
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    scored = {row.protocol for table in tables for row in table.rows}
+    scored = {row.heading for table in tables for row in table.rows}
     groups = grouped(tables, [*COMPARED, *(name for name in NOT_EVERYWHERE if name in scored)])
     return tables, Beside(groups, [file.gallery for file in files], truths), warnings
 

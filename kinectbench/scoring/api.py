@@ -86,7 +86,7 @@ class Scorer:
         self._own = None if own_threshold is None else nearest_step(own_threshold)
         if own_threshold is not None and self._own is None:
             raise SettingsError(f"own_threshold is {own_threshold!r}: it must be one of {STEPS_IN_WORDS}")
-        test = pairs_to_score(release, thresholds_file)
+        test = pairs_to_score(release, validation=thresholds_file is None)
         self._counting = counting_of(release, protocols, upsampling, surface)
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)

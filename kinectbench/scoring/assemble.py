@@ -53,7 +53,7 @@ def make_table(
         empty: pairs without a prediction that were counted as empty grids.
     """
     rows = rows_of(results, settings.protocols, thresholds, rates)
-    quality = _quality(release, rows)
+    quality = quality_of(release, rows)
     of_categories = {category: rates[category] for category in thresholds.of}
     derived = from_rows(rows, settings.protocols, of_categories, quality, not failures)
     table = ScoreTable(
@@ -162,7 +162,7 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
     )
 
 
-def _quality(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
+def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
     """{recording: what the release says of its truth}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})

@@ -61,18 +61,18 @@ class ObjectMeans:
 
 
 def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """{protocol: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
+    """{heading: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
 
     Views of one object are not independent: each object counts once, however many views it has. The
     protocol `paper` weighs every pair alike, as the paper does.
 
     Args:
-        rows: of a table; one without an IoU is of a pair that is all unknown, and counts nowhere.
+        rows: of a table; one without figures is of a pair that is all unknown, and counts nowhere.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
-        categories = groups.setdefault(row.protocol, {})
-        if row.iou is not None:
+        categories = groups.setdefault(row.heading, {})
+        if row.counts:
             categories.setdefault(row.category, {}).setdefault(row.object, []).append(row)
     return {
         protocol: {
@@ -178,13 +178,13 @@ def overall_averages(
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
     """The pairs of the highest and of the lowest IoU by protocol, three each at most."""
     found = {}
-    for protocol in dict.fromkeys(row.protocol for row in rows):
+    for protocol in dict.fromkeys(row.heading for row in rows):
         rising = [
             ExtremePair(recording=recording, view=view, category=category, iou=iou)
             for iou, recording, view, category in sorted(
                 (row.iou, row.recording, row.view, row.category)
                 for row in rows
-                if row.protocol == protocol and row.iou is not None
+                if row.heading == protocol and row.iou is not None
             )
         ]
         found[protocol] = Extremes(best=tuple(rising[::-1][:EXTREMES]), worst=tuple(rising[:EXTREMES]))

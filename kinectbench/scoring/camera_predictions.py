@@ -131,16 +131,26 @@ def check_camera(
         elif found is not None:
             problems.append(found)
         elif target.split == "test":
-            problems.append(f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}")
+            problems.append(missing_in_camera(name))
         if progress:
             progress(done, len(release.targets) * method.hypotheses)
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems += [f"{name}: {one.line(slips[name])}" for name, one in compared.items() if slips[name]]
-    names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
-    stray = stray_files(folder, {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)})
-    problems += stray_lines(stray, ())
+    problems += strays_in_camera(release, folder, method)
     far = [name for name, one in compared.items() if one.is_large and not slips[name]]
     return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
+
+
+def missing_in_camera(name: str) -> str:
+    """One line that says which file is missing."""
+    return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
+
+
+def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
+    """A line for each file in a folder that answers no view."""
+    names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
+    expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
+    return stray_lines(stray_files(folder, expected), ())
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:

@@ -90,7 +90,7 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
     pairs: dict[str, set[str]] = {}
     most = {row.pair: row for row in table.rows if row.protocol == PRIMARY}
     for row in table.rows:
-        of, here = f"the row of {row.pair} under {row.protocol}", pairs.setdefault(row.protocol, set())
+        of, here = f"the row of {row.pair} under {row.heading}", pairs.setdefault(row.heading, set())
         if row.pair in here:
             yield f"{of} stands there twice"
         here.add(row.pair)
@@ -101,11 +101,11 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
         yield from (f"{of} {words}" for words in _in_row(row, table.score_version))
         if row.protocol != "paper" and (known := most.get(row.pair)) is not None and _counts_more(row, known):
             yield f"{of} counts more than the protocol {PRIMARY} does"
-    if any(of != pairs[table.rows[0].protocol] for of in pairs.values()):
+    if any(of != pairs[table.rows[0].heading] for of in pairs.values()):
         yield "its protocols are of different pairs"
-    protocols = table.settings.protocols
-    if pairs and protocols and sorted(pairs) != sorted(protocols):
-        yield f"its rows are under {_listed(sorted(pairs))}, its settings name {_listed(protocols)}"
+    protocols, found = table.settings.protocols, sorted({row.protocol for row in table.rows})
+    if found and protocols and found != sorted(protocols):
+        yield f"its rows are under {_listed(found)}, its settings name {_listed(protocols)}"
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
@@ -124,6 +124,9 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
         yield "does not count every voxel"
     if row.ce is not None and row.ce > MOST_CE + ROUNDING:
         yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"
+    if row.in_space and row.counts:
+        yield from _ratios(row) if row.iou is not None else ()
+        return
     if row.iou is None:
         if any(value is not None for value in (*figures, row.iou_by_threshold)):
             yield "has figures, but no IoU"

@@ -61,9 +61,9 @@ def from_rows(
     """
     left_out: dict[str, list[str]] = {name: [] for name in protocols}
     for row in rows:
-        left_out.setdefault(row.protocol, [])
-        if row.iou is None:
-            left_out[row.protocol].append(row.pair)
+        left_out.setdefault(row.heading, [])
+        if not row.counts:
+            left_out[row.heading].append(row.pair)
     means = object_means(rows)
     objects = _by_object(rows, quality)
     by_category = category_averages(means, rates, objects) if complete else None

@@ -57,10 +57,10 @@ def _validation(table: ScoreTable) -> str:
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
     """Categories whose threshold is neither from their own validation pairs nor from a file."""
-    sources = table.threshold_source_by_category
+    sources = {} if table.in_space else table.threshold_source_by_category
     names = [name for name, of in sorted(sources.items()) if of == source]
     value = table.thresholds.get(names[0], FIXED) if names else FIXED
-    if table.threshold_source == source and len(names) == len(sources):
+    if sources and table.threshold_source == source and len(names) == len(sources):
         return f"thresholds {words} {value:g}"
     return f"threshold {words} {value:g}: {_listed(names)}" if names else ""
 

@@ -43,10 +43,10 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
     _refuse_far(vertices, grid)
     if ((vertices.max(axis=0) <= 0) | (vertices.min(axis=0) >= grid.size_m)).any():
         raise _outside(vertices, grid)
-    vertices, faces = _joined(vertices, faces)
+    vertices, faces = joined(vertices, faces)
     if costs_too_much(vertices[:, :2] / voxel_size_m, faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh, or submit a grid")
-    if not _is_closed(faces):
+    if not is_closed(faces):
         raise PredictionError("the mesh is not closed, or not oriented alike; close it, or submit a grid")
     packed = voxelize_solid(vertices, faces, grid)
     # Nearer to the grid than half a cell is no centre that could have been cut off.
@@ -68,7 +68,7 @@ def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
     return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[triangles]
 
 
-def _joined(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
+def joined(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
     """The mesh with vertices at the same place made one: the first of them."""
     places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
     order = np.lexsort(places.T).astype(np.int32)
@@ -79,7 +79,7 @@ def _joined(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
     return vertices[order[is_first]], joined[faces]
 
 
-def _is_closed(faces: Int32) -> bool:
+def is_closed(faces: Int32) -> bool:
     """Whether every edge is one of two triangles, which run along it in opposite directions."""
     begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
     # Both directions of an edge are neighbours: an even number, and the next odd one.

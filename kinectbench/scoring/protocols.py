@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from kinectbench.core.artefacts.score_figures import IN_SPACE
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_keys
@@ -60,9 +61,10 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
     Raises:
         SettingsError: one that is not.
     """
-    unknown = [name for name in protocols or () if name not in PROTOCOLS]
+    names = (*PROTOCOLS, *IN_SPACE)
+    unknown = [name for name in protocols or () if name not in names]
     if unknown:
-        raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(PROTOCOLS)}")
+        raise SettingsError(f"no protocol '{', '.join(unknown)}': choose among {', '.join(names)}")
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
@@ -75,6 +77,11 @@ def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ..
         ReleaseError: a pair file is missing or changed.
     """
     check_protocols(asked)
+    if in_camera := [name for name in asked or () if name not in PROTOCOLS]:
+        raise SettingsError(
+            f"--protocol {', '.join(in_camera)}: for predictions in the camera frame, which their "
+            "method.json declares ('frame': 'camera'); choose among " + ", ".join(PROTOCOLS)
+        )
     names = tuple(asked or PROTOCOLS)
     lacking: dict[str, Target] = {}
     if needed := distrusted(names):

@@ -16,7 +16,6 @@ from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
-from kinectbench.scoring.declared import read_method
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.score import check_missing, score
@@ -123,7 +122,7 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
 
 def _words(stated: ScoreTable, found: ScoreTable, folder: Path) -> Iterator[str]:
     """Another name than that of the predictions, and warnings that are not in the table any more."""
-    method = read_method(folder)
+    method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
         yield f"'method' states '{name}'; the predictions are of '{said}', as {MethodFile.FILE} says"
@@ -134,8 +133,8 @@ def _words(stated: ScoreTable, found: ScoreTable, folder: Path) -> Iterator[str]
 
 def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:
     """All that a table states and the predictions do not give, rows first."""
-    rows = {(row.pair, row.protocol): row for row in stated.rows}
-    again = {(row.pair, row.protocol): row for row in found.rows}
+    rows = {(row.pair, row.heading): row for row in stated.rows}
+    again = {(row.pair, row.heading): row for row in found.rows}
     for pair, protocol in sorted(rows.keys() | again.keys()):
         of = f"{pair} under {protocol}"
         one, other = rows.get((pair, protocol)), again.get((pair, protocol))

@@ -74,7 +74,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
         PredictionError, ReleaseError, SettingsError: see `score`.
     """
     check_names(release.targets, str(release.folder))
-    test = pairs_to_score(release, thresholds_file)
+    test = pairs_to_score(release, validation=thresholds_file is None)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
     found = find_predictions(predictions, release.targets)
     answered = any(target.split == "validation" for target in (*found.files, *found.problems))
@@ -94,8 +94,8 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
     )
 
 
-def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Target, ...]:
-    """The test split; its truth must be there, and that of the validation split without a threshold file.
+def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
+    """The test split; its truth must be there, and that of the validation split where it is needed.
 
     Raises:
         ReleaseError: no test pair, or its truth is held back.
@@ -103,7 +103,7 @@ def pairs_to_score(release: Release, thresholds_file: Path | None) -> tuple[Targ
     test = release.split("test")
     if not test:
         raise ReleaseError(f"{shown(release.folder)}: no pair in the test split; nothing to score")
-    release.require_truth(("test", "validation") if thresholds_file is None else ("test",))
+    release.require_truth(("test", "validation") if validation else ("test",))
     return test
 
 

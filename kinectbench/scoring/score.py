@@ -17,7 +17,14 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.declared import changed_files, changed_line, method_lines, read_method
+from kinectbench.scoring.camera.score import score_in_camera
+from kinectbench.scoring.declared import (
+    changed_files,
+    changed_line,
+    method_lines,
+    read_in_camera,
+    read_method,
+)
 from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
 from kinectbench.scoring.protocols import check_protocols, protocols_of
@@ -66,6 +73,19 @@ def score(
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
     check_words(protocols, upsampling)
+    if (in_camera := read_in_camera(predictions)) is not None:
+        if thresholds_file is not None:
+            raise SettingsError(f"--thresholds {thresholds_file}: predictions in the camera frame have none")
+        return score_in_camera(
+            release,
+            predictions,
+            in_camera,
+            method=method,
+            protocols=protocols,
+            missing=missing,
+            jobs=_processes(jobs, predictions),
+            progress=progress,
+        )
     asked = plan(release, predictions, thresholds_file, missing)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
@@ -114,6 +134,13 @@ def _changed(
     }
     changed = changed_files(method, digests)
     return [changed_line(changed, len(digests))] if changed else []
+
+
+def _processes(jobs: int | Executor, predictions: Path) -> int:
+    """Number of processes for predictions in the camera frame, which are scored on this machine alone."""
+    if isinstance(jobs, int):
+        return jobs
+    raise SettingsError(f"{predictions}: predictions in the camera frame are not scored with --cluster yet")
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
@@ -232,6 +259,8 @@ def count_methods(
     methods = _methods(release, predictions, method, None)
     failed = 0
     for name, folder in methods.items():
+        if read_in_camera(folder) is not None:
+            raise SettingsError(f"{folder}: predictions in the camera frame are not scored in parts yet")
         asked = plan(release, folder, thresholds_file, rule)
         counting = counting_of(release, protocols, upsampling, surface)
         _refuse_many_rows(len(release.split("test")), counting.protocols)
@@ -290,7 +319,8 @@ def _methods(
     named = methods if method is None else dict(zip([method], methods.values(), strict=True))
     for name, folder in named.items():
         check_method(name)
-        read_method(folder)  # before any is counted
+        if read_in_camera(folder) is None:  # before any is counted
+            read_method(folder)
     return named
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
-from kinectbench.core.artefacts.score_figures import ByThreshold, Pair, ScoreRow, fields_of
+from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, Pair, ScoreRow, fields_of
 from kinectbench.core.artefacts.score_marks import Sha256
 from kinectbench.core.artefacts.stored import Part
 from kinectbench.core.errors import StorageError
@@ -31,13 +31,17 @@ MOST_ROWS = 500_000
 MOST_BYTES = 2 * 360 * MOST_ROWS
 (CURVE,) = fields_of(ByThreshold)
 TEXTS = tuple(name for name in fields_of(Pair) if name != "threshold")
-NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CURVE))
+NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CURVE, *fields_of(InSpace)))
+# What rows of predictions in the camera frame state beside: as JSON, "" where there is nothing.
+IN_SPACE = "in_space"
 WORDS = "{}_words"
+# Figures that the first files of rows lack.
+LATER = ("chamfer_l1_m", "chamfer_l2_m2", "f_score_5mm", "f_score_5pct")
 # Of a curve, as `scoring.counts` counts them.
 THRESHOLDS = 17
 # Rows that are made from columns at once: their plain values take 30 MB.
 AT_ONCE = 10_000
-_PLAIN_ROW = TypeAdapter(ScoreRow)
+_PLAIN_ROW, _PLAIN_IN_SPACE = TypeAdapter(ScoreRow), TypeAdapter(InSpace)
 
 
 class RowsFile(Part):
@@ -77,9 +81,9 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path) -> RowsFile | None:
 def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
     """The arrays of rows.npz."""
     arrays: dict[str, NDArray[Any]] = {}
-    for name in TEXTS:
+    for name in (*TEXTS, IN_SPACE):
         found: dict[str, int] = {}
-        places = [found.setdefault(getattr(row, name), len(found)) for row in rows]
+        places = [found.setdefault(_text(row, name), len(found)) for row in rows]
         arrays[name], arrays[WORDS.format(name)] = np.array(places, np.int32), np.array([*found], np.str_)
     for name in NUMBERS:
         values = (getattr(row, name) for row in rows)
@@ -90,6 +94,16 @@ def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
             curves[at] = row.iou_by_threshold
     arrays[CURVE] = curves
     return arrays
+
+
+def _text(row: ScoreRow, name: str) -> str:
+    """What a column of texts holds of a row."""
+    if name != IN_SPACE:
+        return str(getattr(row, name))
+    if row.part is None:
+        return ""
+    plain = _PLAIN_ROW.dump_python(row, mode="json")
+    return canonical_json({key: plain[key] for key in fields_of(InSpace)})
 
 
 def read_rows(folder: Path, said: RowsFile) -> tuple[ScoreRow, ...]:
@@ -123,12 +137,16 @@ def read_rows(folder: Path, said: RowsFile) -> tuple[ScoreRow, ...]:
 
 def _check(arrays: dict[str, NDArray[Any]], count: int) -> None:
     """Refuse columns of other shapes and types, and texts that are not listed."""
-    for name in (*TEXTS, *NUMBERS, CURVE):
+    texts = (*TEXTS, *(name for name in (IN_SPACE,) if name in arrays))
+    for name in (*texts, *NUMBERS, CURVE):
+        # Tables of earlier versions lack figures of predictions in the camera frame.
+        if name in LATER and name not in arrays:
+            arrays[name] = np.full(count, math.nan)
         column = arrays[name]
         shape = (count, THRESHOLDS) if name == CURVE else (count,)
-        if column.shape != shape or column.dtype != (np.int32 if name in TEXTS else np.float64):
+        if column.shape != shape or column.dtype != (np.int32 if name in texts else np.float64):
             raise ValueError(f"'{name}' is {column.dtype} {column.shape}, wanted {shape}")
-    for name in TEXTS:
+    for name in texts:
         words, column = arrays[WORDS.format(name)], arrays[name]
         if words.ndim != 1 or words.dtype.kind != "U":
             raise ValueError(f"'{WORDS.format(name)}' is no list of texts")
@@ -147,5 +165,14 @@ def _rows(arrays: dict[str, NDArray[Any]], start: int) -> Iterator[ScoreRow]:
         columns[name] = [None if math.isnan(of) else of for of in arrays[name][here].tolist()]
     columns["cells"] = [int(of) if of is not None and of.is_integer() else of for of in columns["cells"]]
     columns[CURVE] = [None if math.isnan(of[0]) else tuple(of) for of in arrays[CURVE][here].tolist()]
-    for values in zip(*columns.values(), strict=True):
-        yield ScoreRow(**dict(zip(columns, values, strict=True)))
+    more = _in_space(arrays, here) if IN_SPACE in arrays else [{}] * len(columns[CURVE])
+    for *values, beside in zip(*columns.values(), more, strict=True):
+        yield ScoreRow(**dict(zip(columns, values, strict=True)), **beside)
+
+
+def _in_space(arrays: dict[str, NDArray[Any]], here: slice) -> list[dict[str, Any]]:
+    """What some rows state beside their columns."""
+    words = arrays[WORDS.format(IN_SPACE)].tolist()
+    used = {at: words[at] for at in set(arrays[IN_SPACE][here].tolist())}
+    read = {at: vars(_PLAIN_IN_SPACE.validate_json(text)) if text else {} for at, text in used.items()}
+    return [read[at] for at in arrays[IN_SPACE][here].tolist()]

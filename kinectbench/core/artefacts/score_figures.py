@@ -18,6 +18,8 @@ UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
 OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 
 
+# Protocols of predictions in the camera frame.
+IN_SPACE = ("camera", "aligned")
 # Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
 FINITE = ConfigDict(allow_inf_nan=False)
 
@@ -66,6 +68,16 @@ class SurfaceMetrics:
     normal_consistency: float | None = _share(
         "normals", "mean |cosine| between the normals of nearest cells, both ways"
     )
+    chamfer_l1_m: float | None = _loss(
+        "Chamfer L1, m", "half of the mean distances both ways; of predictions in the camera frame", "m"
+    )
+    chamfer_l2_m2: float | None = _loss(
+        None, "half of the mean squared distances both ways; of predictions in the camera frame", "m^2"
+    )
+    f_score_5mm: float | None = _share(None, "F-score at 5 mm; of predictions in the camera frame")
+    f_score_5pct: float | None = _share(
+        None, "F-score at 5 % of the diagonal of the shape's box; of predictions in the camera frame"
+    )
 
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
@@ -111,7 +123,9 @@ class Pair:
     category: str = Field(description='such as "chair"')
     protocol: str = Field(
         description="which voxels are counted",
-        json_schema_extra={"enum": ["paper", "known", "occluded", "measured", "known-unsaid"]},
+        json_schema_extra={
+            "enum": ["paper", "known", "occluded", "measured", "known-unsaid", "camera", "aligned"]
+        },
     )
     threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
 
@@ -140,6 +154,59 @@ class Unknown:
 
 
 @dataclass(frozen=True, config=FINITE)
+class Alignment:
+    """How a prediction was registered to the truth before it was scored; see docs/scoring.md."""
+
+    kind: str = Field(
+        description="what was free: a shift, a scale, a rotation",
+        json_schema_extra={"enum": ["t", "t+s", "R+t+s"]},
+    )
+    scale: Annotated[float, Field(json_schema_extra={"minimum": 0})] = Field(
+        description="the prediction was made so many times larger"
+    )
+    rotation_deg: Annotated[float, Field(json_schema_extra={"minimum": 0, "maximum": 180})] = Field(
+        description="angle by which it was turned"
+    )
+    translation_m: Annotated[float, Field(json_schema_extra={"minimum": 0})] = Field(
+        description="length by which the middle of its surface was shifted"
+    )
+    ok: bool = Field(description="whether the registration converged; the row counts all the same")
+
+
+@dataclass(frozen=True, config=FINITE)
+class Hypotheses:
+    """Several predictions of a view in one row."""
+
+    k: Annotated[int, Field(json_schema_extra={"minimum": 2})] = Field(description="how many")
+    of: str = Field(
+        description="best: the one of the least Chamfer distance; mean: of each figure",
+        json_schema_extra={"enum": ["best", "mean"]},
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
+class InSpace:
+    """What only rows of the protocols `camera` and `aligned` state."""
+
+    part: Annotated[str | None, Field(json_schema_extra={"enum": ["whole", "visible", "occluded"]})] = Field(
+        default=None, description="which part of the shape; null under the other protocols"
+    )
+    alignment: Alignment | None = Field(default=None, description="under `aligned`")
+    hypotheses: Hypotheses | None = Field(
+        default=None, description="of several predictions of the view; null: of the first or only one"
+    )
+    solid: bool | None = Field(
+        default=None, description="whether it has an inside: a closed mesh, voxels or distances"
+    )
+    predicted_unknown_share: OptionalUnitRange = Field(
+        default=None, description="of the predicted surface, what lies in unknown space and is left out"
+    )
+    surface_unknown_share: OptionalUnitRange = Field(
+        default=None, description="of the true surface of the part, what is unknown and left out"
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
 class ByThreshold:
     """The IoU of a pair at every threshold, whichever was chosen; it is no column of scores.csv."""
 
@@ -152,13 +219,38 @@ class ByThreshold:
 
 
 @dataclass(frozen=True, config=FINITE)
-class ScoreRow(ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
+class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
     """One pair under one protocol; its metrics are null where the protocol leaves it out as all unknown."""
 
     @property
     def pair(self) -> str:
         """`<recording>/<view>`."""
         return f"{self.recording}/{self.view}"
+
+    @property
+    def heading(self) -> str:
+        """What its figures are averaged and compared under: the protocol, and what else it is of.
+
+        `known`, `camera`, `camera-occluded`, `aligned-t+s` or `camera-best-of-5`, for example.
+        """
+        words = [self.protocol]
+        if self.alignment is not None:
+            words.append(self.alignment.kind)
+        if self.part not in (None, "whole"):
+            words.append(str(self.part))
+        if self.hypotheses is not None:
+            words.append(f"{self.hypotheses.of}-of-{self.hypotheses.k}")
+        return "-".join(words)
+
+    @property
+    def in_space(self) -> bool:
+        """Whether it is of a prediction in the camera frame, which has no thresholds."""
+        return self.protocol in IN_SPACE
+
+    @property
+    def counts(self) -> bool:
+        """Whether it has figures; else its pair is all unknown there."""
+        return self.iou is not None or self.chamfer_l1_m is not None
 
 
 @dataclass(frozen=True, config=FINITE)

@@ -14,10 +14,12 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_columns import RowsFile, read_rows, rows_as_json, write_rows
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
+    IN_SPACE,
     IN_UNIT_RANGE,
     SURFACE_METRICS,
     Averages,
     ByThreshold,
+    InSpace,
     OptionalUnitRange,
     Resolution,
     ScoreRow,
@@ -302,8 +304,13 @@ class ScoreTable(Stored):
         return found if over_all is None else {**found, OVERALL: over_all}
 
     def pairs(self, protocol: str) -> list[ScoreRow]:
-        """The rows of a protocol."""
-        return [row for row in self.rows if row.protocol == protocol]
+        """The rows under a heading (`ScoreRow.heading`), which of most protocols is their name."""
+        return [row for row in self.rows if row.heading == protocol]
+
+    @property
+    def in_space(self) -> bool:
+        """Whether it is of predictions in the camera frame, which have no thresholds."""
+        return any(protocol in IN_SPACE for protocol in self.settings.protocols)
 
     def left_out_line(self, protocol: str) -> str:
         """How many pairs a protocol leaves out, in a sentence; "" if none."""
@@ -375,7 +382,13 @@ LATER_AVERAGES = (
     *("base_rate_source", "truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high"),
     *("truth_repeatability_iou", "truth_unknown_share"),
 )
-LATER_ROWS = (*SURFACE_METRICS, *fields_of(Resolution), *fields_of(Unknown), *fields_of(ByThreshold))
+LATER_ROWS = (
+    *SURFACE_METRICS,
+    *fields_of(Resolution),
+    *fields_of(Unknown),
+    *fields_of(ByThreshold),
+    *fields_of(InSpace),
+)
 LATER = {*LATER_KEYS, *LATER_AVERAGES, *LATER_ROWS}
 
 

@@ -59,7 +59,7 @@ def score_baselines(
     """
     check_words(protocols, upsampling)
     check_names(release.targets, str(release.folder))
-    pairs_to_score(release, thresholds_file)
+    pairs_to_score(release, validation=thresholds_file is None)
     counting = counting_of(release, protocols, upsampling, surface)
     names = possible_baselines(release)
     tables = counted_baselines(

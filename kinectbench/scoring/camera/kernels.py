@@ -1,0 +1,226 @@
+"""Loops over the cells and patches of surfaces. Import late: numba is slow to load."""
+
+import numpy as np
+from numba import njit
+
+# Cells around a surface cell that its normal is made of, as in the grid protocols (`surface_kernels`).
+RADIUS_CELLS = 3
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def faces_of_cells(padded):  # type: ignore[no-untyped-def]
+    """Every face between an occupied cell and a free one.
+
+    Args:
+        padded: (i + 2, j + 2, k + 2) bool, cells with a free one around.
+
+    Returns:
+        (n, 3) int32, the occupied cell of each face without the padding, in C order; (n,) int8, the axis
+        across the face; (n,) int8, 1 where the free cell has the larger index, else -1.
+    """
+    ni, nj, nk = padded.shape
+    cells = padded.ravel()
+    steps = np.array([nj * nk, nk, 1])
+    count = _faces(
+        cells, ni, nj, nk, steps, np.empty((0, 3), np.int32), np.empty(0, np.int8), np.empty(0, np.int8)
+    )
+    inside = np.empty((count, 3), np.int32)
+    axes, signs = np.empty(count, np.int8), np.empty(count, np.int8)
+    _faces(cells, ni, nj, nk, steps, inside, axes, signs)
+    return inside, axes, signs
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _faces(cells, ni, nj, nk, steps, inside, axes, signs):  # type: ignore[no-untyped-def]
+    """The number of faces; they are written where there is room."""
+    count, far, near = 0, steps[0], steps[1]
+    for i in range(1, ni - 1):
+        for j in range(1, nj - 1):
+            row = i * far + j * near
+            for k in range(1, nk - 1):
+                n = row + k
+                around = cells[n - 1] & cells[n + 1] & cells[n - near] & cells[n + near]
+                if not cells[n] or (around & cells[n - far] & cells[n + far]):
+                    continue
+                for axis in range(3):
+                    for sign in (-1, 1):
+                        if not cells[n + sign * steps[axis]]:
+                            if count < len(inside):
+                                inside[count, 0], inside[count, 1], inside[count, 2] = i - 1, j - 1, k - 1
+                                axes[count], signs[count] = axis, sign
+                            count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def outward(cells, inside):  # type: ignore[no-untyped-def]
+    """(n, 3) float64: away from the mass of the 7^3 cells around each surface cell, of length 1 or 0."""
+    normals = np.zeros((len(inside), 3))
+    size = cells.shape
+    for n in range(len(inside)):
+        i, j, k = inside[n]
+        if n and inside[n - 1, 0] == i and inside[n - 1, 1] == j and inside[n - 1, 2] == k:
+            normals[n] = normals[n - 1]
+            continue
+        x = y = z = 0
+        for a in range(max(i - RADIUS_CELLS, 0), min(i + RADIUS_CELLS + 1, size[0])):
+            for b in range(max(j - RADIUS_CELLS, 0), min(j + RADIUS_CELLS + 1, size[1])):
+                for c in range(max(k - RADIUS_CELLS, 0), min(k + RADIUS_CELLS + 1, size[2])):
+                    if cells[a, b, c]:
+                        x += i - a
+                        y += j - b
+                        z += k - c
+        length = np.sqrt(np.float64(x * x + y * y + z * z))
+        if length > 0:
+            normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
+    return normals
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def zero_crossings(cells, axis):  # type: ignore[no-untyped-def]
+    """Where signed distances change their sign between neighbours along one axis.
+
+    Args:
+        cells: (i, j, k) float32, negative inside.
+        axis: 0, 1 or 2.
+
+    Returns:
+        (n, 3) float64, the crossings, in indices of cells; (n, 3) float64, the gradient there, of length 1 or
+        0.
+    """
+    ni, nj, nk = cells.shape
+    si, sj, sk = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
+    count = 0
+    for i in range(ni - si):
+        for j in range(nj - sj):
+            for k in range(nk - sk):
+                count += (cells[i, j, k] < 0) != (cells[i + si, j + sj, k + sk] < 0)
+    points, normals = np.empty((count, 3)), np.zeros((count, 3))
+    n = 0
+    for i in range(ni - si):
+        for j in range(nj - sj):
+            for k in range(nk - sk):
+                one, other = np.float64(cells[i, j, k]), np.float64(cells[i + si, j + sj, k + sk])
+                if (one < 0) == (other < 0):
+                    continue
+                t = one / (one - other)
+                points[n, 0], points[n, 1], points[n, 2] = i + t * si, j + t * sj, k + t * sk
+                for end in range(2):
+                    a, b, c = i + end * si, j + end * sj, k + end * sk
+                    part = t if end else 1 - t
+                    low, high = max(a - 1, 0), min(a + 1, ni - 1)
+                    normals[n, 0] += part * (cells[high, b, c] - cells[low, b, c]) / max(high - low, 1)
+                    low, high = max(b - 1, 0), min(b + 1, nj - 1)
+                    normals[n, 1] += part * (cells[a, high, c] - cells[a, low, c]) / max(high - low, 1)
+                    low, high = max(c - 1, 0), min(c + 1, nk - 1)
+                    normals[n, 2] += part * (cells[a, b, high] - cells[a, b, low]) / max(high - low, 1)
+                length = np.sqrt((normals[n] ** 2).sum())
+                if length > 0:
+                    normals[n] /= length
+                n += 1
+    return points, normals
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def to_patches(points, found, corner, first, second, is_triangle):  # type: ignore[no-untyped-def]
+    """(n,) float64: distance of each point to a patch, which is a triangle or a rectangle.
+
+    Args:
+        points: (n, 3).
+        found: (n,) the index of the patch.
+        corner: (m, 3), a corner of each patch.
+        first: (m, 3), the edge from there to the next corner.
+        second: (m, 3), the edge to the corner before.
+        is_triangle: whether patches are triangles; of rectangles the edges are at right angles.
+    """
+    distances = np.empty(len(points))
+    for n in range(len(points)):
+        f = found[n]
+        x, y, z = points[n, 0] - corner[f, 0], points[n, 1] - corner[f, 1], points[n, 2] - corner[f, 2]
+        a, b, c = first[f]
+        d, e, g = second[f]
+        uu, uv, vv = a * a + b * b + c * c, a * d + b * e + c * g, d * d + e * e + g * g
+        pu, pv = x * a + y * b + z * c, x * d + y * e + z * g
+        if is_triangle:
+            u, v = _in_triangle(uu, uv, vv, pu, pv)
+        else:
+            u = min(max(pu / uu, 0.0), 1.0) if uu > 0 else 0.0
+            v = min(max(pv / vv, 0.0), 1.0) if vv > 0 else 0.0
+        x, y, z = x - u * a - v * d, y - u * b - v * e, z - u * c - v * g
+        distances[n] = np.sqrt(x * x + y * y + z * z)
+    return distances
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
+    """(u, v) of the point of a triangle that is nearest to one whose products with the edges are pu, pv."""
+    determinant = uu * vv - uv * uv
+    if determinant > 0:
+        u, v = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
+        if u >= 0 and v >= 0 and u + v <= 1:
+            return u, v
+    # On an edge: the nearest of the three; what is compared is |uU + vV - p|^2 without p^2.
+    best_u = min(max(pu / uu, 0.0), 1.0) if uu > 0 else 0.0
+    best_v = 0.0
+    least = best_u * best_u * uu - 2 * best_u * pu
+    v = min(max(pv / vv, 0.0), 1.0) if vv > 0 else 0.0
+    value = v * v * vv - 2 * v * pv
+    if value < least:
+        least, best_u, best_v = value, 0.0, v
+    across = uu - 2 * uv + vv
+    v = min(max((pv - pu + uu - uv) / across, 0.0), 1.0) if across > 0 else 0.0
+    u = 1 - v
+    value = u * u * uu + 2 * u * v * uv + v * v * vv - 2 * u * pu - 2 * v * pv
+    if value < least:
+        best_u, best_v = u, v
+    return best_u, best_v
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def mapped(points, affine):  # type: ignore[no-untyped-def]
+    """(n, 3) float64: points (n, 3) mapped by (3, 4). A matrix product would wake all cores for it."""
+    found = np.empty(points.shape, np.float64)
+    for n in range(len(points)):
+        x, y, z = points[n]
+        for axis in range(3):
+            a, b, c, d = affine[axis]
+            found[n, axis] = a * x + b * y + c * z + d
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def step_equations(places, targets, normals, weights, middle, along):  # type: ignore[no-untyped-def]
+    """The normal equations of a step of the registration: H (7, 7) and gradient (7,).
+
+    A step shifts (3), scales by e^s and turns by a rotation vector (3) about `middle`. What it lessens is the
+    weighted sum of squared distances along the normals, and `along` times the whole squared distances.
+
+    Args:
+        places: (n, 3) of the prediction.
+        targets: (n, 3) where each belongs.
+        normals: (n, 3) there.
+        weights: (n,).
+        middle: (3,).
+        along: a factor.
+    """
+    H, g = np.zeros((7, 7)), np.zeros(7)
+    J = np.zeros((3, 7))
+    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
+    row = np.empty(7)
+    for n in range(len(places)):
+        x, y, z = places[n] - middle
+        J[0, 3], J[1, 3], J[2, 3] = x, y, z
+        J[0, 5], J[0, 6] = z, -y
+        J[1, 4], J[1, 6] = -z, x
+        J[2, 4], J[2, 5] = y, -x
+        gap = places[n] - targets[n]
+        across = gap[0] * normals[n, 0] + gap[1] * normals[n, 1] + gap[2] * normals[n, 2]
+        for a in range(7):
+            row[a] = J[0, a] * normals[n, 0] + J[1, a] * normals[n, 1] + J[2, a] * normals[n, 2]
+        for a in range(7):
+            whole = J[0, a] * gap[0] + J[1, a] * gap[1] + J[2, a] * gap[2]
+            g[a] += weights[n] * (row[a] * across + along * whole)
+            for b in range(7):
+                product = J[0, a] * J[0, b] + J[1, a] * J[1, b] + J[2, a] * J[2, b]
+                H[a, b] += weights[n] * (row[a] * row[b] + along * product)
+    return H, g

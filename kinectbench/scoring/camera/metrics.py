@@ -1,0 +1,180 @@
+"""Metrics of a prediction in the space of its truth: distances of surfaces, and of solids the IoU."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetrics
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.scoring.camera.solid import Solid
+from kinectbench.scoring.camera.surface import Surface, point_surface
+from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
+
+# Samples of each surface whose distance is measured: a mean over so many whose spread is 10 mm is within 0.06
+# mm, and the nearest of them are found in 0.1 s each way (measured).
+QUERIES = 30_000
+F_SCORE_M = {"f_score_5mm": 0.005, "f_score_10mm": 0.01, "f_score_20mm": 0.02}
+F_SCORE_SHARES = {"f_score_1pct": 0.01, "f_score_2pct": 0.02, "f_score_5pct": 0.05}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The figures of one part of a view.
+
+    Attributes:
+        surface: None in all where nothing of the true surface is known there.
+        voxels: likewise, and where there is no solid.
+        coverage_voxels: share of the grid's cells that count.
+        coverage_shape: share of the shape's cells that count; 1 of an empty shape.
+        surface_unknown_share: of the true surface's area, what is not known and left out.
+    """
+
+    surface: SurfaceMetrics
+    voxels: VoxelMetrics
+    coverage_voxels: float
+    coverage_shape: float
+    surface_unknown_share: float | None
+
+
+@dataclass(frozen=True)
+class Way:
+    """The samples of one surface that are measured, and what was found of each.
+
+    Attributes:
+        distances_m: (n,) to the other surface.
+        cosines: (n,) |n . n'| with the nearest of it; None where one has no normals.
+        areas: (n,) what each stands for.
+        seen: (n,) whether it lies where the view saw.
+    """
+
+    distances_m: Float64
+    cosines: Float64 | None
+    areas: Float64
+    seen: Bools
+
+    def of(self, part: str) -> "Way":
+        """Those of one part."""
+        if part == "whole":
+            return self
+        which = self.seen if part == "visible" else ~self.seen
+        cosines = None if self.cosines is None else self.cosines[which]
+        return Way(self.distances_m[which], cosines, self.areas[which], self.seen[which])
+
+    def mean(self, values: Float64) -> float:
+        """The mean of values (n,), by area."""
+        # Not a product of vectors, whose sum depends on how many cores share it.
+        return float((self.areas * values).sum() / self.areas.sum())
+
+    def near(self, tolerance_m: float) -> float:
+        """The share of the area within a tolerance."""
+        return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
+
+
+def figures_by_part(
+    truth: SpaceTruth, surface: Surface | None, solid: Solid | None
+) -> tuple[dict[str, Figures], float]:
+    """The figures of each part, and the share of the predicted surface that lies in unknown space.
+
+    Args:
+        truth: of the view.
+        surface: predicted, in the truth's grid; None of an empty prediction.
+        solid: likewise; None where there is none.
+    """
+    if surface is None:
+        surface = point_surface(np.zeros((0, 3)), None)
+    is_known, seen = truth.at(surface.points_m)
+    area = float(surface.areas.sum())
+    left_out = float(surface.areas[~is_known].sum()) / area if area else 0.0
+    true_known = truth.surface.chosen(truth.is_known)
+    ours = surface.chosen(is_known)
+    true_seen = truth.is_seen[truth.is_known]
+    there, back = _way(ours, seen[is_known], true_known), _way(true_known, true_seen, ours)
+    found = {}
+    for part in PARTS:
+        here = _of_part(truth.is_seen, part)
+        true_area, of_known = (
+            float(truth.surface.areas[here & which].sum()) for which in (True, truth.is_known)
+        )
+        metrics = _metrics(truth, there.of(part), back.of(part))
+        voxels, coverage_voxels, coverage_shape = _voxels(truth, solid, part)
+        found[part] = Figures(
+            metrics,
+            VoxelMetrics() if metrics.chamfer_l1_m is None else voxels,
+            coverage_voxels,
+            coverage_shape,
+            1 - of_known / true_area if true_area else None,
+        )
+    return found, left_out
+
+
+def _of_part(seen: Bools, part: str) -> Bools:
+    return np.ones_like(seen) if part == "whole" else seen if part == "visible" else ~seen
+
+
+def _way(one: Surface, seen: Bools, other: Surface) -> Way:
+    """How far one surface is from another; infinitely where that has no sample."""
+    step = max(1, -(-len(one) // QUERIES))
+    which = np.arange(step // 2, len(one), step)
+    queries = one.chosen(which)
+    if not len(other) or not len(one):
+        return Way(np.full(len(which), np.inf), None, queries.areas, seen[which])
+    distances, found = other.nearest(queries.points_m)
+    cosines = None
+    if queries.normals is not None and other.normals is not None:
+        first, second = queries.normals, other.normals[found]
+        cosines = np.abs(np.einsum("ij,ij->i", first, second))
+        # As in the grid protocols: two undefined normals agree.
+        cosines[~first.any(axis=1) & ~second.any(axis=1)] = 1.0
+    return Way(distances, cosines, queries.areas, seen[which])
+
+
+def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
+    """The surface metrics from what was found both ways."""
+    if not len(back.areas):
+        return SurfaceMetrics()
+    if not len(there.areas) or not np.isfinite(back.distances_m).all():
+        # As in the grid protocols: of one surface alone the Chamfer distance is the grid's diagonal.
+        far_m = math.sqrt(3) * FULL_CELLS * truth.voxel_size_m
+        shares = dict.fromkeys((*F_SCORE_M, *F_SCORE_SHARES, "normal_consistency"), 0.0)
+        return SurfaceMetrics(chamfer_l1_m=far_m, chamfer_l2_m2=far_m**2, **shares)
+    ways = (there, back)
+    tolerances = F_SCORE_M | {name: share * truth.size_m for name, share in F_SCORE_SHARES.items()}
+    normals = None
+    if there.cosines is not None and back.cosines is not None:
+        normals = sum(way.mean(way.cosines) for way in ways if way.cosines is not None) / 2
+    return SurfaceMetrics(
+        chamfer_l1_m=sum(way.mean(way.distances_m) for way in ways) / 2,
+        chamfer_l2_m2=sum(way.mean(way.distances_m**2) for way in ways) / 2,
+        normal_consistency=normals,
+        **{name: _f_score(there.near(far), back.near(far)) for name, far in tolerances.items()},
+    )
+
+
+def _f_score(precision: float, recall: float) -> float:
+    # Sums of areas may exceed the whole by rounding.
+    return min(2 * precision * recall / (precision + recall), 1.0) if precision + recall else 0.0
+
+
+def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
+    """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
+    counted = truth.known & _of_part(truth.seen, part)
+    occupied = counted & truth.full
+    true, shape = int(np.count_nonzero(occupied)), int(np.count_nonzero(truth.full))
+    shares = int(np.count_nonzero(counted)) / counted.size, true / shape if shape else 1.0
+    if solid is None:
+        return VoxelMetrics(), *shares
+    both = int(np.count_nonzero(occupied & solid.cells))
+    # The view saw nothing of what lies outside the grid.
+    predicted = int(np.count_nonzero(counted & solid.cells)) + (solid.outside if part != "visible" else 0.0)
+    precision = both / predicted if predicted else 0.0
+    return (
+        VoxelMetrics(
+            iou=both / (predicted + true - both) if predicted + true else 1.0,
+            precision=precision,
+            recall=both / true if true else 0.0,
+            f1=2 * both / (predicted + true) if predicted + true else 1.0,
+        ),
+        *shares,
+    )

@@ -1,0 +1,219 @@
+"""The table of a method whose predictions are in the camera frame."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from kinectbench._version import __version__
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow
+from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.targets import check_names
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.engine.artefact import VERSIONS
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.assemble import quality_of
+from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
+from kinectbench.scoring.camera_predictions import CameraFile, find_files, missing_in_camera, strays_in_camera
+from kinectbench.scoring.declared import method_lines
+from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.rounds import Missing, pairs_to_score
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE
+from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
+from kinectbench.scoring.workers import run_tasks
+
+F_SCORE_MM = (5.0, 10.0, 20.0)
+
+
+def score_in_camera(
+    release: Release,
+    folder: Path,
+    declared: MethodFile,
+    *,
+    method: str,
+    protocols: Sequence[str] | None = None,
+    missing: Missing = "error",
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> ScoreTable:
+    """Score the test split of a method whose predictions are in the camera frame.
+
+    Args:
+        release: what the predictions are for.
+        folder: of the predictions; untrusted.
+        declared: its method.json.
+        method: its name.
+        protocols: camera, aligned or both; default: both, and of predictions of free size `aligned` alone.
+        missing: "error" lists a missing prediction as a failure; "empty" scores the worst of each figure.
+        jobs: number of processes.
+        progress: called with (views done, views in all).
+
+    Returns:
+        The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
+
+    Raises:
+        SettingsError: a protocol that is none of the camera frame.
+        ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
+            is held back.
+    """
+    used = protocols_in_space(protocols, declared)
+    check_names(release.targets, str(release.folder))
+    test = pairs_to_score(release, validation=False)
+    files, failures = _files(folder, test, declared, missing)
+    tasks = [
+        ViewJob(target, release.pair_path(target), files[target], declared, used) for target in sorted(files)
+    ]
+    outcomes = dict(zip(sorted(files), run_tasks(score_view, tasks, jobs, progress), strict=True))
+    failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
+    results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
+    empty = [target.name for target in sorted(files) if not files[target]]
+    table = _table(release, method, results, failures, _settings(used, missing), empty)
+    said = (*method_lines(folder, declared, release), *_without_inside(results), *table.warnings)
+    return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
+
+
+def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
+    """The protocols of predictions in the camera frame: those asked for, else all that apply.
+
+    Raises:
+        SettingsError: one is of the grid, or `camera` is asked of predictions of free size.
+    """
+    if other := [name for name in asked or () if name not in IN_SPACE]:
+        raise SettingsError(
+            f"--protocol {', '.join(other)}: {declared.name} predicts in the camera frame, which is scored "
+            f"under {', '.join(IN_SPACE)}"
+        )
+    if declared.scale == "metric":
+        return tuple(name for name in IN_SPACE if name in (asked or IN_SPACE))
+    if asked and "camera" in asked:
+        raise SettingsError(
+            f"--protocol camera: the predictions of {declared.name} are of free size ('scale' in "
+            f"{MethodFile.FILE}); score them under aligned"
+        )
+    return ("aligned",)
+
+
+def _files(
+    folder: Path, test: Sequence[Target], declared: MethodFile, missing: Missing
+) -> tuple[dict[Target, tuple[CameraFile, ...]], dict[Target, str]]:
+    """The files of every view that is scored, and why others cannot be."""
+    files: dict[Target, tuple[CameraFile, ...]] = dict.fromkeys(test, ())
+    failures: dict[Target, str] = {}
+    absent: set[Target] = set()
+    for target, name, found in find_files(folder, test, declared):
+        if isinstance(found, CameraFile):
+            files[target] = (*files[target], found)
+        elif found is not None:
+            failures.setdefault(target, found)
+        else:
+            absent.add(target)
+            # A view of which some hypotheses are there is not empty.
+            if missing == "error" or declared.hypotheses > 1:
+                failures.setdefault(target, missing_in_camera(name))
+    for target in absent if missing == "empty" else ():
+        if not files[target] and "no prediction" in failures.get(target, ""):
+            del failures[target]
+    return {target: found for target, found in files.items() if target not in failures}, failures
+
+
+def _table(
+    release: Release,
+    method: str,
+    results: Mapping[Target, ViewResult],
+    failures: Mapping[Target, str],
+    settings: ScoreSettings,
+    empty: Sequence[str],
+) -> ScoreTable:
+    """The table of what was found; an average over a part of the views would flatter, so there is none."""
+    rows = tuple(row for target in sorted(results) for row in _rows(target, results[target]))
+    quality, categories = quality_of(release, rows), sorted({target.category for target in results})
+    derived = from_rows(rows, settings.protocols, {}, quality, not failures)
+    warnings = [f"{len(empty)} predictions are missing and were scored as empty"] * bool(empty)
+    if failures:
+        warnings.append(
+            f"incomplete: {len(failures)} views could not be scored, so there are no averages",
+        )
+    table = ScoreTable(
+        method=method,
+        benchmark_sha256=release.benchmark_sha256,
+        package_version=__version__,
+        settings=settings,
+        complete=not failures,
+        thresholds=dict.fromkeys(categories, FIXED),
+        threshold_source=FIXED_SOURCE,
+        threshold_source_by_category=dict.fromkeys(categories, FIXED_SOURCE),
+        threshold_objects=(),
+        validation=None,
+        missing_as_empty=tuple(empty),
+        base_rate={},
+        rows=rows,
+        truth_quality=quality,
+        failures=tuple(
+            Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
+        ),
+        warnings=tuple(warnings),
+        hashes={
+            target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
+            for target in sorted(results)
+        },
+        **vars(derived),
+    )
+    return table.model_copy(update={"marks": marks_of(table)})
+
+
+def _rows(target: Target, result: ViewResult) -> list[ScoreRow]:
+    """The rows of one view."""
+    return [
+        ScoreRow(
+            recording=target.recording,
+            object=target.object,
+            view=target.view,
+            category=target.category,
+            protocol=one.protocol,
+            threshold=FIXED,
+            **asdict(one.figures.voxels),
+            **asdict(one.figures.surface),
+            coverage_voxels=one.figures.coverage_voxels,
+            coverage_shape=one.figures.coverage_shape,
+            cells=0 if result.digest is None else FULL_CELLS,
+            unknown_share=result.unknown_share,
+            part=one.part,
+            alignment=one.alignment,
+            hypotheses=one.hypotheses,
+            solid=one.solid,
+            predicted_unknown_share=one.predicted_unknown_share,
+            surface_unknown_share=one.figures.surface_unknown_share,
+        )
+        for one in result.rows
+    ]
+
+
+def _without_inside(results: Mapping[Target, ViewResult]) -> list[str]:
+    """A line on predictions that have no inside; none if all have."""
+    without = [target.name for target, found in sorted(results.items()) if found.rows[0].solid is False]
+    if not without:
+        return []
+    return [
+        f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: they "
+        "have no inside, so they have metrics of surfaces alone"
+    ]
+
+
+def _settings(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:
+    """The choices that the numbers depend on, in words and numbers."""
+    return ScoreSettings(
+        score_version=VERSIONS["score"],
+        protocols=protocols,
+        primary_protocol=protocols[0],
+        missing=missing,
+        occupied="centre of a cell inside a closed mesh, in an occupied cell, or at a negative distance",
+        averages="pair, object, category, macro",
+        surface_metrics=True,
+        f_score_mm=F_SCORE_MM,
+        interval_level=LEVEL,
+        interval_rule=f"category: Student t over objects; overall: bootstrap over objects, by category "
+        f"({RESAMPLES} resamples, seed {SEED}); none with fewer than {MIN_OBJECTS} objects in a category",
+    )

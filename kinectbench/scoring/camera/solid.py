@@ -1,0 +1,137 @@
+"""A predicted solid in the cells of the truth, and how much of it lies outside them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import Grid, transform_points
+from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.types import Bools, Float64, Int32
+from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
+from kinectbench.scoring.camera.truth import SpaceTruth
+from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.mesh_outside import outside_share
+from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined
+
+# Planes of the truth's grid that are looked up at once: 65,536 centres each (chosen here).
+PLANES = 16
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A solid in the truth's grid.
+
+    Attributes:
+        cells: (256, 256, 256) bool, those whose centre is inside.
+        outside: its volume outside the grid, in cells of the truth.
+    """
+
+    cells: Bools
+    outside: float
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A mesh whose every edge has two faces; vertices (n, 3), faces (m, 3)."""
+
+    vertices_m: Float64
+    faces: Int32
+
+
+def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
+    """The mesh of a shape without doubled vertices; None if it is open or no mesh."""
+    if shape.form != "mesh":
+        return None
+    vertices, faces = joined(shape.points_m, shape.faces.astype(np.int32))
+    return ClosedMesh(vertices, faces) if is_closed(faces) else None
+
+
+def solid_in(
+    truth: SpaceTruth, shape: CameraShape, mesh: ClosedMesh | None, T_grid_prediction: Float64
+) -> Solid | None:
+    """A predicted solid in the cells of the truth; None of open meshes and of points.
+
+    A cell is occupied if its centre is inside a closed mesh, in an occupied cell, or where distances that are
+    interpolated linearly are negative.
+
+    Args:
+        truth: of the view.
+        shape: that is predicted.
+        mesh: what `closed_mesh` makes of it.
+        T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid.
+
+    Raises:
+        PredictionError: the mesh is too far away, or has too many faces across each other.
+    """
+    if mesh is not None:
+        from kinectbench.scoring.camera.kernels import mapped
+
+        return _of_mesh(truth, mapped(mesh.vertices_m, T_grid_prediction[:3]), mesh.faces)
+    if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
+        return None
+    T = T_grid_prediction @ shape.T_camera_grid
+    # Cells of the truth, by their indices -> cells of the prediction.
+    T_cells = (
+        np.diag([*[1 / shape.voxel_size_m] * 3, 1])
+        @ np.linalg.inv(T)
+        @ np.diag([*[truth.voxel_size_m] * 3, 1])
+    )
+    found = np.zeros((FULL_CELLS,) * 3, bool)
+    for begin in range(0, FULL_CELLS, PLANES):
+        at = np.mgrid[begin : begin + PLANES, :FULL_CELLS, :FULL_CELLS].reshape(3, -1).T + 0.5
+        inside = _inside(shape, transform_points(T_cells, at))
+        found[begin : begin + PLANES] = inside.reshape(PLANES, FULL_CELLS, FULL_CELLS)
+    return Solid(found, _cells_outside(truth, shape, T))
+
+
+def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
+    from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+
+    grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
+    vertices = vertices_m / truth.voxel_size_m
+    if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
+        far_m = MAX_FAR * FULL_CELLS * truth.voxel_size_m
+        raise PredictionError(
+            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes"
+        )
+    if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh")
+    cells = unpack(voxelize_solid(vertices_m, faces, grid))
+    if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
+        return Solid(cells, 0.0)
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
+    return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
+
+
+def _inside(shape: CameraShape, at: Float64) -> Bools:
+    """Whether places (n, 3), in cells of a prediction, are in its solid; outside its grid none is."""
+    cells = shape.cells
+    assert cells is not None
+    size = np.array(cells.shape)
+    within = ((at >= 0) & (at < size)).all(axis=1)
+    found = np.zeros(len(at), bool)
+    if shape.form == "voxels":
+        found[within] = cells[tuple(at[within].astype(np.int64).T)]
+        return found
+    # Between centres: eight neighbours; those beyond the border are the cells at the border.
+    place = np.clip(at[within] - 0.5, 0, size - 1)
+    low = np.minimum(place.astype(np.int64), np.maximum(size - 2, 0))
+    part = place - low
+    value = np.zeros(len(place))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(corner, part, 1 - part).prod(axis=1)
+        value += weight * cells[tuple(np.minimum(low + corner, size - 1).T)]
+    found[within] = value < 0
+    return found
+
+
+def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
+    """The volume of a prediction's cells that lie outside the truth's grid, in cells of the truth."""
+    assert shape.cells is not None and shape.voxel_size_m is not None
+    occupied = np.argwhere(shape.cells if shape.form == "voxels" else shape.cells < 0)
+    centers_m = transform_points(T_grid_own, (occupied + 0.5) * shape.voxel_size_m)
+    limit_m = FULL_CELLS * truth.voxel_size_m
+    outside = int(((centers_m < 0) | (centers_m >= limit_m)).any(axis=1).sum())
+    return outside * (similarity_scale(T_grid_own) * shape.voxel_size_m / truth.voxel_size_m) ** 3

@@ -1,0 +1,178 @@
+"""Score the predictions of one view in the camera frame: as they are, and after registrations."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.artefacts.score_figures import Alignment, Hypotheses, SurfaceMetrics, VoxelMetrics
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.types import Float64
+from kinectbench.release.release import Target
+from kinectbench.scoring.camera.metrics import Figures, figures_by_part
+from kinectbench.scoring.camera.solid import closed_mesh, solid_in
+from kinectbench.scoring.camera.surface import surface_of
+from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
+from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
+from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.prediction_file import blake3_of
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What one row states: a part of a view under a protocol.
+
+    Attributes:
+        protocol: camera or aligned.
+        part: whole, visible or occluded.
+        figures: of the part.
+        alignment: under `aligned`.
+        solid: whether there is an inside; None where there is no prediction.
+        predicted_unknown_share: of the predicted surface, what lies in unknown space.
+        hypotheses: of several predictions; None of the first or only one.
+    """
+
+    protocol: str
+    part: str
+    figures: Figures
+    alignment: Alignment | None = None
+    solid: bool | None = None
+    predicted_unknown_share: float | None = None
+    hypotheses: Hypotheses | None = None
+
+
+@dataclass(frozen=True)
+class ViewJob:
+    """A view to be scored.
+
+    Attributes:
+        target: the view.
+        truth: its pair file.
+        files: of its predictions, the main one first; () for an empty one.
+        method: what method.json declares.
+        protocols: camera, aligned or both.
+    """
+
+    target: Target
+    truth: Path
+    files: tuple[CameraFile, ...]
+    method: MethodFile
+    protocols: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """What was found of a view.
+
+    Attributes:
+        rows: what its rows state.
+        unknown_share: of the true shape's cells, those that are not known.
+        digest: BLAKE3 of the prediction's file, or of the digests of several; None without one.
+    """
+
+    rows: tuple[Scored, ...]
+    unknown_share: float
+    digest: str | None
+
+
+def score_view(job: ViewJob) -> ViewResult | str:
+    """Score a view; the reason where a prediction of it cannot be scored.
+
+    Raises:
+        ReleaseError: the truth is missing, or not the published one.
+    """
+    truth = read_space_truth(job.truth, job.target.sha256)
+    if not job.files:
+        return ViewResult(_empty(truth, job), truth.unknown_share, None)
+    found, digests = [], []
+    for file in job.files:
+        try:
+            digests.append(blake3_of(file.path.read_bytes()))
+            found.append(score_shape(truth, load_camera_shape(file, job.method), job))
+        except PredictionError as error:
+            line = str(error)
+            return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
+        except OSError as error:
+            return f"{file.name}{file.path.suffix}: cannot be read ({error.strerror or error})"
+    digest = digests[0] if len(digests) == 1 else blake3_of("".join(digests).encode())
+    return ViewResult((*found[0], *_over(found)), truth.unknown_share, digest)
+
+
+def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Scored, ...]:
+    """The rows of one predicted shape, in the camera frame, by protocol, kind of registration and part.
+
+    Raises:
+        PredictionError: its solid cannot be made in the truth's cells.
+    """
+    surface, mesh = surface_of(shape), closed_mesh(shape)
+    rows: list[Scored] = []
+    for protocol, T_camera_prediction, alignment in _placed(job):
+        T = truth.T_grid_camera @ T_camera_prediction
+        solid = solid_in(truth, shape, mesh, T)
+        found, left_out = figures_by_part(truth, surface.transformed(T), solid)
+        rows += [
+            Scored(protocol, part, figures, alignment, solid is not None, left_out)
+            for part, figures in found.items()
+        ]
+    return tuple(rows)
+
+
+def _placed(job: ViewJob) -> Sequence[tuple[str, Float64, Alignment | None]]:
+    """Where the shape is scored: by protocol a similarity and what it is."""
+    return [("camera", np.eye(4), None)]
+
+
+def _empty(truth: SpaceTruth, job: ViewJob) -> tuple[Scored, ...]:
+    """The rows of a view without a prediction: the worst of each figure."""
+    found = figures_by_part(truth, None, None)[0]
+    return tuple(
+        Scored(protocol, part, figures, alignment)
+        for protocol, _, alignment in _placed(job)
+        for part, figures in found.items()
+    )
+
+
+def _over(found: Sequence[tuple[Scored, ...]]) -> list[Scored]:
+    """The rows over several predictions of a view: the best by Chamfer distance of the whole, and means."""
+    k = len(found)
+    if k == 1:
+        return []
+    best, mean = Hypotheses(k, "best"), Hypotheses(k, "mean")
+    rows: list[Scored] = []
+    leader = 0
+    for of_one in zip(*found, strict=True):
+        if of_one[0].part == "whole":
+            far = [row.figures.surface.chamfer_l1_m for row in of_one]
+            leader = int(np.argmin([np.inf if one is None else one for one in far]))
+        rows.append(replace(of_one[leader], hypotheses=best))
+        rows.append(replace(_mean(of_one), hypotheses=mean))
+    return rows
+
+
+def _mean(rows: Sequence[Scored]) -> Scored:
+    """The mean of each figure; None where one has none. What was registered is that of the first."""
+    figures = [row.figures for row in rows]
+    surface = SurfaceMetrics(**_means([vars_of(of.surface) for of in figures]))
+    voxels = VoxelMetrics(**_means([vars_of(of.voxels) for of in figures]))
+    shares = [row.predicted_unknown_share for row in rows]
+    return replace(
+        rows[0],
+        figures=replace(figures[0], surface=surface, voxels=voxels),
+        solid=all(row.solid for row in rows),
+        predicted_unknown_share=_means([{"": share} for share in shares])[""],
+    )
+
+
+def vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
+    """The figures of a class of metrics by name."""
+    return {field.name: getattr(metrics, field.name) for field in fields(metrics)}
+
+
+def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
+    found: dict[str, float | None] = {}
+    for name in rows[0]:
+        values = [value for row in rows if (value := row[name]) is not None]
+        found[name] = float(np.mean(values)) if len(values) == len(rows) else None
+    return found

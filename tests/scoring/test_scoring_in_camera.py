@@ -1,0 +1,150 @@
+"""A folder of predictions in the camera frame becomes a table; what it cannot have is said."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from analytic_release import RECORDINGS, T_floor_camera, T_world_floor, true_mesh
+
+from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.release.release import Release, Target, open_release
+from kinectbench.scoring.camera_shape import CameraShape, write_shape
+from kinectbench.scoring.compare import compare
+from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.recheck import recheck
+from kinectbench.scoring.score import score, score_methods
+
+NUMBERS = {row[0]: index for index, row in enumerate(RECORDINGS)}
+
+
+@pytest.fixture(scope="module")
+def published(analytic: Path) -> Release:
+    return open_release(analytic / "benchmark")
+
+
+def true_shape(target: Target) -> CameraShape:
+    index = NUMBERS[target.recording]
+    mesh = true_mesh(target.category, index)
+    T = invert_rigid(T_world_floor(index) @ T_floor_camera(int(target.view)))
+    return CameraShape("mesh", transform_points(T, mesh.vertices), mesh.faces.astype(np.int64))
+
+
+def declare(folder: Path, **keys: Any) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "method.json").write_text(json.dumps({"name": folder.name, "frame": "camera"} | keys))
+
+
+def write_all(published: Release, folder: Path, moved_m: float = 0.0, **keys: Any) -> Path:
+    """The truth of each test view, moved away from the camera."""
+    declare(folder, **keys)
+    for target in published.split("test"):
+        shape = true_shape(target)
+        moved = CameraShape("mesh", shape.points_m + np.array([0, 0, moved_m]), shape.faces)
+        write_shape(moved, folder / target.recording / target.view)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(published: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_all(published, tmp_path_factory.mktemp("predictions") / "true")
+
+
+@pytest.fixture(scope="module")
+def table(published: Release, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ScoreTable:
+    out = tmp_path_factory.mktemp("scores")
+    score_methods(published, folder, out, protocols=["camera"])
+    return read_table(out / "scores.json")
+
+
+def test_the_truth_in_the_camera_frame_is_nearly_perfect(published: Release, table: ScoreTable) -> None:
+    assert table.complete and not table.warnings and not table.marks
+    assert len(table.rows) == 3 * len(published.split("test"))
+    assert {row.heading for row in table.rows} == {"camera", "camera-visible", "camera-occluded"}
+    for row in table.pairs("camera"):
+        assert row.iou is not None and row.iou > 0.98 and row.solid
+        assert row.chamfer_l1_m is not None and row.chamfer_l1_m < 0.002
+        assert row.f_score_5mm == 1 and row.predicted_unknown_share == 0 and row.chamfer_mm is None
+    overall = table.averages("camera")[OVERALL]
+    assert overall.f_score_5mm == 1 and overall.iou is not None and overall.normal_consistency is not None
+    assert table.csv().splitlines()[0].count("chamfer_l1_m") == 1
+
+
+def test_the_iou_is_that_of_the_grid_protocol(published: Release, table: ScoreTable, tmp_path: Path) -> None:
+    """The same meshes in the grid's frame, scored under `known`."""
+    from kinectbench.scoring.truth import read_parts
+
+    for target in published.split("test"):
+        T_world_grid, T_world_camera = read_parts(
+            published.pair_path(target), target.sha256, ("T_world_grid", "T_world_camera")
+        )
+        moved = true_shape(target).transformed(invert_rigid(T_world_grid) @ T_world_camera)
+        write_shape(moved, tmp_path / target.recording / target.view)
+    grid = score(published, tmp_path, method="grid", protocols=["known", "occluded"], surface=False)
+    for protocol, heading in (("known", "camera"), ("occluded", "camera-occluded")):
+        for one, other in zip(grid.pairs(protocol), table.pairs(heading), strict=True):
+            assert one.pair == other.pair and one.iou is not None and other.iou is not None
+            assert other.iou == pytest.approx(one.iou, abs=0.005)
+            assert other.unknown_share == one.unknown_share
+            assert other.coverage_shape == pytest.approx(one.coverage_shape)
+
+
+def test_a_table_is_compared_and_rechecked(
+    published: Release, folder: Path, tmp_path: Path, table: ScoreTable
+) -> None:
+    far = write_all(published, tmp_path / "far", 0.02)
+    score_methods(published, far, tmp_path / "scores", protocols=["camera"])
+    other = read_table(tmp_path / "scores" / "scores.json")
+    found = compare([table, other], "chamfer_l1_m", "camera-visible")
+    assert found.means["all"]["true"] < found.means["all"]["far"]
+    table.write(tmp_path / "true")
+    assert recheck(published, tmp_path / "true" / "scores.json", folder) == []
+    assert read_table(tmp_path / "true" / "scores.json").standing.startswith("verified")
+
+
+def test_open_meshes_have_no_iou_and_the_table_says_so(published: Release, tmp_path: Path) -> None:
+    folder = write_all(published, tmp_path / "open")
+    target = published.split("test")[0]
+    shape = true_shape(target)
+    write_shape(CameraShape("mesh", shape.points_m, shape.faces[1:]), folder / target.name)
+    found = score(published, folder, method="open", protocols=["camera"])
+    assert found.complete and found.pairs("camera")[0].iou is None and found.pairs("camera")[0].solid is False
+    assert found.averages("camera")[OVERALL].iou is None
+    assert found.averages("camera")[OVERALL].chamfer_l1_m is not None
+    count = len(published.split("test"))
+    assert found.warnings == (
+        f"1 of {count} predictions are open meshes or points, such as {target.name}: they have no inside, so "
+        "they have metrics of surfaces alone",
+    )
+
+
+def test_what_cannot_be_scored_is_named(published: Release, tmp_path: Path) -> None:
+    folder = write_all(published, tmp_path / "net")
+    first, second, *_ = published.split("test")
+    (folder / f"{first.name}.ply").unlink()
+    (folder / f"{second.name}.ply").write_bytes(b"no mesh")
+    (folder / "stray.txt").write_text("")
+    found = score(published, folder, method="net", protocols=["camera"])
+    assert not found.complete and found.overall is None
+    assert [failure.reason.split(":")[0] for failure in found.failures] == [first.name, f"{second.name}.ply"]
+    assert any(line.startswith("stray.txt") for line in found.warnings)
+    (folder / f"{second.name}.ply").unlink()
+    empty = score(published, folder, method="net", protocols=["camera"], missing="empty")
+    assert empty.complete and empty.missing_as_empty == (first.name, second.name)
+    worst = next(row for row in empty.pairs("camera") if row.pair == first.name)
+    assert worst.f_score_20mm == 0 and worst.cells == 0 and worst.solid is None
+    assert "2 of" in empty.marks[0].words
+
+
+def test_protocols_of_the_other_frame_are_refused(published: Release, folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="--protocol known: true predicts in the camera frame"):
+        score(published, folder, method="true", protocols=["known"])
+    declare(tmp_path / "free", scale="free")
+    with pytest.raises(SettingsError, match="--protocol camera: the predictions of free are of free size"):
+        score(published, tmp_path / "free", method="free", protocols=["camera"])
+    (tmp_path / "grid").mkdir()
+    with pytest.raises(SettingsError, match="--protocol camera: for predictions in the camera frame"):
+        score(published, tmp_path / "grid", method="grid", protocols=["camera"])
