@@ -8,10 +8,8 @@ random, and no result depends on the number of cores.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int64
@@ -27,6 +25,9 @@ COARSE, FINE = (600, 12), (4000, 40)
 START_DEG = 45.0
 # How much of the distance along the surface counts beside that across it: much at first, then little.
 ALONG_COARSE, ALONG_FINE = 0.3, 0.01
+# The surface of cells is a staircase: a sample of it is moved along its normal to the mean of so many around.
+# Of these, sizes come back within 0.04 %; without, within 0.2 % (measured, at 256 cells for 1.1 m).
+SMOOTHED = 32
 # A distance of so many medians counts half (chosen here): what one surface lacks does not pull.
 HALF_AT_MEDIANS = 3.0
 # Steps that move no sample by more than this share of the object's size end it; the last must be below the
@@ -58,16 +59,20 @@ class _Pair:
     truth: SpaceTruth
     ours: Surface
     theirs: Surface
-    normals: Float64
 
-    @cached_property
-    def tree(self) -> cKDTree:
-        return self.ours.tree
+    @property
+    def normals(self) -> Float64:
+        """(n, 3) of the truth."""
+        assert self.theirs.normals is not None
+        return self.theirs.normals
 
     def thinned(self, most: int) -> "_Pair":
-        theirs = self.theirs.thinned(most)
-        assert theirs.normals is not None
-        return replace(self, ours=self.ours.thinned(most), theirs=theirs, normals=theirs.normals)
+        """The same with fewer samples; those of the truth are put into the midst of its steps."""
+        few = replace(self, ours=self.ours.thinned(most), theirs=self.theirs.thinned(most))
+        points_m = few.theirs.points_m
+        near = self.theirs.points_m[self.theirs.tree.query(points_m, k=range(1, SMOOTHED + 1))[1]]
+        off = ((near - points_m[:, None]) * few.normals[:, None]).sum(axis=2).mean(axis=1)
+        return replace(few, theirs=replace(few.theirs, points_m=points_m + off[:, None] * few.normals))
 
 
 def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
@@ -78,10 +83,10 @@ def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
         surface: predicted, in the truth's grid.
         kind: of `KINDS`.
     """
-    known = truth.surface.chosen(truth.is_known)
-    if not len(known) or known.normals is None:
+    known = truth.known_surface
+    if not len(known):
         return Registration(np.eye(4), ok=False)
-    pair = _Pair(truth, surface, known, known.normals)
+    pair = _Pair(truth, surface, known)
     coarse, fine = pair.thinned(COARSE[0]), pair.thinned(FINE[0])
     ways = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
     best = min(ways, key=lambda T: _far(coarse, T))
@@ -122,7 +127,7 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
     moved = mapped(pair.ours.points_m, T[:3])
     moved = moved[pair.truth.at(moved)[0]]
     there, found = pair.theirs.tree.query(moved) if len(moved) else (np.zeros(0), np.zeros(0, np.int64))
-    back, nearest = pair.tree.query(mapped(pair.theirs.points_m, np.linalg.inv(T)[:3]))
+    back, nearest = pair.ours.tree.query(mapped(pair.theirs.points_m, np.linalg.inv(T)[:3]))
     back = back * similarity_scale(T)
     drawn = mapped(pair.ours.points_m[nearest], T[:3])
     places = np.concatenate([moved, drawn])

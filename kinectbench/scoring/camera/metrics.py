@@ -7,7 +7,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetrics
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
 from kinectbench.scoring.camera.solid import Solid
 from kinectbench.scoring.camera.surface import Surface, point_surface
 from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
@@ -87,8 +87,8 @@ def figures_by_part(
     is_known, seen = truth.at(surface.points_m)
     area = float(surface.areas.sum())
     left_out = float(surface.areas[~is_known].sum()) / area if area else 0.0
-    true_known = truth.surface.chosen(truth.is_known)
-    ours = surface.chosen(is_known)
+    true_known = truth.known_surface
+    ours = surface if is_known.all() else surface.chosen(is_known)
     true_seen = truth.is_seen[truth.is_known]
     there, back = _way(ours, seen[is_known], true_known), _way(true_known, true_seen, ours)
     found = {}
@@ -159,15 +159,17 @@ def _f_score(precision: float, recall: float) -> float:
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
-    counted = truth.known & _of_part(truth.seen, part)
+    counted = truth.known
+    if part != "whole":
+        counted = counted & (truth.seen if part == "visible" else ~truth.seen)
     occupied = counted & truth.full
-    true, shape = int(np.count_nonzero(occupied)), int(np.count_nonzero(truth.full))
-    shares = int(np.count_nonzero(counted)) / counted.size, true / shape if shape else 1.0
+    true, shape = packed_count(occupied), packed_count(truth.full)
+    shares = packed_count(counted) / FULL_CELLS**3, true / shape if shape else 1.0
     if solid is None:
         return VoxelMetrics(), *shares
-    both = int(np.count_nonzero(occupied & solid.cells))
+    both = packed_count(occupied & solid.cells)
     # The view saw nothing of what lies outside the grid.
-    predicted = int(np.count_nonzero(counted & solid.cells)) + (solid.outside if part != "visible" else 0.0)
+    predicted = packed_count(counted & solid.cells) + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0
     return (
         VoxelMetrics(

@@ -8,7 +8,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Bools, Float64, Int32
-from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_outside import outside_share
@@ -23,11 +23,11 @@ class Solid:
     """A solid in the truth's grid.
 
     Attributes:
-        cells: (256, 256, 256) bool, those whose centre is inside.
+        cells: (256, 256, 32) uint8, packed: those whose centre is inside.
         outside: its volume outside the grid, in cells of the truth.
     """
 
-    cells: Bools
+    cells: Packed
     outside: float
 
 
@@ -82,7 +82,7 @@ def solid_in(
         at = np.mgrid[begin : begin + PLANES, :FULL_CELLS, :FULL_CELLS].reshape(3, -1).T + 0.5
         inside = _inside(shape, transform_points(T_cells, at))
         found[begin : begin + PLANES] = inside.reshape(PLANES, FULL_CELLS, FULL_CELLS)
-    return Solid(found, _cells_outside(truth, shape, T))
+    return Solid(pack(found), _cells_outside(truth, shape, T))
 
 
 def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
@@ -97,7 +97,7 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
         )
     if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh")
-    cells = unpack(voxelize_solid(vertices_m, faces, grid))
+    cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))

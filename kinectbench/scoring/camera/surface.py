@@ -35,6 +35,7 @@ class Surface:
         second: (m, 3) the other edge from there.
         owner: (n,) the patch of each sample.
         is_triangle: whether patches are triangles, else rectangles.
+        found_in: where it was before it was mapped: what finds its samples there, and the (4, 4) back.
     """
 
     points_m: Float64
@@ -45,6 +46,7 @@ class Surface:
     second: Float64
     owner: Int64
     is_triangle: bool
+    found_in: tuple[cKDTree, Float64] | None = None
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -69,6 +71,7 @@ class Surface:
             areas=self.areas[which],
             normals=normals,
             owner=self.owner[which],
+            found_in=None,
         )
 
     def thinned(self, most: int) -> "Surface":
@@ -90,6 +93,7 @@ class Surface:
             corner=mapped(self.corner, T[:3]),
             first=mapped(self.first, linear),
             second=mapped(self.second, linear),
+            found_in=(self.tree, np.linalg.inv(T)),
         )
 
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
@@ -97,9 +101,14 @@ class Surface:
 
         The distance is that from the patch of the nearest sample.
         """
-        from kinectbench.scoring.camera.kernels import to_patches
+        from kinectbench.scoring.camera.kernels import mapped, to_patches
 
-        distances, found = self.tree.query(points_m)
+        if self.found_in is None:
+            distances, found = self.tree.query(points_m)
+        else:
+            tree, T = self.found_in
+            distances, found = tree.query(mapped(points_m, T[:3]))
+            distances = distances / similarity_scale(T)
         if len(self.corner):
             owner = self.owner[found]
             distances = to_patches(

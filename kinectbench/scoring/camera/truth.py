@@ -1,13 +1,14 @@
 """The truth of a view as predictions in the camera frame are held to it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
+from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unknown_share, unpack
 from kinectbench.scoring.camera.surface import Surface, cell_surface
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
@@ -20,7 +21,7 @@ class SpaceTruth:
     """The truth of a view, in its grid's frame, metres.
 
     Attributes:
-        full: (256, 256, 256) bool, the solid.
+        full: (256, 256, 32) uint8, packed: the solid.
         known: likewise, where the truth is trusted; what lies outside the grid is known to be free.
         seen: likewise, what the view saw; of what lies outside the grid nothing is.
         surface: of `full`: all its faces.
@@ -31,9 +32,9 @@ class SpaceTruth:
         size_m: the diagonal of the box of `full`.
     """
 
-    full: Bools
-    known: Bools
-    seen: Bools
+    full: Packed
+    known: Packed
+    seen: Packed
     surface: Surface
     is_known: Bools
     is_seen: Bools
@@ -41,20 +42,29 @@ class SpaceTruth:
     voxel_size_m: float
     size_m: float
 
+    @cached_property
+    def known_surface(self) -> Surface:
+        """The faces that are known."""
+        return self.surface.chosen(self.is_known)
+
     @property
     def unknown_share(self) -> float:
         """Share of the cells of `full` that are not known; 0 of an empty shape."""
-        cells = int(self.full.sum())
-        return int((self.full & ~self.known).sum()) / cells if cells else 0.0
+        return unknown_share(self.full, self.known)
 
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
         """Whether points (n, 3) lie in known space, and in space that the view saw."""
         cells = np.floor(points_m / self.voxel_size_m)
         inside = ((cells >= 0) & (cells < FULL_CELLS)).all(axis=1)
-        at = tuple(np.where(inside[:, None], cells, 0).astype(np.int64).T)
-        known: Bools = ~inside | self.known[at]
-        seen: Bools = inside & self.seen[at]
-        return known, seen
+        at = np.where(inside[:, None], cells, 0).astype(np.int64)
+        return ~inside | is_set(self.known, at), inside & is_set(self.seen, at)
+
+
+def is_set(packed: Packed, cells: Int64) -> Bools:
+    """(n,) whether cells (n, 3) of a packed grid are set."""
+    x, y, z = cells.T
+    found: Bools = (packed[x, y, z >> 3] >> (7 - (z & 7))) & 1 == 1
+    return found
 
 
 def read_space_truth(path: Path, sha256: str) -> SpaceTruth:
@@ -77,11 +87,7 @@ def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
     """The same from packed grids (256, 256, 32)."""
-    solid, trusted, looked_at = unpack(full), unpack(known), unpack(seen)
-    surface, cells = cell_surface(solid, voxel_size_m)
-    at = tuple(cells.T)
+    surface, cells = cell_surface(unpack(full), voxel_size_m)
+    is_known, is_seen = is_set(known, cells), is_set(seen, cells)
     size_m = size_cells(full) * voxel_size_m
-    is_known, is_seen = trusted[at], looked_at[at]
-    return SpaceTruth(
-        solid, trusted, looked_at, surface, is_known, is_seen, T_grid_camera, voxel_size_m, size_m
-    )
+    return SpaceTruth(full, known, seen, surface, is_known, is_seen, T_grid_camera, voxel_size_m, size_m)

@@ -9,11 +9,14 @@ import numpy as np
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import Alignment, Hypotheses, SurfaceMetrics, VoxelMetrics
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import rotation_angle_rad, transform_points
+from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64
 from kinectbench.release.release import Target
+from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.metrics import Figures, figures_by_part
 from kinectbench.scoring.camera.solid import closed_mesh, solid_in
-from kinectbench.scoring.camera.surface import surface_of
+from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
@@ -107,11 +110,16 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
         PredictionError: its solid cannot be made in the truth's cells.
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
+    as_predicted = surface.transformed(truth.T_grid_camera)
     rows: list[Scored] = []
-    for protocol, T_camera_prediction, alignment in _placed(job):
-        T = truth.T_grid_camera @ T_camera_prediction
+    for protocol, kind in _rows_of(job):
+        T, alignment, moved = truth.T_grid_camera, None, as_predicted
+        if kind is not None:
+            found_T, alignment = _aligned(truth, as_predicted, kind)
+            T = found_T @ T
+            moved = surface.transformed(T)
         solid = solid_in(truth, shape, mesh, T)
-        found, left_out = figures_by_part(truth, surface.transformed(T), solid)
+        found, left_out = figures_by_part(truth, moved, solid)
         rows += [
             Scored(protocol, part, figures, alignment, solid is not None, left_out)
             for part, figures in found.items()
@@ -119,17 +127,40 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
     return tuple(rows)
 
 
-def _placed(job: ViewJob) -> Sequence[tuple[str, Float64, Alignment | None]]:
-    """Where the shape is scored: by protocol a similarity and what it is."""
-    return [("camera", np.eye(4), None)]
+def _rows_of(job: ViewJob) -> list[tuple[str, str | None]]:
+    """The protocols, and under `aligned` the kinds of registration; of free size only those with a scale."""
+    kinds = [kind for kind in KINDS if job.method.scale == "metric" or "s" in kind]
+    found: list[tuple[str, str | None]] = [("camera", None)] if "camera" in job.protocols else []
+    return [*found, *(("aligned", kind) for kind in kinds if "aligned" in job.protocols)]
+
+
+def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, Alignment]:
+    """The registration of a surface in the truth's grid, and what is reported of it."""
+    found = register(truth, surface, kind)
+    middle, scale = surface.center_m, similarity_scale(found.T)
+    shift_m = transform_points(found.T, middle) - middle
+    return found.T, Alignment(
+        kind=kind,
+        scale=scale,
+        rotation_deg=float(np.degrees(rotation_angle_rad(found.T[:3, :3] / scale))),
+        translation_m=float(np.linalg.norm(shift_m)),
+        ok=found.ok,
+    )
 
 
 def _empty(truth: SpaceTruth, job: ViewJob) -> tuple[Scored, ...]:
     """The rows of a view without a prediction: the worst of each figure."""
     found = figures_by_part(truth, None, None)[0]
     return tuple(
-        Scored(protocol, part, figures, alignment)
-        for protocol, _, alignment in _placed(job)
+        Scored(
+            protocol,
+            part,
+            figures,
+            None
+            if kind is None
+            else Alignment(kind=kind, scale=1.0, rotation_deg=0.0, translation_m=0.0, ok=False),
+        )
+        for protocol, kind in _rows_of(job)
         for part, figures in found.items()
     )
 
