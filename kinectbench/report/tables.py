@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from kinectbench.core.artefacts.object import with_interval
 from kinectbench.core.artefacts.score_figures import (
+    IN_SPACE,
     SHARES,
     ScoreRow,
     SurfaceMetrics,
@@ -31,9 +32,13 @@ PROTOCOL_NOTES = {
     "occluded": "known voxels that the input view does not see; mean over objects",
     "measured": "known voxels that were measured, for who trusts nothing else; mean over objects",
     "known-unsaid": "known voxels but those that are so by a person's word alone; mean over objects",
+    "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",
 }
+# The two figures of a protocol's table: key, heading, decimals. Of surfaces in space others than of voxels.
+OF_VOXELS = (("iou", "IoU", 3), ("ce", "CE, nats a voxel", 3))
+OF_SURFACES = (("f_score_10mm", "F-score 10 mm", 3), ("chamfer_l1_m", "Chamfer L1, m", 4))
 CEILING = "ceiling"
-DECIMALS, LENGTH_DECIMALS = 3, 2
+DECIMALS, LENGTH_DECIMALS, METRE_DECIMALS = 3, 2, 4
 Averages = CategoryAverages | OverallAverages
 NONE = CategoryAverages()
 
@@ -55,8 +60,8 @@ class Row:
     Attributes:
         method: its name.
         group: letters; methods that share one cannot be told apart. "" if it is not compared.
-        iou: a cell for each category.
-        ce: likewise.
+        iou: a cell for each category, of the first of the table's figures; of voxels it is the IoU.
+        ce: likewise, of the second; of voxels the CE.
         marks: what sets its scores apart, a few words each.
         standing: "reported", or "verified" with date and version; "" of published figures.
     """
@@ -71,13 +76,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """One table: a row for each method, an IoU and a CE cell for each category.
+    """One table: a row for each method, a cell of both figures for each category.
 
     Attributes:
         title: heading.
         protocol: whose figures these are, as the headings of columns name it.
         note: one line below it.
-        categories: the columns under each of IoU and CE.
+        categories: the columns under each of the figures.
         rows: best first.
         base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known, or if
             the baseline of that name has a row.
@@ -86,6 +91,7 @@ class Table:
         grouped: whether rows have groups.
         shared: the marks that every row has; they stand above the table, and not in the rows.
         of_baselines: the further marks that every baseline has; likewise.
+        figures: headings of the two figures of each cell.
     """
 
     title: str
@@ -99,21 +105,27 @@ class Table:
     left_out: str = ""
     shared: tuple[str, ...] = ()
     of_baselines: tuple[str, ...] = ()
+    figures: tuple[str, str] = (OF_VOXELS[0][1], OF_VOXELS[1][1])
+
+
+def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]:
+    return OF_SURFACES if protocol.startswith(IN_SPACE) else OF_VOXELS
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """The protocols that the tables hold, the primary one first."""
-    found = {p for table in tables for p in [*(table.by_category or {}), *(table.overall or {})]}
+    """The protocols that the tables hold, the primary one first; others as they come in the tables."""
+    found = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in found]
-    return first + sorted(found - set(first))
+    return first + [p for p in found if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """The tables by their overall IoU, falling; those without one last, in the order given."""
+    """The tables by their overall IoU or F-score, falling; those without one last, in the order given."""
+    name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
-        iou = table.averages(protocol).get(OVERALL, NONE).iou
-        return 1.0 if iou is None else -iou
+        value = table.averages(protocol).get(OVERALL, NONE)[name]
+        return 1.0 if value is None else -value
 
     return sorted(tables, key=key)
 
@@ -189,14 +201,19 @@ def _table(
     columns: tuple[str, ...],
     cells: Mapping[str, Mapping[str, Averages]],
 ) -> Table:
-    best_iou = {c: _best(max, [row[c].iou for row in cells.values()]) for c in columns}
-    best_ce = {c: _best(min, [row[c].ce for row in cells.values()]) for c in columns}
+    figures = _figures(protocol)
+    best = [
+        {c: _best(choose, [row[c][key] for row in cells.values()], decimals) for c in columns}
+        for choose, (key, _, decimals) in zip((max, min), figures, strict=True)
+    ]
     rows = tuple(
         Row(
             method,
             "",
-            tuple(_cell(row[c].iou, best_iou[c], row[c].intervals.get("iou")) for c in columns),
-            tuple(_cell(row[c].ce, best_ce[c], row[c].intervals.get("ce")) for c in columns),
+            *(
+                tuple(_cell(row[c][key], of[c], row[c].intervals.get(key), decimals) for c in columns)
+                for of, (key, _, decimals) in zip(best, figures, strict=True)
+            ),
         )
         for method, row in cells.items()
     )
@@ -204,12 +221,13 @@ def _table(
         [row[c].base_rate_ce for row in cells.values() if row[c].base_rate_ce is not None] for c in columns
     ]
     base_rate = tuple(shown(of[0] if of else None) for of in rates) if any(rates) else ()
-    return Table(title, protocol, note, columns, rows, base_rate, grouped=False)
+    headings = (figures[0][1], figures[1][1])
+    return Table(title, protocol, note, columns, rows, base_rate, grouped=False, figures=headings)
 
 
-def _best(choose: Callable[[list[float]], float], values: list[float | None]) -> float | None:
+def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
     """The best of a column as it is shown: figures that look the same are the same."""
-    found = [round(value, DECIMALS) for value in values if value is not None]
+    found = [round(value, decimals) for value in values if value is not None]
     return choose(found) if found else None
 
 
@@ -218,11 +236,11 @@ def shown(value: float | None, decimals: int = DECIMALS) -> str:
     return "–" if value is None else f"{value:.{decimals}f}"
 
 
-def _cell(value: float | None, best: float | None, interval: Sequence[float] | None) -> Cell:
+def _cell(value: float | None, best: float | None, interval: Sequence[float] | None, decimals: int) -> Cell:
     if value is None:
         return Cell("–", "", False, "")
-    between = "" if interval is None else f"{shown(interval[0])}–{shown(interval[1])}"
-    return Cell(shown(value), repr(value), round(value, DECIMALS) == best, between)
+    between = "" if interval is None else "–".join(shown(end, decimals) for end in interval)
+    return Cell(shown(value, decimals), repr(value), round(value, decimals) == best, between)
 
 
 def _base_rate(averages: Averages) -> str:
@@ -238,7 +256,7 @@ def _truth_iou(averages: Averages) -> str | None:
 
 
 def _surface(name: str) -> Callable[[Averages], str]:
-    decimals = DECIMALS if name in SHARES else LENGTH_DECIMALS
+    decimals = DECIMALS if name in SHARES else METRE_DECIMALS if name.endswith("_m") else LENGTH_DECIMALS
     return lambda averages: shown(getattr(averages, name), decimals)
 
 

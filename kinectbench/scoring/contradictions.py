@@ -125,7 +125,9 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
     if row.ce is not None and row.ce > MOST_CE + ROUNDING:
         yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"
     if row.in_space and row.counts:
-        yield from _ratios(row) if row.iou is not None else ()
+        # A mean of ratios is not the ratio of means.
+        is_mean = row.hypotheses is not None and row.hypotheses.of == "mean"
+        yield from _ratios(row) if row.iou is not None and not is_mean else ()
         return
     if row.iou is None:
         if any(value is not None for value in (*figures, row.iou_by_threshold)):

@@ -1,5 +1,7 @@
 """Registration of predictions to the truth: what was done to a shape is undone; a mirror image stays one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -112,7 +114,7 @@ def rows_of(truth: SpaceTruth, shape: CameraShape, **declared: str) -> dict[str,
     method = MethodFile(name="net", frame="camera", **declared)
     used = ("camera", "aligned") if method.scale == "metric" else ("aligned",)
     target = Target("r", "0", "o", "chair", "test", "", "", None)
-    job = ViewJob(target, __import__("pathlib").Path(), (), method, used)
+    job = ViewJob(target, Path(), (), method, used)
     return {
         f"{row.protocol} {row.alignment.kind if row.alignment else ''} {row.part}": row
         for row in score_shape(truth, shape, job)
@@ -144,7 +146,9 @@ def test_rows_say_what_was_needed() -> None:
     camera = rows["camera  whole"].figures
     assert camera.surface.chamfer_l1_m > 10 * row.figures.surface.chamfer_l1_m
     # What a kind does not free stays.
-    assert rows["aligned t whole"].alignment.scale == 1 and rows["aligned t whole"].alignment.rotation_deg == 0
+    assert (
+        rows["aligned t whole"].alignment.scale == 1 and rows["aligned t whole"].alignment.rotation_deg == 0
+    )
     free = rows_of(truth, shape, scale="free")
     assert {key.split()[1] for key in free} == {"t+s", "R+t+s"}
 

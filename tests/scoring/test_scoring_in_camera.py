@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from analytic_release import RECORDINGS, T_floor_camera, T_world_floor, true_mesh
+from small_benchmark import run_here
 
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
@@ -148,3 +149,85 @@ def test_protocols_of_the_other_frame_are_refused(published: Release, folder: Pa
     (tmp_path / "grid").mkdir()
     with pytest.raises(SettingsError, match="--protocol camera: for predictions in the camera frame"):
         score(published, tmp_path / "grid", method="grid", protocols=["camera"])
+
+
+def test_several_hypotheses_have_the_first_the_best_and_the_mean(published: Release, tmp_path: Path) -> None:
+    """The second of three is right; k is in the heading, and the main row is the first's."""
+    folder = tmp_path / "sampled"
+    declare(folder, hypotheses=3)
+    for target in published.split("test"):
+        shape = true_shape(target)
+        for k, moved_m in enumerate((0.03, 0.0, 0.06)):
+            moved = CameraShape("mesh", shape.points_m + np.array([0, 0, moved_m]), shape.faces)
+            write_shape(moved, folder / target.recording / f"{target.view}.{k}")
+    table = score(published, folder, method="sampled", protocols=["camera"])
+    table.write(tmp_path / "scores")
+    table = read_table(tmp_path / "scores" / "scores.json")
+    whole = [table.pairs(heading) for heading in ("camera", "camera-best-of-3", "camera-mean-of-3")]
+    assert {len(rows) for rows in whole} == {len(published.split("test"))}
+    for first, best, mean in zip(*whole, strict=True):
+        assert first.hypotheses is None and best.hypotheses is not None and best.hypotheses.k == 3
+        assert best.chamfer_l1_m is not None and best.chamfer_l1_m < 0.002 < 0.01 < first.chamfer_l1_m
+        assert best.iou > 0.98 and mean.chamfer_l1_m > first.chamfer_l1_m
+    assert "camera-occluded-best-of-3" in table.by_category
+    target = published.split("test")[0]
+    (folder / f"{target.name}.1.ply").unlink()
+    found = score(published, folder, method="sampled", protocols=["camera"], missing="empty")
+    assert [failure.reason.split(":")[0] for failure in found.failures] == [f"{target.name}.1"]
+
+
+def test_aligned_rows_are_read_again_and_averaged_by_kind(
+    published: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shapes of free size, moved and doubled; the rows come back from scores.json and from rows.npz."""
+    folder = tmp_path / "free"
+    declare(folder, scale="free", unit="free")
+    for target in published.split("test"):
+        shape = true_shape(target)
+        write_shape(
+            CameraShape("mesh", 2 * shape.points_m + np.array([1.0, 0, 0]), shape.faces),
+            folder / target.recording / target.view,
+        )
+    table = score(published, folder, method="free", jobs=2)
+    assert set(table.by_category or {}) == {
+        f"aligned-{kind}{part}" for kind in ("t+s", "R+t+s") for part in ("", "-visible", "-occluded")
+    }
+    for row in table.pairs("aligned-t+s"):
+        assert row.alignment is not None and row.alignment.ok and row.alignment.rotation_deg == 0
+        assert row.alignment.scale == pytest.approx(0.5, rel=0.01)
+        assert row.chamfer_l1_m is not None and row.chamfer_l1_m < 0.003
+    table.write(tmp_path / "json")
+    assert read_table(tmp_path / "json" / "scores.json").rows == table.rows
+    monkeypatch.setattr("kinectbench.core.artefacts.score_columns.ROWS_IN_JSON", 3)
+    table.write(tmp_path / "npz")
+    assert (tmp_path / "npz" / "rows.npz").is_file()
+    assert read_table(tmp_path / "npz" / "scores.json").rows == table.rows
+
+
+def test_an_edited_row_is_refused(table: ScoreTable, tmp_path: Path) -> None:
+    table.write(tmp_path)
+    content = json.loads((tmp_path / "scores.json").read_text())
+    content["rows"][0]["part"] = "visible"
+    (tmp_path / "scores.json").write_text(json.dumps(content))
+    with pytest.raises(StorageError, match=r"stands there twice|of different pairs"):
+        read_table(tmp_path / "scores.json")
+    content["rows"][0] |= {"part": "whole", "chamfer_l1_m": 1e-5}
+    (tmp_path / "scores.json").write_text(json.dumps(content))
+    with pytest.raises(StorageError, match="'by_category"):
+        read_table(tmp_path / "scores.json")
+
+
+def test_the_command_prints_a_table_and_makes_a_page(
+    analytic: Path,
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "scores"
+    arguments = ["score", str(folder), "--benchmark", str(analytic / "benchmark"), "--out", str(out)]
+    done = run_here(monkeypatch, capsys, tmp_path, *arguments, "--jobs", "1")
+    shown = done.out
+    assert done.status == 0, done.err
+    assert "Chamfer L1, m" in shown and "aligned-R+t+s" in shown and "camera-occluded" in shown
+    assert "Chamfer L1, m" in (out / "index.html").read_text() and not (out / "baselines").exists()
