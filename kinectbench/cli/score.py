@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from kinectbench.release.release import Release
 
 
-PROTOCOLS = "paper, known, occluded, measured, known-unsaid"
-# Of predictions in the camera frame.
-IN_SPACE = "camera, aligned"
+PROTOCOLS = "paper, known, occluded, measured, known-unsaid, or of the camera frame camera, aligned"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
 # Options that say what `--recheck` takes from the table, or write what it does not.
@@ -40,9 +38,7 @@ def score(
         ),
     ] = None,
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
-    protocol: Annotated[
-        list[str] | None, typer.Option(help=f"{PROTOCOLS}; or {IN_SPACE}; default: all there are")
-    ] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help=f"{PROTOCOLS}; default: all there are")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
     save_thresholds: Annotated[
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
@@ -85,14 +81,10 @@ def score(
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
-    # Galleries and baselines are of voxels alone.
-    of_voxels = not any(table.in_space for table in tables)
-    if gallery and of_voxels:
+    if gallery and not in_space(tables):
         with console.bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
-    beside = (
-        baselines_of(release, folder, tables, upsampling, common.workers) if baselines and of_voxels else []
-    )
+    beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
     tell_scores(common, tables, beside, page)
     return exit_status(rows) if all(table.complete for table in tables) else SOME_FAILED
@@ -128,6 +120,13 @@ def _score_part(
     return SOME_FAILED if failed else 0
 
 
+def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
+    """Those of predictions in the camera frame."""
+    from kinectbench.core.artefacts.score_figures import any_in_space
+
+    return [table for table in tables if any_in_space(table.settings.protocols)]
+
+
 def tell_scores(
     common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path
 ) -> None:
@@ -136,15 +135,15 @@ def tell_scores(
     from kinectbench.cli.score_tables import score_table
     from kinectbench.cli.space_tables import space_table
 
-    of_voxels = [table for table in tables if not table.in_space]
-    in_space = [table for table in tables if table.in_space]
+    spatial = in_space(tables)
+    of_voxels = [table for table in tables if table not in spatial]
     if common.as_json:
         console.say_json([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables])
     else:
         if of_voxels:
             console.out.print(score_table([*of_voxels, *beside], published=True))
-        if in_space:
-            console.out.print(space_table(in_space))
+        if spatial:
+            console.out.print(space_table(spatial))
         console.say(f"page: {page.resolve()}")
 
 
@@ -238,11 +237,16 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """The baselines that are not among the methods already; none beside a table of very many rows."""
+    """The baselines that are not among the methods already; none beside a table of very many rows.
+
+    Baselines are of voxels: there is none beside predictions in the camera frame.
+    """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.scoring.baselines.beside import baselines_beside
 
+    if in_space(tables):
+        return []
     if len(tables[0].rows) > ROWS_IN_JSON:  # all of them at once would take gigabytes
         line = (
             f"none beside more than {ROWS_IN_JSON} rows; `kinectbench baseline NAME` writes one to be scored"
@@ -281,7 +285,7 @@ def compare(
     scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
     metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",
     protocol: Annotated[
-        str, typer.Option(help=f"{PROTOCOLS}; or camera, camera-occluded, aligned-t+s and others")
+        str, typer.Option(help=f"{PROTOCOLS}; also camera-occluded, aligned-t+s-visible, …")
     ] = "known",
 ) -> None:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""

@@ -206,23 +206,19 @@ def _table(
         {c: _best(choose, [row[c][key] for row in cells.values()], decimals) for c in columns}
         for choose, (key, _, decimals) in zip((max, min), figures, strict=True)
     ]
-    rows = tuple(
-        Row(
-            method,
-            "",
-            *(
-                tuple(_cell(row[c][key], of[c], row[c].intervals.get(key), decimals) for c in columns)
-                for of, (key, _, decimals) in zip(best, figures, strict=True)
-            ),
+    rows = []
+    for method, row in cells.items():
+        first, second = (
+            tuple(_cell(row[c][key], of[c], row[c].intervals.get(key), decimals) for c in columns)
+            for of, (key, _, decimals) in zip(best, figures, strict=True)
         )
-        for method, row in cells.items()
-    )
+        rows.append(Row(method, "", first, second))
     rates = [
         [row[c].base_rate_ce for row in cells.values() if row[c].base_rate_ce is not None] for c in columns
     ]
     base_rate = tuple(shown(of[0] if of else None) for of in rates) if any(rates) else ()
     headings = (figures[0][1], figures[1][1])
-    return Table(title, protocol, note, columns, rows, base_rate, grouped=False, figures=headings)
+    return Table(title, protocol, note, columns, tuple(rows), base_rate, grouped=False, figures=headings)
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:

@@ -11,8 +11,8 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step
 
-# What a method may declare and be scored today, by key; the file's format knows more words, and `check` looks
-# at predictions of all of them in the camera frame.
+# What a method may declare of predictions in the grid of the pair, by key; in the camera frame all words that
+# the file's format knows are scored.
 SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "frame": ("grid",),
     "form": ("voxels", "mesh"),
@@ -48,7 +48,9 @@ def read_method(folder: Path) -> MethodFile | None:
     method = MethodFile.read_if_there(folder)
     told = [] if method is None else list(_not_supported(method))
     if told:
-        raise PredictionError(f"{folder / MethodFile.FILE}: {'; '.join(told)}")
+        of_camera = method is not None and method.frame == "grid" and not told[0].startswith("'threshold'")
+        advice = "; with 'frame': 'camera' it is" * of_camera
+        raise PredictionError(f"{folder / MethodFile.FILE}: {'; '.join(told)}{advice}")
     return method
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from kinectbench.core.artefacts import score_marks as kinds
+from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
@@ -57,7 +58,7 @@ def _validation(table: ScoreTable) -> str:
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
     """Categories whose threshold is neither from their own validation pairs nor from a file."""
-    sources = {} if table.in_space else table.threshold_source_by_category
+    sources = {} if any_in_space(table.settings.protocols) else table.threshold_source_by_category
     names = [name for name, of in sorted(sources.items()) if of == source]
     value = table.thresholds.get(names[0], FIXED) if names else FIXED
     if sources and table.threshold_source == source and len(names) == len(sources):

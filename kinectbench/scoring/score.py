@@ -17,7 +17,7 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.camera.score import score_in_camera
+from kinectbench.scoring.camera.score import protocols_in_space, score_in_camera
 from kinectbench.scoring.declared import (
     changed_files,
     changed_line,
@@ -73,19 +73,10 @@ def score(
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
     check_words(protocols, upsampling)
-    if (in_camera := read_in_camera(predictions)) is not None:
-        if thresholds_file is not None:
-            raise SettingsError(f"--thresholds {thresholds_file}: predictions in the camera frame have none")
-        return score_in_camera(
-            release,
-            predictions,
-            in_camera,
-            method=method,
-            protocols=protocols,
-            missing=missing,
-            jobs=_processes(jobs, predictions),
-            progress=progress,
-        )
+    if (said := read_in_camera(predictions)) is not None:
+        _refuse_grid_options(thresholds_file, jobs)
+        used, processes = protocols_in_space(protocols, said), jobs if isinstance(jobs, int) else 1
+        return score_in_camera(release, predictions, said, method, used, missing, processes, progress)
     asked = plan(release, predictions, thresholds_file, missing)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
@@ -136,11 +127,14 @@ def _changed(
     return [changed_line(changed, len(digests))] if changed else []
 
 
-def _processes(jobs: int | Executor, predictions: Path) -> int:
-    """Number of processes for predictions in the camera frame, which are scored on this machine alone."""
-    if isinstance(jobs, int):
-        return jobs
-    raise SettingsError(f"{predictions}: predictions in the camera frame are not scored with --cluster yet")
+def _refuse_grid_options(thresholds_file: Path | None, jobs: int | Executor) -> None:
+    """Refuse what predictions in the camera frame do not have."""
+    if thresholds_file is not None:
+        raise SettingsError(f"--thresholds {thresholds_file}: predictions in the camera frame have none")
+    if not isinstance(jobs, int):
+        raise SettingsError(
+            "--cluster: predictions in the camera frame are scored on one machine; use --jobs"
+        )
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
@@ -260,7 +254,9 @@ def count_methods(
     failed = 0
     for name, folder in methods.items():
         if read_in_camera(folder) is not None:
-            raise SettingsError(f"{folder}: predictions in the camera frame are not scored in parts yet")
+            raise SettingsError(
+                f"{folder}: predictions in the camera frame are not scored in parts; leave out --shard"
+            )
         asked = plan(release, folder, thresholds_file, rule)
         counting = counting_of(release, protocols, upsampling, surface)
         _refuse_many_rows(len(release.split("test")), counting.protocols)

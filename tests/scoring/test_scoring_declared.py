@@ -46,7 +46,6 @@ def by_diagonal(z: float, shift: float = 0, rows: bool = False) -> list[list[flo
 
 EYE = by_diagonal(1)
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "frame": ({"frame": "camera"}, "'frame' 'camera' is not supported yet (supported: grid)"),
     "points": ({"form": "points"}, "'form' 'points' is not supported yet (supported: voxels, mesh)"),
     "sdf": ({"form": "sdf"}, "'form' 'sdf' is not supported yet"),
     "scale": ({"scale": "free"}, "'scale' 'free' is not supported yet (supported: metric)"),
@@ -71,7 +70,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "many hypotheses": ({"hypotheses": 101}, "'hypotheses': Input should be less than or equal to 100"),
     "a negative time": ({"seconds_per_view": -1.0}, "'seconds_per_view': Input should be greater than or"),
     "a probability of 3": ({"threshold": 3.0}, "'threshold': Input should be less than or equal to 1"),
-    "two": ({"frame": "camera", "unit": "mm"}, "(supported: grid); 'unit' 'mm' is not"),
+    "two": ({"form": "points", "unit": "mm"}, "(supported: voxels, mesh); 'unit' 'mm' is not"),
+    "advice": ({"form": "points"}, "with 'frame': 'camera' it is"),
     "a typo": ({"fram": "camera"}, "'fram': no such key; did you mean 'frame'?"),
     "capitals": ({"Frame": "camera"}, "'Frame': no such key; did you mean 'frame'?"),
     "a plural": ({"hypothesis": 5}, "'hypothesis': no such key; did you mean 'hypotheses'?"),

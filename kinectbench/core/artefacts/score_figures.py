@@ -6,7 +6,8 @@ and whether more is better. Rows, averages, the JSON schema and the page's table
 The bases of a class are read from the right: the fields of the last base come first in the file.
 """
 
-from typing import Annotated, Any
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 from pydantic.dataclasses import dataclass
@@ -20,6 +21,8 @@ OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANG
 
 # Protocols of predictions in the camera frame.
 IN_SPACE = ("camera", "aligned")
+# What of a shape one of their rows is of: all, what the view saw, or the rest.
+ShapePart = Literal["whole", "visible", "occluded"]
 # Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
 FINITE = ConfigDict(allow_inf_nan=False)
 
@@ -78,6 +81,11 @@ class SurfaceMetrics:
     f_score_5pct: float | None = _share(
         None, "F-score at 5 % of the diagonal of the shape's box; of predictions in the camera frame"
     )
+
+
+def any_in_space(protocols: Iterable[str]) -> bool:
+    """Whether protocols are of predictions in the camera frame, which have no thresholds."""
+    return any(protocol in IN_SPACE for protocol in protocols)
 
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
@@ -188,7 +196,7 @@ class Hypotheses:
 class InSpace:
     """What only rows of the protocols `camera` and `aligned` state."""
 
-    part: Annotated[str | None, Field(json_schema_extra={"enum": ["whole", "visible", "occluded"]})] = Field(
+    part: ShapePart | None = Field(
         default=None, description="which part of the shape; null under the other protocols"
     )
     alignment: Alignment | None = Field(default=None, description="under `aligned`")

@@ -14,7 +14,6 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_columns import RowsFile, read_rows, rows_as_json, write_rows
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
-    IN_SPACE,
     IN_UNIT_RANGE,
     SURFACE_METRICS,
     Averages,
@@ -306,11 +305,6 @@ class ScoreTable(Stored):
     def pairs(self, protocol: str) -> list[ScoreRow]:
         """The rows under a heading (`ScoreRow.heading`), which of most protocols is their name."""
         return [row for row in self.rows if row.heading == protocol]
-
-    @property
-    def in_space(self) -> bool:
-        """Whether it is of predictions in the camera frame, which have no thresholds."""
-        return any(protocol in IN_SPACE for protocol in self.settings.protocols)
 
     def left_out_line(self, protocol: str) -> str:
         """How many pairs a protocol leaves out, in a sentence; "" if none."""

@@ -143,7 +143,8 @@ def _weights(distances: Float64) -> Float64:
         return distances
     half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
     weights: Float64 = 1 / (1 + (distances / half) ** 2)
-    return weights / weights.sum()
+    weights /= weights.sum()
+    return weights
 
 
 def _far(pair: _Pair, T: Float64) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetrics
+from kinectbench.core.artefacts.score_figures import ShapePart, SurfaceMetrics, VoxelMetrics
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
 from kinectbench.scoring.camera.solid import Solid
@@ -74,7 +74,7 @@ class Way:
 
 def figures_by_part(
     truth: SpaceTruth, surface: Surface | None, solid: Solid | None
-) -> tuple[dict[str, Figures], float]:
+) -> tuple[dict[ShapePart, Figures], float]:
     """The figures of each part, and the share of the predicted surface that lies in unknown space.
 
     Args:
@@ -91,7 +91,7 @@ def figures_by_part(
     ours = surface if is_known.all() else surface.chosen(is_known)
     true_seen = truth.is_seen[truth.is_known]
     there, back = _way(ours, seen[is_known], true_known), _way(true_known, true_seen, ours)
-    found = {}
+    found: dict[ShapePart, Figures] = {}
     for part in PARTS:
         here = _of_part(truth.is_seen, part)
         true_area, of_known = (

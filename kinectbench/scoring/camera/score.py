@@ -32,12 +32,11 @@ def score_in_camera(
     release: Release,
     folder: Path,
     declared: MethodFile,
-    *,
     method: str,
-    protocols: Sequence[str] | None = None,
-    missing: Missing = "error",
-    jobs: int = 1,
-    progress: Progress | None = None,
+    protocols: tuple[str, ...],
+    missing: Missing,
+    jobs: int,
+    progress: Progress | None,
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
 
@@ -46,7 +45,7 @@ def score_in_camera(
         folder: of the predictions; untrusted.
         declared: its method.json.
         method: its name.
-        protocols: camera, aligned or both; default: both, and of predictions of free size `aligned` alone.
+        protocols: of `protocols_in_space`.
         missing: "error" lists a missing prediction as a failure; "empty" scores the worst of each figure.
         jobs: number of processes.
         progress: called with (views done, views in all).
@@ -55,22 +54,21 @@ def score_in_camera(
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
 
     Raises:
-        SettingsError: a protocol that is none of the camera frame.
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
     """
-    used = protocols_in_space(protocols, declared)
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False)
     files, failures = _files(folder, test, declared, missing)
     tasks = [
-        ViewJob(target, release.pair_path(target), files[target], declared, used) for target in sorted(files)
+        ViewJob(target, release.pair_path(target), files[target], declared, protocols)
+        for target in sorted(files)
     ]
     outcomes = dict(zip(sorted(files), run_tasks(score_view, tasks, jobs, progress), strict=True))
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
     empty = [target.name for target in sorted(files) if not files[target]]
-    table = _table(release, method, results, failures, _settings(used, missing), empty)
+    table = _table(release, method, results, failures, _settings(protocols, missing), empty)
     said = (*method_lines(folder, declared, release), *_without_inside(results), *table.warnings)
     return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
 

@@ -93,7 +93,7 @@ class Surface:
             corner=mapped(self.corner, T[:3]),
             first=mapped(self.first, linear),
             second=mapped(self.second, linear),
-            found_in=(self.tree, np.linalg.inv(T)),
+            found_in=(self.tree, np.linalg.inv(T).astype(np.float64)),
         )
 
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core.artefacts.score_figures import ShapePart
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unknown_share, unpack
@@ -13,7 +14,7 @@ from kinectbench.scoring.camera.surface import Surface, cell_surface
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
 
-PARTS = ("whole", "visible", "occluded")
+PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class SpaceTruth:
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
         """Whether points (n, 3) lie in known space, and in space that the view saw."""
         cells = np.floor(points_m / self.voxel_size_m)
-        inside = ((cells >= 0) & (cells < FULL_CELLS)).all(axis=1)
+        inside: Bools = ((cells >= 0) & (cells < FULL_CELLS)).all(axis=1)
         at = np.where(inside[:, None], cells, 0).astype(np.int64)
         return ~inside | is_set(self.known, at), inside & is_set(self.seen, at)
 

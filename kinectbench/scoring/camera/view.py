@@ -7,7 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.artefacts.score_figures import Alignment, Hypotheses, SurfaceMetrics, VoxelMetrics
+from kinectbench.core.artefacts.score_figures import (
+    Alignment,
+    Hypotheses,
+    ShapePart,
+    SurfaceMetrics,
+    VoxelMetrics,
+)
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
@@ -38,7 +44,7 @@ class Scored:
     """
 
     protocol: str
-    part: str
+    part: ShapePart
     figures: Figures
     alignment: Alignment | None = None
     solid: bool | None = None
