@@ -8,6 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.voxels.pair_file import pack
@@ -17,7 +18,7 @@ from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.surface import Surface, mesh_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
 from kinectbench.scoring.camera.view import Scored, ViewJob, score_shape
-from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.camera_shape import CameraShape, distance_shape, occupancy_shape
 
 SIDE = 256
 EVERYWHERE = np.full((SIDE, SIDE, SIDE // 8), 255, np.uint8)
@@ -171,3 +172,30 @@ def test_failures_are_said() -> None:
     truth = truth_of(mesh, np.zeros_like(EVERYWHERE))
     found = register(truth, surface(mesh, np.eye(4)), "t")
     assert not found.ok and np.array_equal(found.T, np.eye(4))
+
+
+ODD: dict[str, CameraShape] = {
+    "one point": CameraShape("points", np.zeros((1, 3)), np.zeros((0, 3), np.int64)),
+    "one place": CameraShape("points", np.full((5, 3), 0.3), np.zeros((0, 3), np.int64)),
+    "no normals": CameraShape("points", np.eye(3), np.zeros((0, 3), np.int64), np.full((3, 3), np.nan)),
+    "far away": CameraShape("points", np.eye(3) * 1e6, np.zeros((0, 3), np.int64)),
+    "no area": CameraShape("mesh", np.zeros((3, 3)), np.array([[0, 1, 2]])),
+    "two sides": CameraShape("mesh", np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])),
+    "one cell": occupancy_shape(np.ones((1, 1, 1), bool), np.eye(4), 0.01),
+    "all inside": distance_shape(np.full((8, 8, 8), -0.001, np.float32), np.eye(4), 0.01),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_shapes_have_finite_figures(name: str) -> None:
+    rows = rows_of(TRUTHS["corner"], ODD[name])
+    for row in rows.values():
+        far = row.figures.surface.chamfer_l1_m
+        assert (far is None) == (row.part == "visible")
+        assert far is None or np.isfinite(far)
+
+
+def test_distances_without_a_surface_are_refused() -> None:
+    shape = distance_shape(np.full((8, 8, 8), 0.001, np.float32), np.eye(4), 0.01)
+    with pytest.raises(PredictionError, match="no cell is at a surface: an empty prediction"):
+        rows_of(TRUTHS["corner"], shape)

@@ -163,7 +163,7 @@ class Unknown:
 
 @dataclass(frozen=True, config=FINITE)
 class Alignment:
-    """How a prediction was registered to the truth before it was scored; see docs/scoring.md."""
+    """How a prediction was registered to the truth before it was scored; docs/scoring-in-space.md."""
 
     kind: str = Field(
         description="what was free: a shift, a scale, a rotation",

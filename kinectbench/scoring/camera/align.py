@@ -19,7 +19,7 @@ from kinectbench.scoring.camera.truth import SpaceTruth
 # What is free, as indices of a step: a shift (3), the logarithm of a scale, a rotation vector (3).
 KINDS: dict[str, tuple[int, ...]] = {"t": (0, 1, 2), "t+s": (0, 1, 2, 3), "R+t+s": (0, 1, 2, 3, 4, 5, 6)}
 # Samples of each surface and steps: from all starts, then from the best of them (chosen here; with them the
-# tests' shapes come back to within the bounds stated in docs/scoring.md).
+# tests' shapes come back to within the bounds stated in docs/scoring-in-space.md).
 COARSE, FINE = (600, 12), (4000, 40)
 # A rotation by up to 30 degrees is within reach of the start without one; these reach farther (chosen here).
 START_DEG = 45.0

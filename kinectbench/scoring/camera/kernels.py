@@ -224,3 +224,72 @@ def step_equations(places, targets, normals, weights, middle, along):  # type: i
                 product = J[0, a] * J[0, b] + J[1, a] * J[1, b] + J[2, a] * J[2, b]
                 H[a, b] += weights[n] * (row[a] * row[b] + along * product)
     return H, g
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
+    """(side, side, side) bool: centres of the truth's cells that lie in occupied cells of a prediction.
+
+    Args:
+        cells: (i, j, k) bool; outside the grid is free.
+        affine: (3, 4), from places in cells of the truth to places in cells of the prediction.
+        side: cells of the truth along each axis.
+    """
+    found = np.zeros((side, side, side), np.bool_)
+    for i in range(side):
+        for j in range(side):
+            x, y, z = _place(affine, i, j)
+            for k in range(side):
+                a = np.int64(np.floor(x + affine[0, 2] * (k + 0.5)))
+                b = np.int64(np.floor(y + affine[1, 2] * (k + 0.5)))
+                c = np.int64(np.floor(z + affine[2, 2] * (k + 0.5)))
+                if 0 <= a < cells.shape[0] and 0 <= b < cells.shape[1] and 0 <= c < cells.shape[2]:
+                    found[i, j, k] = cells[a, b, c]
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _place(affine, i, j):  # type: ignore[no-untyped-def]
+    """Where the line of cells (i, j) begins."""
+    x = affine[0, 0] * (i + 0.5) + affine[0, 1] * (j + 0.5) + affine[0, 3]
+    y = affine[1, 0] * (i + 0.5) + affine[1, 1] * (j + 0.5) + affine[1, 3]
+    return x, y, affine[2, 0] * (i + 0.5) + affine[2, 1] * (j + 0.5) + affine[2, 3]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def inside_distances(cells, affine, side):  # type: ignore[no-untyped-def]
+    """The same where signed distances (i, j, k) are negative, linear between the centres of their cells.
+
+    From the outermost centres to the border of the grid they stay as they are; outside is free.
+    """
+    found = np.zeros((side, side, side), np.bool_)
+    ni, nj, nk = cells.shape
+    for i in range(side):
+        for j in range(side):
+            x, y, z = _place(affine, i, j)
+            for k in range(side):
+                a = x + affine[0, 2] * (k + 0.5)
+                b = y + affine[1, 2] * (k + 0.5)
+                c = z + affine[2, 2] * (k + 0.5)
+                if not (0 <= a < ni and 0 <= b < nj and 0 <= c < nk):
+                    continue
+                a, b, c = _within(a, ni), _within(b, nj), _within(c, nk)
+                a0, b0, c0 = np.int64(a), np.int64(b), np.int64(c)
+                a1, b1, c1 = min(a0 + 1, ni - 1), min(b0 + 1, nj - 1), min(c0 + 1, nk - 1)
+                u, v, w = a - a0, b - b0, c - c0
+                low = (1 - v) * _mixed(cells[a0, b0, c0], cells[a0, b0, c1], w)
+                low += v * _mixed(cells[a0, b1, c0], cells[a0, b1, c1], w)
+                high = (1 - v) * _mixed(cells[a1, b0, c0], cells[a1, b0, c1], w)
+                high += v * _mixed(cells[a1, b1, c0], cells[a1, b1, c1], w)
+                found[i, j, k] = (1 - u) * low + u * high < 0
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _within(place, count):  # type: ignore[no-untyped-def]
+    return min(max(place - 0.5, 0.0), count - 1.0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _mixed(one, other, part):  # type: ignore[no-untyped-def]
+    return (1 - part) * one + part * other

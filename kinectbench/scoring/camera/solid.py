@@ -7,15 +7,12 @@ import numpy as np
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
-from kinectbench.core.types import Bools, Float64, Int32
+from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_outside import outside_share
 from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined
-
-# Planes of the truth's grid that are looked up at once: 65,536 centres each (chosen here).
-PLANES = 16
 
 
 @dataclass(frozen=True)
@@ -77,11 +74,10 @@ def solid_in(
         @ np.linalg.inv(T)
         @ np.diag([*[truth.voxel_size_m] * 3, 1])
     )
-    found = np.zeros((FULL_CELLS,) * 3, bool)
-    for begin in range(0, FULL_CELLS, PLANES):
-        at = np.mgrid[begin : begin + PLANES, :FULL_CELLS, :FULL_CELLS].reshape(3, -1).T + 0.5
-        inside = _inside(shape, transform_points(T_cells, at))
-        found[begin : begin + PLANES] = inside.reshape(PLANES, FULL_CELLS, FULL_CELLS)
+    from kinectbench.scoring.camera.kernels import inside_cells, inside_distances
+
+    inside = inside_cells if shape.form == "voxels" else inside_distances
+    found = inside(shape.cells, np.ascontiguousarray(T_cells[:3]), FULL_CELLS)
     return Solid(pack(found), _cells_outside(truth, shape, T))
 
 
@@ -103,28 +99,6 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
-
-
-def _inside(shape: CameraShape, at: Float64) -> Bools:
-    """Whether places (n, 3), in cells of a prediction, are in its solid; outside its grid none is."""
-    cells = shape.cells
-    assert cells is not None
-    size = np.array(cells.shape)
-    within = ((at >= 0) & (at < size)).all(axis=1)
-    found = np.zeros(len(at), bool)
-    if shape.form == "voxels":
-        found[within] = cells[tuple(at[within].astype(np.int64).T)]
-        return found
-    # Between centres: eight neighbours; those beyond the border are the cells at the border.
-    place = np.clip(at[within] - 0.5, 0, size - 1)
-    low = np.minimum(place.astype(np.int64), np.maximum(size - 2, 0))
-    part = place - low
-    value = np.zeros(len(place))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.where(corner, part, 1 - part).prod(axis=1)
-        value += weight * cells[tuple(np.minimum(low + corner, size - 1).T)]
-    found[within] = value < 0
-    return found
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:

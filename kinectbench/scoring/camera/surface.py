@@ -156,7 +156,8 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
     total = twice.sum()
     # Of a mesh without any area all triangles count alike.
     areas = twice / 2 if total > 0 else np.ones(len(faces))
-    counts = np.maximum(1, np.rint(areas / areas.sum() * MESH_SAMPLES)).astype(np.int64)
+    most = MESH_SAMPLES if total > 0 else 0
+    counts = np.maximum(1, np.rint(areas / areas.sum() * most)).astype(np.int64)
     owner = np.repeat(np.arange(len(faces)), counts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     u, v = ((0.5 + number * step) % 1 for step in STEPS)

@@ -56,7 +56,7 @@ class SpaceTruth:
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
         """Whether points (n, 3) lie in known space, and in space that the view saw."""
         cells = np.floor(points_m / self.voxel_size_m)
-        inside: Bools = ((cells >= 0) & (cells < FULL_CELLS)).all(axis=1)
+        inside = np.asarray(((cells >= 0) & (cells < FULL_CELLS)).all(axis=1))
         at = np.where(inside[:, None], cells, 0).astype(np.int64)
         return ~inside | is_set(self.known, at), inside & is_set(self.seen, at)
 

@@ -116,6 +116,8 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
         PredictionError: its solid cannot be made in the truth's cells.
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
+    if not len(surface):
+        raise PredictionError("no cell is at a surface: an empty prediction")
     as_predicted = surface.transformed(truth.T_grid_camera)
     rows: list[Scored] = []
     for protocol, kind in _rows_of(job):
