@@ -18,6 +18,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64
+from kinectbench.core.untrusted import open_plain
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.metrics import Figures, figures_by_part
@@ -98,7 +99,8 @@ def score_view(job: ViewJob) -> ViewResult | str:
     found, digests = [], []
     for file in job.files:
         try:
-            digests.append(blake3_of(file.path.read_bytes()))
+            with open_plain(file.path) as content:
+                digests.append(blake3_of(content))
             found.append(score_shape(truth, load_camera_shape(file, job.method), job))
         except PredictionError as error:
             line = str(error)
