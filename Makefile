@@ -53,7 +53,7 @@ docs: setup ## the documentation as a site, in site/; a broken link or anchor is
 docs-pictures: setup ## make the tutorial's pictures and outputs again, of one run (simulated; some minutes; needs chromium)
 	@$(BIN)/python scripts/docs_pictures.py
 
-docs-format: setup ## write the schemas, and the tables of keys in docs/format.md, from the models again
+docs-format: setup ## write the schemas, and docs/keys.md, from the models again
 	@$(BIN)/python -m kinectbench.release.publish.schemas
 	@$(BIN)/python scripts/docs_format.py
 

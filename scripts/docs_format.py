@@ -1,8 +1,8 @@
-"""Write the tables of files and keys in docs/format.md from the models that read and write the files.
+"""Write docs/keys.md, a table of keys for each file, from the models that read and write the files.
 
     .venv/bin/python scripts/docs_format.py
 
-A table stands between `<!-- keys of FILE -->` and `<!-- end -->`; what a model cannot say is prose around it.
+What a model cannot say is prose in docs/format.md, which names each table.
 """
 
 import re
@@ -24,7 +24,14 @@ from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, Trajec
 from kinectbench.core.artefacts.triage import TriageFile
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 
-PAGE = Path(__file__).parents[1] / "docs" / "format.md"
+PAGE = Path(__file__).parents[1] / "docs" / "keys.md"
+HEAD = """# Keys
+
+Every key of every file, made of the models that read and write them (`scripts/docs_format.py`). [Files](format.md) says
+what the files are for. `a.b` is the key `b` in the object `a`, `a[].b` that of every object in the list `a`, `a.<name>.b`
+that of every object in `a`, whatever it is called. An optional key is null or missing where its value is unknown or does
+not apply, and in files older than the key.
+"""
 MODELS: tuple[type[Stored], ...] = (
     Manifest,
     CameraFile,
@@ -48,7 +55,6 @@ MODELS: tuple[type[Stored], ...] = (
     TrainingFile,
     ScoreTable,
 )
-TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 WORDS = {"string": "text", "boolean": "true or false", "": "any value"}
 # Parts of which a table of their own says what they hold.
 ELSEWHERE = {QualityFile.__name__: QualityFile.FILE}
@@ -64,14 +70,9 @@ def tables() -> dict[str, str]:
     return made | {TARGETS_CSV: _markdown(rows)}
 
 
-def filled(page: str) -> str:
-    """A page with the tables between its marks made anew.
-
-    Raises:
-        KeyError: a mark names no file that there is a table of.
-    """
-    made = tables()
-    return TABLE.sub(lambda match: match[1] + made[match[2]] + match[3], page)
+def page() -> str:
+    """The page: a section for each file."""
+    return HEAD + "".join(f"\n## {name}\n\n{table}" for name, table in tables().items())
 
 
 def _table(model: type[Stored]) -> str:
@@ -169,7 +170,7 @@ def _list_kind(schema: Schema, root: Schema) -> str:
 
 def main() -> None:
     """Fill the tables of the page."""
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

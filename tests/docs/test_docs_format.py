@@ -1,4 +1,4 @@
-"""The tables of files and keys in docs/format.md are those of the models."""
+"""The tables of keys in docs/keys.md are those of the models, and docs/format.md leads to each."""
 
 import re
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "format.md"
+PAGE, FILES = ROOT / "docs" / "keys.md", ROOT / "docs" / "format.md"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -16,16 +16,16 @@ def _scripts_are_found() -> None:
 
 
 def test_the_tables_are_those_of_the_models() -> None:
-    from docs_format import filled
+    from docs_format import page
 
-    page = PAGE.read_text(encoding="utf-8")
-    assert filled(page) == page, "run scripts/docs_format.py"
+    assert page() == PAGE.read_text(encoding="utf-8"), "run scripts/docs_format.py"
 
 
-def test_every_file_has_its_table() -> None:
+def test_the_page_on_files_leads_to_every_table() -> None:
     from docs_format import tables
 
-    assert sorted(re.findall("<!-- keys of (.*) -->", PAGE.read_text(encoding="utf-8"))) == sorted(tables())
+    linked = re.findall(r"\[Keys of (\S+)\]\(keys\.md#", FILES.read_text(encoding="utf-8"))
+    assert sorted(linked) == sorted(tables())
 
 
 def test_rows_are_made_of_the_models() -> None:
