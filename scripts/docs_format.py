@@ -27,10 +27,11 @@ from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 PAGE = Path(__file__).parents[1] / "docs" / "keys.md"
 HEAD = """# Keys
 
-Every key of every file, made of the models that read and write them (`scripts/docs_format.py`). [Files](format.md) says
-what the files are for. `a.b` is the key `b` in the object `a`, `a[].b` that of every object in the list `a`, `a.<name>.b`
-that of every object in `a`, whatever it is called. An optional key is null or missing where its value is unknown or does
-not apply, and in files older than the key.
+Every key of every file, made of the models that read and write them (`scripts/docs_format.py`).
+[Files](format.md) says what the files are for. `a.b` is the key `b` in the object `a`, `a[].b` that
+of every object in the list `a`, `a.<name>.b` that of every object in `a`, whatever it is called. An
+optional key is null or missing where its value is unknown or does not apply, and in files older
+than the key.
 """
 MODELS: tuple[type[Stored], ...] = (
     Manifest,
