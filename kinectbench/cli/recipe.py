@@ -65,6 +65,9 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
         build = recipe.out / "build" / scan.id
         failed = Failed.read_if_there(build) if build.is_dir() else None
         if is_slim(build / "sequence") or failed is not None:
+            if failed is None:  # a run that was killed may have left some
+                slim(build)
+                remove_scan(recipe.out, scan)
             rows.append(
                 FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}" if failed else None)
             )

@@ -126,7 +126,7 @@ class Recipe:
         path = self.out / scan.path
         archive = path.with_name(f"{path.name}.tgz") if scan.unpacked else path
         try:
-            if scan.unpacked and path.is_dir():
+            if scan.unpacked and path.is_dir() and scan.file in self._locked:
                 return FetchedScan(scan, False)
             is_zip = archive.suffix == ".zip"
             check = partial(unpack_tar, folder=path) if scan.unpacked else _check_zip if is_zip else _no_check

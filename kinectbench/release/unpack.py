@@ -20,7 +20,11 @@ from kinectbench.core.untrusted import (
 
 # Of what stands before a member, such as a long name: tarfile reads it as a whole. Linux has paths of 4 kB.
 HEADER_BYTES = 1 << 20
-DAMAGED = (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError)
+# The last three: of two members one name is the other's, or that of a folder of it.
+DAMAGED = (
+    *(tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError),
+    *(FileExistsError, NotADirectoryError, IsADirectoryError),
+)
 
 
 class _Member(tarfile.TarInfo):

@@ -20,7 +20,7 @@ from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
 from kinectbench.core.voxels.resample import MAX_CELLS
 from kinectbench.scoring.glb_file import read_glb
-from kinectbench.scoring.mesh_files import read_obj, read_ply_surface
+from kinectbench.scoring.mesh_files import MAX_POINTS, read_obj, read_ply_surface
 
 SUFFIXES = (".ply", ".obj", ".glb", ".npz")
 # A cloud as RaySt3R writes it, of `MAX_POINTS`, is 113 MB; 512^3 distances of float32 are 537 MB.
@@ -32,6 +32,11 @@ METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
 CAMERA_AXES = {"cv": (1.0, 1.0, 1.0), "pytorch3d": (-1.0, -1.0, 1.0), "opengl": (1.0, -1.0, -1.0)}
 # Nothing of a room is farther away, in any unit that is read.
 FARTHEST_M = 1e6
+# Nor is anything smaller.
+NEAREST_M = 1e-6
+# Cells at a surface: a solid of 512 a side that fills its grid has 1.6 M, its distances twice that; noise
+# has more than memory holds.
+MOST_SHOWN = 4 << 20
 
 
 @dataclass(frozen=True)
@@ -120,6 +125,9 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
 def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
     """The shape that an .npz holds, by its keys."""
     no_faces = np.zeros((0, 3), np.int64)
+    several = [key for key in ("points_m", "occupancy", "sdf_m") if key in arrays]
+    if len(several) > 1:
+        raise PredictionError(f"holds {' and '.join(several)}; save one of them")
     if "points_m" in arrays:
         points, normals = _checked_points(arrays["points_m"]), arrays.get("normals")
         if normals is not None and normals.shape != points.shape:
@@ -138,8 +146,9 @@ def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
         raise PredictionError("T_camera_grid must be 4 x 4 finite numbers")
     if problem := similarity_problem(T.astype(np.float64)):
         raise PredictionError(f"T_camera_grid: {problem}")
-    if size.size != 1 or size.dtype.kind not in "fiu" or not 0 < float(size.reshape(())) < FARTHEST_M:
-        raise PredictionError("voxel_size_m must be one positive number, metres")
+    one = size.size == 1 and size.dtype.kind in "fiu"
+    if not (one and NEAREST_M <= float(size.reshape(())) < FARTHEST_M):
+        raise PredictionError(f"voxel_size_m must be one positive number, {NEAREST_M:g} m at least")
     made = occupancy_shape if key == "occupancy" else distance_shape
     return made(_checked_cells(cells, key), T.astype(np.float64), float(size.reshape(())))
 
@@ -147,6 +156,8 @@ def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
 def _checked_points(points: NDArray[Any]) -> Float64:
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or points.dtype.kind not in "fiu":
         raise PredictionError(f"points {points.shape} {points.dtype}: rows of x, y, z are needed")
+    if len(points) > MAX_POINTS:
+        raise PredictionError(f"{len(points)} points; at most {MAX_POINTS} are accepted")
     found = points.astype(np.float64)
     # Not so of NaN, either.
     if not (np.abs(found) <= FARTHEST_M).all():
@@ -160,9 +171,11 @@ def _checked_cells(cells: NDArray[Any], key: str) -> NDArray[Any]:
         if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):
             return cells.astype(bool)
         raise PredictionError("occupancy must be bool, or uint8 of 0 and 1; apply your threshold first")
-    if cells.dtype.kind != "f" or not np.isfinite(cells).all():
+    with np.errstate(over="ignore"):
+        distances = cells.astype(np.float32) if cells.dtype.kind == "f" else None
+    if distances is None or not np.isfinite(distances).all():
         raise PredictionError("sdf_m must be finite floats, metres, negative inside")
-    return cells.astype(np.float32)
+    return distances
 
 
 def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
@@ -184,6 +197,8 @@ def distance_shape(cells: Float32, T_camera_grid: Float64, voxel_size_m: float) 
 def _of_cells(
     form: str, cells: Bools | Float32, shown: Bools, T_camera_grid: Float64, voxel_size_m: float
 ) -> CameraShape:
+    if int(shown.sum()) > MOST_SHOWN:
+        raise PredictionError(f"more than {MOST_SHOWN} cells at a surface: noise? reduce the grid")
     if not shown.any():
         raise PredictionError("no cell is at a surface: an empty prediction")
     points = transform_points(T_camera_grid, (np.argwhere(shown) + 0.5) * voxel_size_m)

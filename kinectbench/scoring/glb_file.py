@@ -23,7 +23,7 @@ JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 MOST_VALUES = 100_000
 # Nodes below each other, and nodes in all (chosen here).
 DEEPEST, MOST_NODES = 32, 1000
-TRIANGLES_MODE = 4
+TRIANGLES_MODE, STRIP_AND_FAN_MODES = 4, (5, 6)
 Types = dict[int, np.dtype[Any]]
 # glTF's component types of indices.
 INDICES: Types = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
@@ -73,7 +73,10 @@ def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
         for primitive in gltf["meshes"][_index(mesh)]["primitives"]:
             if primitive.get("extensions"):
                 raise ValueError("compressed geometry; write it without compression")
-            if primitive.get("mode", TRIANGLES_MODE) != TRIANGLES_MODE:
+            mode = primitive.get("mode", TRIANGLES_MODE)
+            if mode in STRIP_AND_FAN_MODES:
+                raise ValueError("strips or fans of triangles; write plain triangles")
+            if mode != TRIANGLES_MODE:
                 continue
             vertices = _array(gltf, binary, primitive["attributes"]["POSITION"], POSITIONS, "VEC3", 3)
             if "indices" in primitive:

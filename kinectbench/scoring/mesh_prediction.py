@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.scoring.mesh_files import read_obj, read_ply
-from kinectbench.scoring.mesh_outside import outside_share
+from kinectbench.scoring.mesh_outside import outside_share, outwards
 
 MESHES = (".ply", ".obj")
 READERS = {"ply": read_ply, "obj": read_obj}
@@ -54,7 +54,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         return unpack(packed), 0.0
     if not packed.any():
         raise _outside(vertices, grid)
-    return unpack(packed), outside_share(vertices / voxel_size_m, faces, FULL_CELLS)
+    return unpack(packed), outside_share(vertices / voxel_size_m, outwards(vertices, faces), FULL_CELLS)
 
 
 def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:

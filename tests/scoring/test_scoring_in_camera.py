@@ -137,6 +137,7 @@ def test_what_cannot_be_scored_is_named(published: Release, tmp_path: Path) -> N
     assert empty.complete and empty.missing_as_empty == (first.name, second.name)
     worst = next(row for row in empty.pairs("camera") if row.pair == first.name)
     assert worst.f_score_20mm == 0 and worst.cells == 0 and worst.solid is None
+    assert worst.iou == worst.precision == worst.recall == 0
     assert "2 of" in empty.marks[0].words
 
 

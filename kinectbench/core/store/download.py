@@ -1,6 +1,7 @@
 """A file from plain web servers: by several addresses, from where it stopped, and held to what is known."""
 
 import contextlib
+import errno
 import hashlib
 import http.client
 import socket
@@ -36,6 +37,7 @@ NEXT_S, HEADERS_S = 30.0, 60.0
 LEAST_BYTES, WITHIN_S = 64 << 10, 60.0
 # Browsers follow 20, curl 50; file servers need one or two.
 MOST_REDIRECTS = 5
+FULL = (errno.ENOSPC, errno.EDQUOT)
 # Of an archive: 46 times the average of Redwood's scans (4 TB by 10,933).
 MOST_FILE_BYTES = 16 << 30
 # A sign of what was begun; it lies beside the file until that is whole.
@@ -214,6 +216,8 @@ class _Download:
                 try:
                     self.check(part)
                 except KinectBenchError as error:
+                    if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL:
+                        raise  # the archive is well
                     said = str(error).removeprefix(f"{part}: ")
             if said:
                 part.unlink()

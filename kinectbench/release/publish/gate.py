@@ -117,7 +117,8 @@ class Gate:
         """The same, knowing which recordings have a pair: the others are not published, however good."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
-        return replace(self, without_pair=without, poor=poor)
+        look = {name: lines for name, lines in self.look.items() if name in made}
+        return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
         """Why none is in the release: the first few with reasons, a count of the others, and what to do."""

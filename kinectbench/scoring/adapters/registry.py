@@ -114,7 +114,10 @@ def _adapted(
 ) -> bool:
     """Write the prediction of one view; False if the method wrote nothing for it."""
     there = output / target.recording / target.view
-    path = find_output(there, adapter.output)
+    try:
+        path = find_output(there, adapter.output)
+    except OSError as error:
+        raise PredictionError(f"its folder cannot be listed ({error.strerror or error})") from error
     if path is None:
         return False
     camera = ViewCamera.read(there)

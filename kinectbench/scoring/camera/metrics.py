@@ -1,16 +1,18 @@
 """Metrics of a prediction in the space of its truth: distances of surfaces, and of solids the IoU."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import ShapePart, SurfaceMetrics, VoxelMetrics
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
 from kinectbench.scoring.camera.solid import Solid
 from kinectbench.scoring.camera.surface import Surface, point_surface
 from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
+from kinectbench.scoring.prediction_file import blake3_of
 
 # Samples of each surface whose distance is measured: a mean over so many whose spread is 10 mm is within 0.06
 # mm, and the nearest of them are found in 0.1 s each way (measured).
@@ -47,12 +49,14 @@ class Way:
         cosines: (n,) |n . n'| with the nearest of it; None where one has no normals.
         areas: (n,) what each stands for.
         seen: (n,) whether it lies where the view saw.
+        is_mesh: whether areas are those of a predicted mesh's triangles, which may be nearly nothing.
     """
 
     distances_m: Float64
     cosines: Float64 | None
     areas: Float64
     seen: Bools
+    is_mesh: bool = False
 
     def of(self, part: str) -> "Way":
         """Those of one part."""
@@ -60,12 +64,20 @@ class Way:
             return self
         which = self.seen if part == "visible" else ~self.seen
         cosines = None if self.cosines is None else self.cosines[which]
-        return Way(self.distances_m[which], cosines, self.areas[which], self.seen[which])
+        return Way(self.distances_m[which], cosines, self.areas[which], self.seen[which], self.is_mesh)
 
-    def mean(self, values: Float64) -> float:
-        """The mean of values (n,), by area."""
+    def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
+        """The mean of values (n,), by area.
+
+        Of a predicted mesh the worse one of this and of the mean over samples: each triangle has a sample,
+        and dust of triangles without area would else find all of the truth and cost nothing.
+        """
+        by_sample, area = float(values.mean()), float(self.areas.sum())
+        if not area > 0:
+            return by_sample
         # Not a product of vectors, whose sum depends on how many cores share it.
-        return float((self.areas * values).sum() / self.areas.sum())
+        by_area = float((self.areas * values).sum() / area)
+        return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
         """The share of the area within a tolerance."""
@@ -115,11 +127,10 @@ def _of_part(seen: Bools, part: str) -> Bools:
 
 def _way(one: Surface, seen: Bools, other: Surface) -> Way:
     """How far one surface is from another; infinitely where that has no sample."""
-    step = max(1, -(-len(one) // QUERIES))
-    which = np.arange(step // 2, len(one), step)
-    queries = one.chosen(which)
+    which = _drawn(one)
+    queries, is_mesh = one.chosen(which), one.is_triangle
     if not len(other) or not len(one):
-        return Way(np.full(len(which), np.inf), None, queries.areas, seen[which])
+        return Way(np.full(len(which), np.inf), None, queries.areas, seen[which], is_mesh)
     distances, found = other.nearest(queries.points_m)
     cosines = None
     if queries.normals is not None and other.normals is not None:
@@ -127,7 +138,16 @@ def _way(one: Surface, seen: Bools, other: Surface) -> Way:
         cosines = np.abs(np.einsum("ij,ij->i", first, second))
         # As in the grid protocols: two undefined normals agree.
         cosines[~first.any(axis=1) & ~second.any(axis=1)] = 1.0
-    return Way(distances, cosines, queries.areas, seen[which])
+    return Way(distances, cosines, queries.areas, seen[which], is_mesh)
+
+
+def _drawn(surface: Surface) -> Int64:
+    """Which samples are measured, `QUERIES` at most, drawn by a hash of all: nobody can choose them."""
+    if len(surface) <= QUERIES:
+        return np.arange(len(surface))
+    digest = blake3_of(np.ascontiguousarray(surface.points_m).tobytes())
+    seed = int(digest.rpartition(":")[2], 16)
+    return np.sort(np.random.default_rng(seed).choice(len(surface), QUERIES, replace=False, shuffle=False))
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
@@ -145,8 +165,8 @@ def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
     if there.cosines is not None and back.cosines is not None:
         normals = sum(way.mean(way.cosines) for way in ways if way.cosines is not None) / 2
     return SurfaceMetrics(
-        chamfer_l1_m=sum(way.mean(way.distances_m) for way in ways) / 2,
-        chamfer_l2_m2=sum(way.mean(way.distances_m**2) for way in ways) / 2,
+        chamfer_l1_m=sum(way.mean(way.distances_m, max) for way in ways) / 2,
+        chamfer_l2_m2=sum(way.mean(way.distances_m**2, max) for way in ways) / 2,
         normal_consistency=normals,
         **{name: _f_score(there.near(far), back.near(far)) for name, far in tolerances.items()},
     )

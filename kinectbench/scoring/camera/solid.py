@@ -11,7 +11,7 @@ from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
-from kinectbench.scoring.mesh_outside import outside_share
+from kinectbench.scoring.mesh_outside import outside_share, outwards
 from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined
 
 
@@ -96,6 +96,7 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
+    faces = outwards(vertices, faces)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
@@ -104,8 +105,10 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
     """The volume of a prediction's cells that lie outside the truth's grid, in cells of the truth."""
     assert shape.cells is not None and shape.voxel_size_m is not None
-    occupied = np.argwhere(shape.cells if shape.form == "voxels" else shape.cells < 0)
-    centers_m = transform_points(T_grid_own, (occupied + 0.5) * shape.voxel_size_m)
-    limit_m = FULL_CELLS * truth.voxel_size_m
-    outside = int(((centers_m < 0) | (centers_m >= limit_m)).any(axis=1).sum())
+    limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
+    for number, plane in enumerate(shape.cells):  # memory stays at one plane
+        occupied = np.argwhere(plane if shape.form == "voxels" else plane < 0)
+        cells = np.column_stack([np.full(len(occupied), number), occupied])
+        centers_m = transform_points(T_grid_own, (cells + 0.5) * shape.voxel_size_m)
+        outside += int(((centers_m < 0) | (centers_m >= limit_m)).any(axis=1).sum())
     return outside * (similarity_scale(T_grid_own) * shape.voxel_size_m / truth.voxel_size_m) ** 3

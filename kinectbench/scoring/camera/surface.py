@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.scoring.camera_shape import CameraShape
@@ -17,6 +18,10 @@ from kinectbench.scoring.camera_shape import CameraShape
 # Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
 # test of a mesh has 0.05 mm between it and exact distances).
 MESH_SAMPLES = 60_000
+# Of the mean triangle's area. All that is smaller has at most this share of the whole.
+DUST = 0.01
+# Of cells, at some 250 bytes each: a cube that fills a grid of 512 a side has 1.6 M.
+MOST_SAMPLES = 2 << 20
 # Steps of the sequence that places samples within a triangle. Source: M. Roberts, "The unreasonable
 # effectiveness of quasirandom sequences" (2018): the inverse powers of the plastic number.
 STEPS = (0.7548776662466927, 0.5698402909980532)
@@ -132,6 +137,11 @@ def surface_of(shape: CameraShape) -> Surface:
 
 def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
     """A cloud of points (n, 3), metres, with normals (n, 3) of any length or without."""
+    if len(points_m) > 1:  # a point that is there twice is one: a tree of equal points is slow
+        order = np.lexsort(points_m.T)
+        again = (np.diff(points_m[order], axis=0) == 0).all(axis=1)
+        kept = np.sort(order[np.concatenate([[True], ~again])])
+        points_m, normals = points_m[kept], None if normals is None else normals[kept]
     if normals is not None:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         finite = np.isfinite(lengths) & (lengths > 0)
@@ -144,10 +154,14 @@ def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
 def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
     """A mesh, closed or not: one sample at the middle of each triangle, or several in a large one.
 
+    Triangles that are `DUST` of the mean are left out: spread through space they would find all of a truth,
+    and cost nothing by their area.
+
     Args:
         vertices_m: (v, 3) metres.
         faces: (m, 3).
     """
+    faces = faces[_is_no_dust(vertices_m, faces)]
     corner = vertices_m[faces[:, 0]]
     first, second = vertices_m[faces[:, 1]] - corner, vertices_m[faces[:, 2]] - corner
     across = np.cross(first, second)
@@ -171,6 +185,12 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
     )
 
 
+def _is_no_dust(vertices_m: Float64, faces: Int64) -> Bools:
+    a, b, c = (vertices_m[faces[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.asarray(areas >= DUST * areas.mean())
+
+
 def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     """The faces between occupied cells and free ones, in the grid's frame; and the occupied cell of each.
 
@@ -189,6 +209,7 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     low, high = _box(cells)
     part = cells[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     inside, axes, signs = faces_of_cells(np.pad(part, 1))
+    _refuse_many(len(inside))
     normals = outward(part, inside)
     units = np.eye(3)
     centers = inside + low + 0.5 + 0.5 * signs[:, None] * units[axes]
@@ -207,12 +228,18 @@ def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
     padded = np.pad(cells, 1, constant_values=np.float32(np.abs(cells).max()))
     found = [zero_crossings(padded, axis) for axis in range(3)]
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    _refuse_many(len(points))
     # Two directions across the normal: from the axis that is least along it.
     least = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, least)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
     second = np.cross(normals, first)
     return _squares(points - 0.5, first, second, normals, voxel_size_m)
+
+
+def _refuse_many(samples: int) -> None:
+    if samples > MOST_SAMPLES:
+        raise PredictionError(f"{samples} faces of cells at its surface: noise? reduce the grid")
 
 
 def _squares(

@@ -18,11 +18,11 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import open_plain
+from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.metrics import Figures, figures_by_part
-from kinectbench.scoring.camera.solid import closed_mesh, solid_in
+from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
@@ -107,6 +107,8 @@ def score_view(job: ViewJob) -> ViewResult | str:
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
         except OSError as error:
             return f"{file.name}{file.path.suffix}: cannot be read ({error.strerror or error})"
+        except (ValueError, MemoryError) as error:  # one view's file does not end the others
+            return f"{file.name}{file.path.suffix}: cannot be scored ({printable(str(error), 120)})"
     digest = digests[0] if len(digests) == 1 else blake3_of("".join(digests).encode())
     return ViewResult((*found[0], *_over(found)), truth.unknown_share, digest)
 
@@ -160,7 +162,8 @@ def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, A
 
 def _empty(truth: SpaceTruth, job: ViewJob) -> tuple[Scored, ...]:
     """The rows of a view without a prediction: the worst of each figure."""
-    found = figures_by_part(truth, None, None)[0]
+    nothing = Solid(np.zeros_like(truth.full), 0.0)
+    found = figures_by_part(truth, None, nothing)[0]
     return tuple(
         Scored(
             protocol,
