@@ -66,10 +66,10 @@ def jpeg(picture: Rgb, quality: int = 82) -> bytes:
 
 
 def png(image: NDArray[np.generic]) -> bytes:
-    """Encode depth or a mask (height, width), uint16 or uint8, as a PNG file."""
+    """Encode depth or a mask (height, width), uint16 or uint8, or BGR (height, width, 3) as a PNG file."""
     import cv2
 
-    return bytes(cv2.imencode(".png", image)[1].tobytes())
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
 
 
 def read_color(path: Path) -> Rgb:

@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+import analytic_release
 import numpy as np
 import pytest
 import trimesh
-from analytic_release import RECORDINGS, T_floor_camera, T_world_floor, true_mesh
 from small_benchmark import Run
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.geometry import invert_rigid, rigid, transform_points
+from kinectbench.core.geometry import rigid
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.camera_predictions import CameraFile, check_camera, load_camera_shape
 from kinectbench.scoring.camera_shape import (
@@ -25,7 +25,6 @@ from kinectbench.scoring.camera_shape import (
 from kinectbench.scoring.declared import read_in_camera, read_method
 from kinectbench.scoring.mesh_files import read_ply
 
-NUMBERS = {row[0]: index for index, row in enumerate(RECORDINGS)}
 EYE = np.eye(4)
 BOX = trimesh.creation.box(extents=(0.2, 0.3, 0.4))
 
@@ -36,10 +35,7 @@ def published(analytic: Path) -> Release:
 
 
 def true_shape(target: Target) -> CameraShape:
-    index = NUMBERS[target.recording]
-    mesh = true_mesh(target.category, index)
-    T = invert_rigid(T_world_floor(index) @ T_floor_camera(int(target.view)))
-    return CameraShape("mesh", transform_points(T, mesh.vertices), mesh.faces.astype(np.int64))
+    return analytic_release.true_in_camera(target.recording, target.category, target.view)
 
 
 def folder_of(published: Release, folder: Path, T: np.ndarray = EYE, **keys: Any) -> Path:

@@ -4,22 +4,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import analytic_release
 import numpy as np
 import pytest
-from analytic_release import RECORDINGS, T_floor_camera, T_world_floor, true_mesh
 from small_benchmark import run_here
 
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.geometry import invert_rigid
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
 from kinectbench.scoring.score import score, score_methods
-
-NUMBERS = {row[0]: index for index, row in enumerate(RECORDINGS)}
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +26,7 @@ def published(analytic: Path) -> Release:
 
 
 def true_shape(target: Target) -> CameraShape:
-    index = NUMBERS[target.recording]
-    mesh = true_mesh(target.category, index)
-    T = invert_rigid(T_world_floor(index) @ T_floor_camera(int(target.view)))
-    return CameraShape("mesh", transform_points(T, mesh.vertices), mesh.faces.astype(np.int64))
+    return analytic_release.true_in_camera(target.recording, target.category, target.view)
 
 
 def declare(folder: Path, **keys: Any) -> None:

@@ -13,7 +13,14 @@ from analytic_scenes import box, depth_of, sphere
 from numpy.typing import NDArray
 from synthetic_release import RECORDINGS, Recordings, synthetic_settings, write_build, write_object
 
-from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.geometry import (
+    Camera,
+    TriangleMesh,
+    invert_rigid,
+    rigid,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
@@ -22,6 +29,7 @@ from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube, partial_grids, view_cube
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.release.publish.publish import PublishSummary, publish
+from kinectbench.scoring.camera_shape import CameraShape
 
 Float64 = NDArray[np.float64]
 
@@ -47,6 +55,14 @@ def T_floor_camera(view: int) -> Float64:
 
 def is_ball(category: str) -> bool:
     return category == "chair"
+
+
+def true_in_camera(recording: str, category: str, view: str) -> CameraShape:
+    """The true mesh of a recording in the camera of a view, metres."""
+    index = [row[0] for row in RECORDINGS].index(recording)
+    mesh = true_mesh(category, index)
+    T_camera_world = invert_rigid(T_world_floor(index) @ T_floor_camera(int(view)))
+    return CameraShape("mesh", transform_points(T_camera_world, mesh.vertices), mesh.faces.astype(np.int64))
 
 
 def true_mesh(category: str, index: int) -> TriangleMesh:

@@ -27,7 +27,7 @@ PATIENCE_VARIABLE = "KINECTBENCH_STORE_PATIENCE_S"
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 15.0
 # Of what a store says went wrong: two lines of a terminal.
 REASON_CHARS = 160
-# Seconds of failure after which it is told: most pass sooner.
+# Seconds of failure after which a line says so: most pass sooner.
 TELL_AFTER_S = 5.0
 
 _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")

@@ -98,6 +98,7 @@ def download(
         furthest = max(furthest, at // LEAST_BYTES)
 
     def attempt() -> Content:
+        """The file from the first address that gives it."""
         refused, broken, unknown = list[str](), list[str](), 0
         for url in tuple(order):
             try:

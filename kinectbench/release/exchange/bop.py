@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kinectbench.core import images
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import Camera, invert_rigid
@@ -25,7 +26,7 @@ from kinectbench.release.exchange.bop_object import (
     read_model,
 )
 from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
-from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts_of, png_bytes
+from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts_of
 from kinectbench.release.release import Release
 
 # The models that pose errors are computed with have fewer triangles: the toolkit's model type "eval" (5,000
@@ -176,7 +177,9 @@ def write_scene(
             seen = object_in_view(depth_mm, camera, T_world_camera, model.mesh, renderer)
             infos[str(image)] = [{key: getattr(seen, key) for key in GT_INFO}]
             for name, mask in (("mask", seen.mask), ("mask_visib", seen.mask_visib)):
-                write_below(folder / name / f"{image:06d}_000000.png", png_bytes(mask.astype(np.uint8) * 255))
+                write_below(
+                    folder / name / f"{image:06d}_000000.png", images.png(mask.astype(np.uint8) * 255)
+                )
         if progress:
             progress(done, len(release.targets))
     (folder / "scene_camera.json").write_text(pretty_json(cameras), encoding="utf-8")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from kinectbench.core import images
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
@@ -101,6 +102,7 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     )
 
     def cut(image: NDArray[Any]) -> NDArray[Any]:
+        """The window of an image (h, w, ...), zeros beyond it."""
         kept = image[::step, ::step]
         out = np.zeros((height, width, *image.shape[2:]), image.dtype)
         low, high = np.maximum(first, 0), np.minimum(first + size, extent)
@@ -294,13 +296,6 @@ def color_registered(release: Release, recording: str) -> bool:
     return bool(ViewsFile.parse(release.text(name), name).color_registered)
 
 
-def png_bytes(image: NDArray[Any]) -> bytes:
-    """A PNG of (height, width) uint8 or uint16, or of (height, width, 3) uint8 BGR."""
-    import cv2
-
-    return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
-
-
 def write_png(path: Path, image: NDArray[Any]) -> None:
-    """Write a PNG; see `png_bytes`."""
-    path.write_bytes(png_bytes(image))
+    """Write a PNG; see `images.png`."""
+    path.write_bytes(images.png(image))

@@ -237,11 +237,15 @@ def flow_section(info: ReleaseInfo) -> str:
         if count or step == "built":
             rows.append([step, str(left), f"{count}{f': {why}' if why and count else ''}"])
     rows.append(["**published**", str(flow.published), ""])
-    told = [
+    reasons = [
         f"Of these, {flow.poor} do not keep the limits and were let pass. A person should look at "
         f"{flow.look}, and nobody has. The warnings say why, and why each of the others is left out."
     ]
-    lines = ["## From recordings to this release", _markdown(["step", "recordings", "left out"], rows), *told]
+    lines = [
+        "## From recordings to this release",
+        _markdown(["step", "recordings", "left out"], rows),
+        *reasons,
+    ]
     return "\n\n".join(lines) + "\n\n"
 
 

@@ -125,7 +125,7 @@ class Published:
         info: what benchmark.json says of it.
         lineage: what lineage.json says of it.
         has_color: whether its views have colour, published or not.
-        all_unknown: views of whose true shape nothing is known; none are told where the truth is held back.
+        all_unknown: views of whose true shape nothing is known; none are stated where the truth is held back.
     """
 
     targets: tuple[Target, ...]

@@ -27,6 +27,7 @@ from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, CameraShape
 from kinectbench.scoring.mesh_files import numbers_of
 
+# Of the images that its `demo.py` takes (config).
 WIDTH, HEIGHT = 640, 480
 M_PER_MM = 0.001
 # Its grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells before the cell of

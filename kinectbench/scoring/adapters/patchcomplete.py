@@ -21,6 +21,7 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
 
+# Its loader's grid and the distance that it clips at; its own metric takes cells up to the last for solid.
 VOXELS = 32
 CLIP_VOXELS = 2.5
 SOLID_BELOW = 1e-10

@@ -21,6 +21,7 @@ from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_files import MAX_POINTS
 
+# As many as its loaders take; which of a view's points these are is drawn by the seed.
 POINTS = 2048
 SEED = 0
 

@@ -17,6 +17,8 @@ from kinectbench.scoring.prediction_file import blake3_of
 # Samples of each surface whose distance is measured: a mean over so many whose spread is 10 mm is within 0.06
 # mm, and the nearest of them are found in 0.1 s each way (measured).
 QUERIES = 30_000
+# OctMAE reports 5, 10 and 20 mm; Tatarchenko et al. ("What do single-view 3D reconstruction networks
+# learn?", 2019) 1 % of the size; coarser shares are for methods of low resolution.
 F_SCORE_M = {"f_score_5mm": 0.005, "f_score_10mm": 0.01, "f_score_20mm": 0.02}
 F_SCORE_SHARES = {"f_score_1pct": 0.01, "f_score_2pct": 0.02, "f_score_5pct": 0.05}
 

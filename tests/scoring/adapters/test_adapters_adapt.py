@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import analytic_release
 import numpy as np
 import pytest
 import todays_outputs as outputs
@@ -12,17 +13,14 @@ from analytic_release import (
     BOX_LOW,
     CENTER_M,
     RADIUS_M,
-    RECORDINGS,
     T_floor_camera,
-    T_world_floor,
     is_ball,
     surface_distance_m,
-    true_mesh,
 )
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError, SettingsError
-from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.geometry import transform_points
 from kinectbench.core.voxels.npz import load_arrays
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.adapters.registry import ADAPTERS, adapt, export_for
@@ -31,7 +29,6 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.depth_agreement import surface_points
 
 MM = 1e-3
-NUMBERS = {row[0]: index for index, row in enumerate(RECORDINGS)}
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +37,7 @@ def published(analytic: Path) -> Release:
 
 
 def true_in_camera(target: Target) -> CameraShape:
-    """The true mesh in the camera of a view."""
-    index = NUMBERS[target.recording]
-    mesh = true_mesh(target.category, index)
-    T_camera_world = invert_rigid(T_world_floor(index) @ T_floor_camera(int(target.view)))
-    return CameraShape("mesh", transform_points(T_camera_world, mesh.vertices), mesh.faces.astype(np.int64))
+    return analytic_release.true_in_camera(target.recording, target.category, target.view)
 
 
 def true_distance_m(target: Target, points: np.ndarray) -> np.ndarray:
