@@ -228,17 +228,22 @@ def build_jobs(
             limit_s=limit_s,
             executor=executor,
         )
-    rows = []
+    rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
         # Told although all is up to date: whoever has just drawn a mask expects it to be used.
         unused = _unused_masks(job) if upto in ("sample-views", "pairs") else ()
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
+        failed += row.error is not None
+        if row.error is not None and failed > console.MOST_LINES:
+            continue
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [reason] if reason else [], "red")
+    if (more := failed - console.MOST_LINES) > 0:
+        console.lines("error", [f"{more} more recordings failed: `kinectbench build --status --json` lists all"], "red")
     return rows
 
 

@@ -292,6 +292,8 @@ class RecordingBars:
             self._plain.say_sometimes(f"recordings: {self._ended}{self._of} ended, {self._rest()}")
         if self._all is not None:
             self._bars.update(self._all, description=f"recordings ({self._rest()})", completed=self._ended)
+        if outcome.error and self._failed > MOST_LINES:
+            return  # counted: the last lines of the run say where the reasons are
         if self._plain and (outcome.made or outcome.error):
             what = "failed" if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""

@@ -180,7 +180,7 @@ def remove_half_filled() -> None:
 
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling path to write; it takes `path`'s place when the block ends well.
+    """Yield a temporary sibling, an empty file to write; it takes `path`'s place when the block ends well.
 
     Raises:
         StorageError: a folder, a pipe or a device is there, or no file can be made or written there.
@@ -195,7 +195,6 @@ def replaced_file(path: Path) -> Iterator[Path]:
             with _reachable(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 temporary.touch()  # whether it can be made
-                temporary.unlink()  # some who write it refuse what is there
             yield temporary
             temporary.replace(path)
     finally:

@@ -129,3 +129,19 @@ def test_strays_with_evil_names(command: Command, release: Release, tmp_path: Pa
     result = command(tmp_path, "check", "p", "--benchmark", str(release.folder))
     assert result.status == 3
     check(result.err, 1)
+
+
+def test_of_thousands_that_failed_a_thousand_are_printed(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "MOST_LINES", 3)
+    rows = "".join(f"  - {{id: r{n}, path: in/r{n}, category: chair}}\n" for n in range(9))
+    (tmp_path / "benchmark.yaml").write_text(f"name: many\nrecordings:\n{rows}")
+    ended = command(tmp_path, "ingest", "--jobs", "1")
+    assert ended.status == 1
+    assert ended.err.count("no such recording") == 3 == sum("no such" in line for line in ended.progress)
+    assert "6 more recordings failed: `kinectbench build --status --json` lists all" in ended.err
+    failed = tmp_path / "build" / "r8" / "failed.json"
+    written_ns = failed.stat().st_mtime_ns
+    command(tmp_path, "ingest", "--jobs", "1")
+    assert failed.stat().st_mtime_ns == written_ns  # the same reason is not written again

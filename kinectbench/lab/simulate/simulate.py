@@ -313,6 +313,8 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     with replaced_folder(folder) as temporary:
         recorder = _Recorder(simulation, temporary, progress)
         with replaced(out) as path:
+            if path.is_file():
+                path.unlink()  # some writers refuse what is there
             file_format.write(path, simulation.rig, recorder.frames())
             if spec.faults.cut_share > 0:
                 cut(path, spec.faults.cut_share)
