@@ -243,7 +243,9 @@ def build_jobs(
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [reason] if reason else [], "red")
     if (more := failed - console.MOST_LINES) > 0:
-        console.lines("error", [f"{more} more recordings failed: `kinectbench build --status --json` lists all"], "red")
+        console.lines(
+            "error", [f"{more} more recordings failed: `kinectbench build --status --json` lists all"], "red"
+        )
     return rows
 
 

@@ -40,7 +40,7 @@ def fetch_recipe(
             with console.bar("fetch") as progress:
                 rows = recipe.fetch_all(scans, progress)
         except (NoRoomError, StoreGoneError):
-            recipe.add_to_benchmark([scan for scan in scans if (recipe.out / scan.path).exists()])
+            recipe.add_to_benchmark([scan for scan in scans if (recipe.out / recipe.place(scan)).exists()])
             raise
         recipe.add_to_benchmark([row.scan for row in rows if row.error is None])
         return _tell(common, recipe, rows, f"next: kinectbench build -c {recipe.out / 'benchmark.yaml'}")

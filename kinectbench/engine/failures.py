@@ -67,7 +67,7 @@ def keep_failure(
         failed = Failed(stage=stage, error=error, fingerprint=tried.fingerprint, package_version=__version__)
     path, text = build / Failed.FILE, failed.text()
     with contextlib.suppress(StorageError, OSError):
-        # Of thousands of recordings that are gone, writing is most of the time, and the reason seldom changes.
+        # Of thousands of recordings that are gone, writing the same reason again is most of the time.
         if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
             return
         with replaced_file(path) as temporary:

@@ -22,11 +22,12 @@ from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import open_plain, read_plain_text
 from kinectbench.engine.locks import locked
-from kinectbench.release.unpack import unpack_tar
+from kinectbench.release.unpack import unpack
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import SOURCES_YAML, Scan, SourcesSettings, chosen_scans, read_sources
 from kinectbench.settings.template import yaml_text
+from kinectbench.stages.ingest.readers import format_of
 
 BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
 SCANS, INDEX = "scans", "index.json"
@@ -98,6 +99,10 @@ class Recipe:
             listed = ScanIndex.read_file(path).scans
         return chosen_scans(self.sources, listed, categories, limit)
 
+    def place(self, scan: Scan) -> str:
+        """The recording of a scan that is here, relative to the benchmark's folder."""
+        return scan.folder if (self.out / scan.folder).is_dir() else scan.path
+
     def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
         """Bring scans here, some at a time; one that fails does not stop the others.
 
@@ -123,15 +128,17 @@ class Recipe:
             NoRoomError: there is no room.
             StoreGoneError: no server answers any more.
         """
-        path = self.out / scan.path
-        archive = path.with_name(f"{path.name}.tgz") if scan.unpacked else path
+        folder = self.out / scan.folder
+        archive = self.out / (f"{scan.folder}.tgz" if scan.unpacked else scan.path)
+        is_zip = archive.suffix == ".zip"
         try:
-            if scan.unpacked and path.is_dir() and scan.file in self._locked:
+            if (scan.unpacked or is_zip) and folder.is_dir() and scan.file in self._locked:
                 return FetchedScan(scan, False)
-            is_zip = archive.suffix == ".zip"
-            check = partial(unpack_tar, folder=path) if scan.unpacked else _check_zip if is_zip else _no_check
+            check = partial(unpack, folder=folder) if scan.unpacked else _check_zip if is_zip else _no_check
             came = self._bring(scan.file, archive, self.sources.bases, room=room, check=check)
-            if scan.unpacked:
+            if is_zip and format_of(archive) is None:
+                unpack(archive, folder)
+            if folder.is_dir():
                 archive.unlink()
         except (NoRoomError, StoreGoneError):
             raise
@@ -197,7 +204,7 @@ class Recipe:
         text = _text(path) if path.exists() else HEADER
         known = _ids(text, str(path))
         text = text if text.endswith("\n") else f"{text}\n"
-        text += "".join(_entry(scan, self.sources) for scan in scans if scan.id not in known)
+        text += "".join(_entry(self, scan) for scan in scans if scan.id not in known)
         if path.exists() and text == _text(path):
             return
         if not config.exists():
@@ -264,7 +271,7 @@ def _no_check(path: Path) -> None:
 def remove_scan(out: Path, scan: Scan) -> None:
     """Delete a scan and what was begun of it."""
     path = out / scan.path
-    for each in (path, *begun(path)):
+    for each in (path, out / scan.folder, *begun(path)):
         if each.is_dir():
             shutil.rmtree(each)
         else:
@@ -285,9 +292,10 @@ def _ids(text: str, source: str) -> set[str]:
     return {str(id_.value) for row in rows if (id_ := yaml_nodes.items(row).get("id"))}
 
 
-def _entry(scan: Scan, sources: SourcesSettings) -> str:
+def _entry(recipe: Recipe, scan: Scan) -> str:
     """A recording as lines of YAML."""
-    rows: dict[str, object] = {"path": scan.path, "category": scan.category, "split": scan.split}
+    sources = recipe.sources
+    rows: dict[str, object] = {"path": recipe.place(scan), "category": scan.category, "split": scan.split}
     if scan.object != scan.id:
         rows["object"] = scan.object
     if scan.camera is not None:

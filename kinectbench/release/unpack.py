@@ -1,10 +1,15 @@
-"""A stranger's tar archive becomes a folder: plain files alone, below it, and no more than a bound."""
+"""A stranger's archive becomes a folder: plain files alone, below it, and no more than a bound."""
 
 import gzip
+import stat
 import tarfile
+import zipfile
 import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import IO, BinaryIO, Self
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import replaced_folder
@@ -17,12 +22,16 @@ from kinectbench.core.untrusted import (
     size_of,
     unpacked_bound,
 )
+from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
 # Of what stands before a member, such as a long name: tarfile reads it as a whole. Linux has paths of 4 kB.
 HEADER_BYTES = 1 << 20
+# What a gzip file begins with, RFC 1952, section 2.3.1.
+GZIP = b"\x1f\x8b"
 # The last three: of two members one name is the other's, or that of a folder of it.
 DAMAGED = (
     *(tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError),
+    *DAMAGED_ZIP,
     *(FileExistsError, NotADirectoryError, IsADirectoryError),
 )
 
@@ -40,17 +49,20 @@ class _Member(tarfile.TarInfo):
         return member
 
 
-def unpack_tar(archive: Path, folder: Path) -> None:
-    """Unpack a .tgz; a folder that holds all of it is left out. The target appears whole or not at all.
+def unpack(archive: Path, folder: Path) -> None:
+    """Unpack a .tar, .tgz or .zip, whatever its name ends in; a folder that holds all of it is left out.
 
-    Links, devices and hidden files are passed over.
+    The target appears whole or not at all. Links, devices and hidden files are passed over.
 
     Raises:
         StorageError: it is damaged, leads out of the folder or unpacks to too much; or the disk is full.
     """
     try:
         with replaced_folder(folder) as temporary:
-            _unpack(archive, temporary)
+            with open_plain(archive) as file:
+                members = _of_zip(file) if zipfile.is_zipfile(file) else _of_tar(file)
+                file.seek(0)
+                _unpack(members, temporary, unpacked_bound(size_of(file)))
             inside = list(temporary.iterdir())
             while len(inside) == 1 and inside[0].is_dir():
                 alone = inside[0].rename(temporary / ".alone")
@@ -62,25 +74,54 @@ def unpack_tar(archive: Path, folder: Path) -> None:
         raise StorageError(f"{archive}: cannot be unpacked ({printable(str(error), 120)})") from error
 
 
-def _unpack(archive: Path, folder: Path) -> None:
-    with open_plain(archive) as file, gzip.GzipFile(fileobj=file) as content:
-        left = unpacked_bound(size_of(file))
-        with tarfile.open(fileobj=content, mode="r|", tarinfo=_Member) as members:
-            for count, member in enumerate(members):
-                left -= member.size
-                if left < 0 or count == MOST_LISTED:
-                    raise ValueError(
-                        f"it unpacks to more than {unpacked_bound(size_of(file))} bytes or too many files"
-                    )
-                name = member.name.removeprefix("./")
-                if not member.isreg() or any(
-                    part.startswith(".") for part in name.split("/") if part != ".."
-                ):
-                    continue
-                path = below(folder, name)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                source = members.extractfile(member)
-                assert source is not None
-                with path.open("xb") as out:
-                    while part := source.read(COPIED_BYTES):
-                        out.write(part)
+@dataclass(frozen=True)
+class _Part:
+    """A member: its name, the bytes that it says it has, and what opens it; None of what is no plain file."""
+
+    name: str
+    size: int
+    open: Callable[[], IO[bytes] | None] | None
+
+
+def _of_tar(file: BinaryIO) -> Iterator[_Part]:
+    """The members of a .tar or .tgz, in their order."""
+    packed = file.read(2) == GZIP
+    file.seek(0)
+    content = gzip.GzipFile(fileobj=file) if packed else file
+    with tarfile.open(fileobj=content, mode="r|", tarinfo=_Member) as members:
+        for member in members:
+            opened = partial(members.extractfile, member) if member.isreg() else None
+            yield _Part(member.name, member.size, opened)
+
+
+def _of_zip(file: BinaryIO) -> Iterator[_Part]:
+    """The members of a .zip. One with a password is damaged for us; a link is a file that holds a path."""
+    with open_zip(file, MOST_LISTED, unpacked_bound(size_of(file))) as archive:
+        for member in archive.infolist():
+            is_link = stat.S_ISLNK(member.external_attr >> 16)
+            yield _Part(
+                member.filename,
+                member.file_size,
+                None if is_link or member.is_dir() else partial(archive.open, member),
+            )
+
+
+def _unpack(members: Iterator[_Part], folder: Path, most_bytes: int) -> None:
+    left = most_bytes
+    for count, member in enumerate(members):
+        if left < member.size or count == MOST_LISTED:
+            raise ValueError(f"it unpacks to more than {most_bytes} bytes or too many files")
+        name = member.name.removeprefix("./")
+        if member.open is None or any(part.startswith(".") for part in name.split("/") if part != ".."):
+            left -= member.size
+            continue
+        path = below(folder, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        source = member.open()
+        assert source is not None
+        with path.open("xb") as out:
+            while part := source.read(COPIED_BYTES):
+                left -= len(part)
+                if left < 0:  # a .zip says what it likes
+                    raise ValueError(f"it unpacks to more than {most_bytes} bytes")
+                out.write(part)

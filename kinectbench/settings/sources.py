@@ -20,8 +20,8 @@ from kinectbench.settings.yaml_model import read_model
 SOURCES_YAML = "sources.yaml"
 # What stands in a file's name for the scan's id.
 ID = "{id}"
-# Of archives that are unpacked when they are here: no reader opens them as they are.
-UNPACKED = (".tgz", ".tar.gz")
+# Of archives that are unpacked when they are here: no reader opens them as they are. Of .zip some do.
+UNPACKED = (".tgz", ".tar.gz", ".tar")
 
 
 def _base(value: str) -> str:
@@ -124,14 +124,18 @@ class Scan(Settings):
 
     @property
     def unpacked(self) -> bool:
-        """Whether its archive is unpacked here."""
+        """Whether its archive is unpacked here, whatever is in it."""
         return self.file.endswith(UNPACKED)
 
     @property
     def path(self) -> str:
-        """Its recording, relative to benchmark.yaml: an archive by the scan's id, or a folder."""
-        suffix = "" if self.unpacked else PurePosixPath(self.file).suffix
-        return f"scans/{self.id}{suffix}"
+        """Its recording as it came, relative to benchmark.yaml: a file by the scan's id, or a folder."""
+        return self.folder if self.unpacked else f"{self.folder}{PurePosixPath(self.file).suffix}"
+
+    @property
+    def folder(self) -> str:
+        """Where an archive is unpacked, relative to benchmark.yaml."""
+        return f"scans/{self.id}"
 
 
 def read_sources(folder: Path) -> SourcesSettings:

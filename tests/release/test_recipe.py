@@ -1,5 +1,6 @@
 """Recipes: scans of a list come here, are locked, and stand in the benchmark; nothing climbs out of it."""
 
+import gzip
 import io
 import json
 import tarfile
@@ -13,8 +14,10 @@ from scan_server import ScanServer
 from small_benchmark import Run
 from small_recipe import SOURCES, write_recipe
 
+from kinectbench.core.errors import StorageError
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
 from kinectbench.release import recipe as recipes
+from kinectbench.release.unpack import unpack
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import chosen_scans, read_sources
 
@@ -25,7 +28,7 @@ IDS = [f"{number:05d}" for number in range(1, 13)]
 def zipped(content: str) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
-        archive.writestr("depth/a", content * 20_000)
+        archive.writestr("depth/0000001-000000000000.png", content * 20_000)
     return packed.getvalue()
 
 
@@ -282,13 +285,25 @@ def tgz(members: dict[str, bytes | str]) -> bytes:
     return packed.getvalue()
 
 
-def tum(folder: Path, server: ScanServer, archive: bytes) -> Path:
-    """A recipe of one .tgz without an index."""
-    server.files["/f1/plant.tgz"] = archive
+def zip_of(members: dict[str, bytes]) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return packed.getvalue()
+
+
+def plain_tar(members: dict[str, bytes | str]) -> bytes:
+    return gzip.decompress(tgz(members))
+
+
+def tum(folder: Path, server: ScanServer, archive: bytes, name: str = "plant.tgz") -> Path:
+    """A recipe of one archive without an index."""
+    server.files[f"/f1/{name}"] = archive
     text = SOURCES.replace("index: {{bases: [{bases}], file: categories.json}}\n", "").replace(
         "seat: chair", "seat: p"
     )
-    text += "scans: [{{id: plant, category: seat, file: f1/plant.tgz, object: thing}}]\n"
+    text += "scans: [{{id: plant, category: seat, file: f1/" + name + ", object: thing}}]\n"
     return write_recipe(folder, server.url, sources=text)
 
 
@@ -311,6 +326,35 @@ def test_a_tgz_becomes_a_folder(command: Command, server: ScanServer, tmp_path: 
     assert (row.path, row.object, row.camera and row.camera.fx) == ("scans/plant", "thing", 131.25)
     asked = len(server.asked)
     assert command(tmp_path, "fetch", "r").status == 0 and len(server.asked) == asked
+
+
+FOLDER = {"set/depth.txt": b"1", "set/depth/a.png": b"2"}
+
+
+@pytest.mark.parametrize(
+    ("name", "archive"),
+    [("plant.zip", zip_of({**FOLDER, "set/.x": b"3"})), ("plant.tar", plain_tar({**FOLDER}))],
+)
+def test_a_folder_in_a_zip_or_a_plain_tar_is_unpacked(
+    command: Command, server: ScanServer, tmp_path: Path, name: str, archive: bytes
+) -> None:
+    recipe = tum(tmp_path / "r", server, archive, name)
+    assert command(tmp_path, "fetch", "r").status == 0
+    found = {path.relative_to(recipe / "scans").as_posix() for path in (recipe / "scans").rglob("*.*")}
+    assert found == {".lock", "plant/depth.txt", "plant/depth/a.png"}
+    (row,) = load_benchmark(recipe / "benchmark.yaml").recordings
+    assert row.path == "scans/plant"
+    asked = len(server.asked)
+    assert command(tmp_path, "fetch", "r").status == 0 and len(server.asked) == asked
+
+
+def test_a_zip_says_less_than_it_unpacks_to(tmp_path: Path) -> None:
+    whole = zip_of({"a/b": bytes(1 << 20)})
+    lying = whole.replace((1 << 20).to_bytes(4, "little"), (10).to_bytes(4, "little"))
+    (tmp_path / "a.zip").write_bytes(lying)
+    with pytest.raises(StorageError, match="cannot be unpacked"):
+        unpack(tmp_path / "a.zip", tmp_path / "a")
+    assert not (tmp_path / "a").exists()
 
 
 @pytest.mark.parametrize(
