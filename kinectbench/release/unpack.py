@@ -76,11 +76,11 @@ def unpack(archive: Path, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A member: its name, the bytes that it says it has, and what opens it; None of what is no plain file."""
+    """A member: its name, the bytes that it says it has, and what gives its content (None: no plain file)."""
 
     name: str
     size: int
-    open: Callable[[], IO[bytes] | None] | None
+    content: Callable[[], IO[bytes] | None] | None
 
 
 def _of_tar(file: BinaryIO) -> Iterator[_Part]:
@@ -112,12 +112,12 @@ def _unpack(members: Iterator[_Part], folder: Path, most_bytes: int) -> None:
         if left < member.size or count == MOST_LISTED:
             raise ValueError(f"it unpacks to more than {most_bytes} bytes or too many files")
         name = member.name.removeprefix("./")
-        if member.open is None or any(part.startswith(".") for part in name.split("/") if part != ".."):
+        if member.content is None or any(part.startswith(".") for part in name.split("/") if part != ".."):
             left -= member.size
             continue
         path = below(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        source = member.open()
+        source = member.content()
         assert source is not None
         with path.open("xb") as out:
             while part := source.read(COPIED_BYTES):

@@ -310,14 +310,13 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     sweep(folder)
     file_format = formats()[spec.format]
     replaced = replaced_file if file_format.suffix else replaced_folder
-    with replaced_folder(folder) as temporary:
+    with replaced_folder(folder) as temporary, replaced(out) as path:
         recorder = _Recorder(simulation, temporary, progress)
-        with replaced(out) as path:
-            if path.is_file():
-                path.unlink()  # some writers refuse what is there
-            file_format.write(path, simulation.rig, recorder.frames())
-            if spec.faults.cut_share > 0:
-                cut(path, spec.faults.cut_share)
+        if path.is_file():
+            path.unlink()  # some writers refuse what is there
+        file_format.write(path, simulation.rig, recorder.frames())
+        if spec.faults.cut_share > 0:
+            cut(path, spec.faults.cut_share)
         values = spec.model_dump(mode="json")
         if spec.mesh is not None:
             # By its name and hash, not by its place on this machine.
