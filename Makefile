@@ -53,9 +53,10 @@ docs: setup ## the documentation as a site, in site/; a broken link or anchor is
 docs-pictures: setup ## make the tutorial's pictures and outputs again, of one run (simulated; some minutes; needs chromium)
 	@$(BIN)/python scripts/docs_pictures.py
 
-docs-format: setup ## write the schemas, and docs/keys.md, from the models again
+docs-format: setup ## write the schemas, docs/keys.md and docs/errors.md again
 	@$(BIN)/python -m kinectbench.release.publish.schemas
 	@$(BIN)/python scripts/docs_format.py
+	@$(BIN)/python scripts/docs_errors.py
 
 docs-architecture: setup ## draw the rooms of the package and list the stored files in docs/architecture.md again
 	@$(BIN)/python scripts/docs_architecture.py

@@ -156,7 +156,7 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
         if name not in known:
             near = get_close_matches(name, known, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"there are {listed(known)}"
-            raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}")
+            raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}", what="no-recording")
     wanted = set(ids) if ids else known.keys()
     return [Job(settings, r, common.place) for r in settings.recordings if r.id in wanted]
 
@@ -169,7 +169,7 @@ def build_recordings(
     With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
     """
     if missing := missing_extra("build"):
-        raise SettingsError(missing)
+        raise SettingsError(missing, what="no-package")
     chosen = chosen_jobs(common, ids)
     if told:
         _tell_changed_settings(chosen, upto)
@@ -240,12 +240,9 @@ def build_jobs(
             continue
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
+        code = f" ({outcome.code})" if verbose else ""
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
-        console.recording_lines(name, "error", [reason] if reason else [], "red")
-    if (more := failed - console.MOST_LINES) > 0:
-        console.lines(
-            "error", [f"{more} more recordings failed: `kinectbench build --status --json` lists all"], "red"
-        )
+        console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
     return rows
 
 

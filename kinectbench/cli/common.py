@@ -101,7 +101,8 @@ class Common:
         if url is not None:
             raise SettingsError(
                 f"--config {shown(url)}: this command works on folders of this machine; in a store build and "
-                "its stages, publish, verify and gc do; `kinectbench fetch` brings a release here"
+                "its stages, publish, verify and gc do; `kinectbench fetch` brings a release here",
+                what="bad-url",
             )
         return self.place
 
@@ -236,7 +237,9 @@ def _refuse_urls(options: Mapping[str, Any]) -> None:
     for name, value in options.items():
         url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
         if url is not None:
-            raise SettingsError(f"{name} {shown(url)}: wanted a path of this machine, not a URL")
+            raise SettingsError(
+                f"{name} {shown(url)}: wanted a path of this machine, not a URL", what="bad-url"
+            )
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:

@@ -109,7 +109,8 @@ def gc(
     if url is None:
         raise SettingsError(
             f"--config {common.config}: gc is for stores; in a folder of this machine each run removes what "
-            "killed ones left"
+            "killed ones left",
+            what="bad-url",
         )
     store = Store(url)
     found = unnamed(store, young=everything)

@@ -110,7 +110,7 @@ def _with_build(command: Command) -> Command:
     @wraps(command)
     def checked(*args: Any, **options: Any) -> None:
         if missing := missing_extra("build"):
-            raise SettingsError(missing)
+            raise SettingsError(missing, what="no-package")
         return command(*args, **options)
 
     return checked
@@ -221,7 +221,8 @@ def _call() -> tuple[int, tuple[str, ...]]:
     except USAGE_ERRORS as error:
         return 2, _usage(error)
     except KinectBenchError as error:
-        return error.exit_status, error.lines
+        code = (f"code: {error.code}",) if os.environ.get("KINECTBENCH_DEBUG") else ()
+        return error.exit_status, (*error.lines, *code)
     except Exception as error:
         check_interrupt()
         if os.environ.get("KINECTBENCH_DEBUG"):
@@ -243,7 +244,7 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
         # `--config=URL`, `-cURL`, or the URL itself.
         written = re.sub(r"--[a-z-]+=|-[a-z]=?", "", argument, count=1) if argument[:1] == "-" else argument
         if said := unusable(written):
-            raise SettingsError(printable(said, 300))
+            raise SettingsError(printable(said, 300), what="bad-url")
 
 
 def _usage(error: Any) -> tuple[str, ...]:

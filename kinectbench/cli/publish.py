@@ -116,10 +116,12 @@ def store_at(url: str) -> "Store":
     from kinectbench.core.store.usable import require_usable
 
     if said := unusable(url):
-        raise SettingsError(f"--to: {printable(said, 300)}")
+        raise SettingsError(f"--to: {printable(said, 300)}", what="bad-url")
     found = url_of(url)
     if found is None or is_web(found):
-        raise SettingsError(f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://")
+        raise SettingsError(
+            f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://", what="bad-url"
+        )
     require_usable(found, f"--to {shown(found)}")
     return Store(found)
 

@@ -59,7 +59,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     from kinectbench.settings.file import load_benchmark
 
     if missing := missing_extra("build"):
-        raise SettingsError(missing)
+        raise SettingsError(missing, what="no-package")
     rows = []
     for number, scan in enumerate(scans, 1):
         build = recipe.out / "build" / scan.id
@@ -102,7 +102,9 @@ def _refuse_beyond(out: Path, size: int) -> None:
     used = sum(path.lstat().st_size for path in listed_below(out))
     needed = size + max(BUILD_RATIO * size, BUILD_BYTES)
     if needed > STREAM_BYTES:
-        raise StorageError(f"{size} bytes are too large for --stream; fetch it without, and build it")
+        raise StorageError(
+            f"{size} bytes are too large for --stream; fetch it without, and build it", what="no-room"
+        )
     if used + needed > STREAM_BYTES:
         raise NoRoomError(
             f"{out}: holds {used / 1e9:.2f} GB; the next scan and its build may take {needed / 1e9:.2f} "

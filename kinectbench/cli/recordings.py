@@ -43,9 +43,13 @@ def init(
 
     target = folder / "benchmark.yaml"
     if not folder.is_dir():
-        raise SettingsError(f"{folder}: no such folder; give the folder that holds the recordings")
+        raise SettingsError(
+            f"{folder}: no such folder; give the folder that holds the recordings", what="no-file"
+        )
     if target.exists() and not force:
-        raise SettingsError(f"{target}: is there already; edit it, or use --force to replace it")
+        raise SettingsError(
+            f"{target}: is there already; edit it, or use --force to replace it", what="already-exists"
+        )
     recordings = find_recordings(folder)
     found = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
     suffixes = name_suffixes()

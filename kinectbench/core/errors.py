@@ -1,13 +1,32 @@
-"""Every error a user can meet. Only `kinectbench.cli.main` turns one into a line and an exit status."""
+"""Every error a user can meet. Only `kinectbench.cli.main` turns one into a line and an exit status.
+
+`kinectbench.core.error_codes` lists the codes of all errors.
+"""
 
 
 class KinectBenchError(Exception):
     """Base of all errors with a one-line message: what, where, what to do. The data cannot be used.
 
     Several arguments are as many lines.
+
+    Attributes:
+        kind: of the class, the first half of its errors' codes.
+        what: went wrong, the second half; a class has one for the errors that give none of their own.
     """
 
     exit_status = 1
+    kind = "run"
+    what = "failed"
+
+    def __init__(self, *lines: object, what: str = "") -> None:
+        super().__init__(*lines)
+        if what:
+            self.what = what
+
+    @property
+    def code(self) -> str:
+        """`<kind>.<what>`: it stays the same where the lines are reworded."""
+        return f"{self.kind}.{self.what}"
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
@@ -22,42 +41,84 @@ class SettingsError(KinectBenchError):
     """Wrong settings, in benchmark.yaml or on the command line."""
 
     exit_status = 2
+    kind, what = "settings", "wrong-value"
 
 
 class RecordingError(KinectBenchError):
     """A recording cannot be read, or is not what it says."""
 
+    kind, what = "recording", "malformed"
+
+
+class IntrinsicsError(RecordingError):
+    """The intrinsics of a recording cannot be used."""
+
+    what = "bad-intrinsics"
+
+
+class GivenPosesError(RecordingError):
+    """A pose or a file of poses of a recording cannot be used."""
+
+    what = "bad-poses"
+
 
 class TrackingError(KinectBenchError):
     """No usable trajectory."""
+
+    kind, what = "tracking", "no-trajectory"
 
 
 class SegmentationError(KinectBenchError):
     """No floor, no object, or an impossible box or mask."""
 
+    kind, what = "segmentation", "no-object"
+
 
 class ShapeError(KinectBenchError):
     """No solid shape can be made from the recording."""
+
+    kind, what = "shape", "no-solid"
 
 
 class PairError(KinectBenchError):
     """A pair or a grid file cannot be made or read."""
 
+    kind, what = "pair", "malformed"
+
 
 class PredictionError(KinectBenchError):
     """A submitted prediction is missing or unacceptable."""
+
+    kind, what = "prediction", "malformed"
 
 
 class ReleaseError(KinectBenchError):
     """A published benchmark is damaged or incomplete."""
 
+    kind, what = "release", "damaged"
+
 
 class StorageError(KinectBenchError):
     """An artefact cannot be written or read: disk full, read-only, or in use."""
 
+    kind, what = "storage", "damaged"
+
 
 class ClusterError(KinectBenchError):
     """A cluster cannot be reached or used any more; what was done on it is kept."""
+
+    kind, what = "cluster", "task-failed"
+
+
+# The code where there is no error of Python's: a process was killed, or hangs.
+KILLED = "run.process-killed"
+
+
+def error_code(error: BaseException) -> str:
+    """The code of any error; of one that is no `KinectBenchError`, that of its cause."""
+    if isinstance(error, KinectBenchError):
+        return error.code
+    return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"
 
 
 def internal_error(error: BaseException) -> str:

@@ -78,7 +78,7 @@ def open_to_add(path: Path) -> IO[str]:
         StorageError: a link, a folder, a pipe or a device is there.
         OSError: it cannot be made or opened.
     """
-    refused = StorageError(f"{path}: is no file that could be added to; remove it")
+    refused = StorageError(f"{path}: is no file that could be added to; remove it", what="no-plain-file")
     how = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         handle = os.open(path, how, 0o666)
@@ -127,7 +127,7 @@ def storage_errors(path: Path) -> Iterator[None]:
         }.get(error.errno or 0)
         if not advice:
             raise
-        raise StorageError(f"{path}: {advice}{UNTOUCHED}") from error
+        raise StorageError(f"{path}: {advice}{UNTOUCHED}", what="not-writable") from error
 
 
 @contextlib.contextmanager
@@ -137,7 +137,8 @@ def _reachable(path: Path) -> Iterator[None]:
         yield
     except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:
         raise StorageError(
-            f"{path}: the way to it holds a file, a broken link or nothing; choose another place"
+            f"{path}: the way to it holds a file, a broken link or nothing; choose another place",
+            what="no-way",
         ) from error
 
 
@@ -188,7 +189,7 @@ def replaced_file(path: Path) -> Iterator[Path]:
     # Not the process id: containers that share a disk have the same ones.
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     if path.exists() and not path.is_file():
-        raise StorageError(f"{path}: is no file that could be replaced; name another")
+        raise StorageError(f"{path}: is no file that could be replaced; name another", what="no-plain-file")
     _half_filled.add(temporary)
     try:
         with storage_errors(path):

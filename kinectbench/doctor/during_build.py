@@ -32,7 +32,8 @@ def refuse_hopeless(recording: Recording) -> None:
     for found in (*check_depth(probe), *check_intrinsics(probe)):
         if found.severity == "stops" and found.name in CHECKED:
             raise RecordingError(
-                f"{found.where}: {found.what}; {found.advice} (`kinectbench inspect` says more)"
+                f"{found.where}: {found.what}; {found.advice} (`kinectbench inspect` says more)",
+                what="implausible",
             )
 
 

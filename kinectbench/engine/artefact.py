@@ -140,7 +140,9 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
             fresh = seen is not None and seen[:2] == (stat.st_size, stat.st_mtime_ns)
             digest = seen.sha256 if seen is not None and fresh else sha256_file(path)
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be read ({error.strerror}); check the file") from error
+            raise RecordingError(
+                f"{path}: cannot be read ({error.strerror}); check the file", what="unreadable"
+            ) from error
         entries[name] = SourceFile(stat.st_size, stat.st_mtime_ns, digest)
     sources = Sources.model_validate(entries)
     if cache is not None and entries != known:

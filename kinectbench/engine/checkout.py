@@ -140,7 +140,7 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
     return Checkout(store, job, artefacts, current, listing.built, failed in listing.built)
 
 
-def status_there(job: Job) -> tuple[tuple[str, ...], str | None]:
+def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
     """The stages of a recording that its store holds, and why its last run failed; nothing is fetched for it.
 
     Of a recording whose files have not been hashed none is known to be current.
@@ -150,11 +150,11 @@ def status_there(job: Job) -> tuple[tuple[str, ...], str | None]:
         with scratch_folder() as root, named_as_there(listing.store, root):
             found = _of_known_files(listing, replace(job, root=root), STAGES[-1].name)
     except (RecordingError, SettingsError) as error:
-        return (), str(error)
+        return (), Failed(stage=None, error=str(error), code=error.code)
     name, failed = f"build/{job.recording.id}/{Failed.FILE}", None
     if name in listing.built:
         text = listing.store.read(name, MOST_FAILED_BYTES)
-        failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name)).error
+        failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name))
     return () if found is None else found.current, failed
 
 
@@ -172,7 +172,7 @@ def fetch_files(
     try:
         files = [(each.name, below(root, each.name), each.size) for each in seen]
     except ValueError as error:
-        raise RecordingError(f"{store.place()}: {error}") from error
+        raise RecordingError(f"{store.place()}: {error}", what="not-fetched") from error
     with storage_errors(root):
         fetch_all(store, files, done)
 
@@ -185,7 +185,8 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
     if ".." in path.parts or not path.parts:
         raise SettingsError(
             f"recordings.{job.recording.id}.path: '{printable(str(path))}' leads out of {store.place()}; "
-            "recordings of a benchmark in a store lie below it"
+            "recordings of a benchmark in a store lie below it",
+            what="outside-folder",
         )
     listed = [each for each in store.objects(str(path), MOST_FILES) if not _hidden(each.name)]
     if listed:
@@ -195,7 +196,8 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
     file = store.head(str(path))
     if file is None:
         raise RecordingError(
-            f"{store.place(str(path))}: no such recording; correct `path` of '{job.recording.id}'"
+            f"{store.place(str(path))}: no such recording; correct `path` of '{job.recording.id}'",
+            what="not-found",
         )
     return [file]
 
@@ -220,7 +222,7 @@ def named_as_there(store: Store, root: Path) -> Iterator[None]:
     try:
         yield
     except KinectBenchError as error:
-        raise type(error)(*(as_there(store, root, line) for line in error.lines)) from error
+        raise type(error)(*(as_there(store, root, line) for line in error.lines), what=error.what) from error
 
 
 def as_there(store: Store, root: Path, text: str) -> str:

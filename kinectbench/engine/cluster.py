@@ -73,7 +73,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
     try:
         import dask
     except ImportError as error:
-        raise SettingsError(MISSING) from error
+        raise SettingsError(MISSING, what="no-package") from error
     with dask.config.set(OF_LOCAL if local else {}), ExitStack() as stack:
         try:
             with interrupts_held():
@@ -84,7 +84,9 @@ def cluster(address: str) -> Iterator["Cluster"]:
                 first = first.__cause__
             why, of_files = one_line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
             hint = TLS_HINT if of_files or re.search("TLS|encryption", why) else ""
-            raise ClusterError(f"--cluster {address}: no scheduler answers there ({why}){hint}") from error
+            raise ClusterError(
+                f"--cluster {address}: no scheduler answers there ({why}){hint}", what="no-answer"
+            ) from error
         yield Cluster(client, address)
 
 
@@ -224,7 +226,8 @@ class Cluster:
         """What is told when the scheduler does not answer any more."""
         return ClusterError(
             f"--cluster {self._address}: lost the scheduler; start it again and run the same command again: "
-            "what is done is kept"
+            "what is done is kept",
+            what="lost",
         )
 
     def _look(self) -> None:
@@ -247,5 +250,6 @@ class Cluster:
         elif now - self._last_worker > NO_WORKERS_S:
             raise ClusterError(
                 f"--cluster {self._address}: no worker for {NO_WORKERS_S / 60:.0f} minutes; start some, by "
-                "`dask worker` with this address, and run the same command again"
+                "`dask worker` with this address, and run the same command again",
+                what="no-workers",
             )

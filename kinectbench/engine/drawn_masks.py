@@ -86,7 +86,8 @@ class DrawnMasks:
             called = lost[0].removeprefix(CARRIED[0]).removesuffix(CARRIED[1])
             raise SettingsError(
                 f"{folder}: --carry-masks was stopped while it renamed {len(lost)} masks; give them their "
-                f"names again, such as {called} to {lost[0]}"
+                f"names again, such as {called} to {lost[0]}",
+                what="stale-masks",
             )
         by_frames = job.recording.segment_by == "masks"
         found = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
@@ -138,7 +139,8 @@ class DrawnMasks:
             if not name.of_frame and file not in self.entries:
                 raise SettingsError(
                     f"{self.folder}/{file}: {UNKNOWN}, as the numbers of views change; name it by its frame, "
-                    f"frame_<index>{name.kind}.png (views.json has the frames of views)"
+                    f"frame_<index>{name.kind}.png (views.json has the frames of views)",
+                    what="stale-masks",
                 )
 
     def check_numbers(self, frames: int) -> None:
@@ -153,7 +155,9 @@ class DrawnMasks:
         what = f"the recording has frames 0 to {frames - 1}, and no frame of {first_of(beyond)}"
         if any(file in self.entries for file in beyond):
             raise self._refusal(what)
-        raise SettingsError(f"{self.folder}: {what}: name these masks by their frames, or remove them")
+        raise SettingsError(
+            f"{self.folder}: {what}: name these masks by their frames, or remove them", what="stale-masks"
+        )
 
     def check_frames(self, sequence: Sequence) -> Self:
         """Refuse masks of frames that are other images now, or were drawn on other pictures of them.
@@ -239,7 +243,8 @@ class DrawnMasks:
         if other:
             raise SettingsError(
                 f"{self.folder}: {drawn}: {first_of(other)}; {look}, draw it again where it does not fit, "
-                f"and remove its entry from {MasksFile.FILE}"
+                f"and remove its entry from {MasksFile.FILE}",
+                what="stale-masks",
             )
         return self._with(found)
 
@@ -304,7 +309,8 @@ class DrawnMasks:
     def _refusal(self, what: str) -> SettingsError:
         return SettingsError(
             f"{self.folder}: {what}; `kinectbench segment {self.recording} --carry-masks` names masks by the "
-            f"frames that they were drawn on (drawn again since? remove their entries from {MasksFile.FILE})"
+            f"frames that they were drawn on (drawn again since? remove their entries from {MasksFile.FILE})",
+            what="stale-masks",
         )
 
 

@@ -7,11 +7,13 @@ from pathlib import Path
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.errors import (
+    KILLED,
     RecordingError,
     SegmentationError,
     ShapeError,
     StorageError,
     TrackingError,
+    error_code,
 )
 from kinectbench.core.storage import replaced_file
 from kinectbench.engine.artefact import Artefact
@@ -22,7 +24,7 @@ OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError
 OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
-def failed_before(build: Path, artefact: Artefact) -> str | None:
+def failed_before(build: Path, artefact: Artefact) -> Failed | None:
     """Why a stage would fail again: it did, and nothing that it depends on has changed since.
 
     Args:
@@ -30,7 +32,7 @@ def failed_before(build: Path, artefact: Artefact) -> str | None:
         artefact: that is about to be made.
 
     Returns:
-        The reason that was kept, one line; None if it may be tried.
+        The failure that was kept; None if it may be tried.
     """
     try:
         failed = Failed.read_if_there(build)
@@ -42,7 +44,7 @@ def failed_before(build: Path, artefact: Artefact) -> str | None:
         and failed.fingerprint == artefact.fingerprint
         and failed.package_version == __version__
     ):
-        return failed.error
+        return failed
     return None
 
 
@@ -62,16 +64,12 @@ def keep_failure(
         failure: what was raised, if it is known.
         tried: what was to be made, if it had come so far.
     """
-    failed = Failed(stage=stage, error=error)
+    failed = Failed(stage=stage, error=error, code=error_code(failure) if failure else KILLED)
     if tried is not None and failure is not None and _would_repeat(failure):
-        failed = Failed(stage=stage, error=error, fingerprint=tried.fingerprint, package_version=__version__)
-    path, text = build / Failed.FILE, failed.text()
-    with contextlib.suppress(StorageError, OSError):
-        # Of thousands of recordings that are gone, writing the same reason again is most of the time.
-        if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
-            return
-        with replaced_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        again = {"fingerprint": tried.fingerprint, "package_version": __version__}
+        failed = failed.model_copy(update=again)
+    with contextlib.suppress(StorageError, OSError), replaced_file(build / Failed.FILE) as temporary:
+        temporary.write_text(failed.text(), encoding="utf-8")
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:

@@ -39,7 +39,8 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
         raise SegmentationError(
             "`segment_by: masks` asks for masks, but the recording brings none: put one PNG per frame "
             "(0 = not the object), named by the frame such as frame_000012.png, into a folder, and name that "
-            "folder as `masks` in benchmark.yaml"
+            "folder as `masks` in benchmark.yaml",
+            what="no-masks",
         )
     return sequence.masks
 
@@ -71,18 +72,21 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
         if kind:
             raise SegmentationError(
                 f"{folder}/{name}: with `segment_by: masks` a mask is all of the object in a frame, so that "
-                f"nothing can be added or taken away; name the whole mask {name.replace(kind, '')}"
+                f"nothing can be added or taken away; name the whole mask {name.replace(kind, '')}",
+                what="bad-mask",
             )
         match = FRAME_MASK.fullmatch(name)
         if match and (before := names.setdefault(int(match[1]), name)) != name:
             raise SegmentationError(
-                f"{folder}: {before} and {name} are masks of one frame; remove the one that is wrong"
+                f"{folder}: {before} and {name} are masks of one frame; remove the one that is wrong",
+                what="bad-mask",
             )
     last = len(sequence) - 1
     if not any(number <= last for number in names):
         raise SegmentationError(
             f"{folder}: holds no mask of a frame; for `segment_by: masks`, name the mask of each frame by "
-            f"the frame's number, frame_000000.png to frame_{last:06d}.png"
+            f"the frame's number, frame_000000.png to frame_{last:06d}.png",
+            what="no-masks",
         )
 
     def mask(index: int) -> Bools | None:
@@ -93,7 +97,8 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
         if own.shape != size:
             raise SegmentationError(
                 f"{folder}/{names[index]}: the mask is {own.shape[1]}x{own.shape[0]}, the depth image "
-                f"{size[1]}x{size[0]}; draw it in depth pixels"
+                f"{size[1]}x{size[0]}; draw it in depth pixels",
+                what="mask-size",
             )
         return own
 

@@ -52,7 +52,8 @@ def locked(
             holder = _holder(folder / LOCK)
             if not wait:
                 raise StorageError(
-                    f"{folder}: in use by {holder}; run again when that has ended, or without --no-wait"
+                    f"{folder}: in use by {holder}; run again when that has ended, or without --no-wait",
+                    what="in-use",
                 )
             if waiting is not None:
                 waiting(holder)
@@ -94,7 +95,8 @@ def _taken(lock: IO[str], folder: Path, how: int) -> bool:
         if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
             raise
         raise StorageError(
-            f"{folder}: this file system keeps no locks (flock): build on another disk, and copy the result"
+            f"{folder}: this file system keeps no locks (flock): build on another disk, and copy the result",
+            what="no-locks",
         ) from error
     return True
 

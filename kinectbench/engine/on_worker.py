@@ -71,7 +71,8 @@ def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
     if differing:
         raise ClusterError(
             f"the worker at {worker.address} has {', '.join(differing)}; install there what is here, so that "
-            "it makes the same bytes"
+            "it makes the same bytes",
+            what="other-versions",
         )
     said: dict[Any, float] = {}
 

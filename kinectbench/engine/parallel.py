@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
+from kinectbench.core.errors import KILLED
 from kinectbench.core.threads import using_threads
 from kinectbench.engine.executor import Executor, Here, Lost, Say
 from kinectbench.engine.memory import expected_gb
@@ -148,4 +149,4 @@ class _Outcomes:
 def _killed(job: Job, lost: Lost) -> Outcome:
     error = lost.reason.format(id=job.recording.id)
     keep_killed(job, error)
-    return Outcome(job.recording.id, (), (), error, 0.0)
+    return Outcome(job.recording.id, (), (), error, 0.0, code=KILLED)

@@ -17,6 +17,7 @@ from kinectbench.core.errors import (
     SettingsError,
     ShapeError,
     TrackingError,
+    error_code,
     internal_error,
 )
 from kinectbench.engine.artefact import Artefact, whole_manifest
@@ -38,6 +39,7 @@ class Outcome:
 
     `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
     `row`: its figures, of a recording in a store; None: they are read in its folder.
+    `code`: of the error.
     `warnings`: of the run itself, one line each; those of stages are in their artefacts.
     """
 
@@ -49,6 +51,7 @@ class Outcome:
     repeated: bool = False
     row: RecordingSummary | None = None
     warnings: tuple[str, ...] = ()
+    code: str | None = None
 
 
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
@@ -83,7 +86,7 @@ def build_recording(
     started = time.monotonic()
     made, current, warnings = list[str](), list[str](), tuple[str, ...]()
     error: str | None = None
-    repeated = False
+    code, repeated = error, False
     try:
         with (
             locked(job.build, wait=wait, waiting=lambda holder: report(f"waiting for {holder}", 0, 1)),
@@ -101,8 +104,8 @@ def build_recording(
                     if artefact.is_current() and stage.name not in force:
                         current.append(stage.name)
                         continue
-                    if stage.name not in force and (error := failed_before(job.build, artefact)) is not None:
-                        repeated = True
+                    if stage.name not in force and (failed := failed_before(job.build, artefact)):
+                        error, code, repeated = failed.error, failed.code, True
                         break
                     report(stage.name, 0, 1)
                     _make(job, stage, sources, artefact, report)
@@ -110,11 +113,11 @@ def build_recording(
             if not repeated:
                 forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        error = told(failure)
+        error, code = told(failure), error_code(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     seconds, done = time.monotonic() - started, (tuple(made), tuple(current))
-    return Outcome(job.recording.id, *done, error, seconds, repeated, warnings=warnings)
+    return Outcome(job.recording.id, *done, error, seconds, repeated, warnings=warnings, code=code)
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
@@ -247,7 +250,7 @@ def _make(
         try:
             STEPS[stage.name](Work(stage.needs(job), folders, sources, folder, progress))
         except (TrackingError, SegmentationError, ShapeError) as failure:
-            raise type(failure)(_explained(job, failure)) from failure
+            raise type(failure)(_explained(job, failure), what=failure.what) from failure
         if check_views is not None and stage.name == "sample-views":
             check_views(folder)
         Timing(seconds=round(time.monotonic() - started, 3)).write(folder)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from kinectbench.core.artefacts.manifest import Failed
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import KILLED, StorageError
 from kinectbench.core.store.address import url_of
 from kinectbench.engine.failures import keep_failure
 from kinectbench.engine.locks import locked
@@ -32,7 +32,7 @@ def build_at_its_place(
     return build_stored(job, upto, force, progress, limit_s=limit_s, hung=hung)
 
 
-def status_of(job: Job) -> tuple[tuple[str, ...], str | None]:
+def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
     """The stages of a recording that are made and current, and why its last run failed, if it did."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
@@ -42,7 +42,7 @@ def status_of(job: Job) -> tuple[tuple[str, ...], str | None]:
         failed = Failed.read_if_there(job.build)
     except StorageError:  # nobody can read why
         failed = None
-    return tuple(current_stages(job.build, job)), failed.error if failed else None
+    return tuple(current_stages(job.build, job)), failed
 
 
 def keep_killed(job: Job, error: str) -> None:
@@ -53,7 +53,7 @@ def keep_killed(job: Job, error: str) -> None:
     from kinectbench.engine.stored_build import put_failure
 
     with contextlib.suppress(StorageError):
-        put_failure(job, Failed(stage=None, error=error))
+        put_failure(job, Failed(stage=None, error=error, code=KILLED))
 
 
 def for_elsewhere(job: Job) -> Job:

@@ -34,6 +34,7 @@ class RecordingSummary(Part):
     first: str | None = Field(None, description="of the warnings the one to see to first")
     status: str = Field(description="failed, up to date, or the seconds it took")
     error: str | None = Field(description="why it failed")
+    code: str | None = Field(description="of that error")
     made: tuple[str, ...] = Field(description="stages of this run")
     current: tuple[str, ...] = Field(description="stages that were up to date")
 

@@ -31,7 +31,9 @@ def scratch_folder() -> Iterator[Path]:
     """
     base = Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir())
     if not base.is_dir():
-        raise StorageError(f"{base}: no such folder; make it, or correct {SCRATCH_VARIABLE}")
+        raise StorageError(
+            f"{base}: no such folder; make it, or correct {SCRATCH_VARIABLE}", what="no-folder"
+        )
     _sweep(base)
     with contextlib.ExitStack() as stack:
         with storage_errors(base):

@@ -79,5 +79,6 @@ def refuse_slim(recording: str, folder: Path) -> None:
     if is_slim(folder):
         raise RecordingError(
             f"{folder}: its frames were deleted after the build; fetch the scan again and run "
-            f"`kinectbench build {recording} --force`"
+            f"`kinectbench build {recording} --force`",
+            what="deleted",
         )

@@ -165,7 +165,7 @@ def check_masks(job: Job) -> None:
     missing = f"no such folder of masks of {job.recording.id}; make it, or correct `masks`"
     check_there(job.masks, missing)
     if not job.masks.is_dir():
-        raise RecordingError(f"{job.masks}: {missing}")
+        raise RecordingError(f"{job.masks}: {missing}", what="not-found")
 
 
 def _masks(job: Job) -> Mapping[str, Source]:

@@ -25,6 +25,7 @@ class RecordingStatus(Part):
     current: tuple[str, ...] = Field(description="stages that are made and current")
     next: str | None = Field(description="the first stage that is not; null: all are, of an earlier run")
     error: str | None = Field(description="why the last run failed")
+    code: str | None = Field(description="of that error")
 
 
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
@@ -44,7 +45,8 @@ def _status(job: Job) -> RecordingStatus:
         state=state,
         current=current,
         next=left[0] if left else None,
-        error=failed,
+        error=failed.error if failed else None,
+        code=failed.code if failed else None,
     )
 
 

@@ -111,7 +111,7 @@ def _fuse(work: Work[FuseSettings]) -> None:
 def _suggest(work: Work[SuggestSettings]) -> None:
     settings = work.settings
     if settings.segment_by is not None:
-        raise SegmentationError(NOTHING_TO_CHOOSE)
+        raise SegmentationError(NOTHING_TO_CHOOSE, what="no-candidates")
     sequence, trajectory = _tracked(work.stages)
     hint = floor_hint(sequence, trajectory, settings.floor)
     found = find_candidates(_scene(work.stages), trajectory, settings.segmentation, hint)

@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import MasksFile, PairsFile, ViewsFile
-from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.core.errors import RecordingError, StorageError, error_code
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.store import in_parallel
 from kinectbench.engine.checkout import (
@@ -80,10 +80,10 @@ def build_stored(
     except StoreGoneError:  # nor would the next recordings find it
         raise
     except Exception as failure:
-        outcome = Outcome(job.recording.id, (), (), told(failure), 0.0)
+        outcome = Outcome(job.recording.id, (), (), told(failure), 0.0, code=error_code(failure))
         if isinstance(failure, RecordingError):
             with contextlib.suppress(StorageError):
-                put_failure(job, Failed(stage=STAGES[0].name, error=str(failure)))
+                put_failure(job, Failed(stage=STAGES[0].name, error=str(failure), code=failure.code))
     return replace(outcome, seconds=time.monotonic() - started)
 
 
@@ -112,9 +112,9 @@ def _built(
             _put_failure(found)
         return _nothing_made(found, None)
     if missing[0].name not in force:
-        error = failed_before(found.job.build, found.artefacts[missing[0].name])
-        if error is not None:
-            return _nothing_made(found, error)
+        failed = failed_before(found.job.build, found.artefacts[missing[0].name])
+        if failed is not None:
+            return _nothing_made(found, failed)
     _fetch_needed(found, missing, report)
     drawn = _masks_file(found)
     outcome = build()
@@ -138,7 +138,7 @@ def _masks_file(found: Checkout) -> str:
     return "" if masks is None else masks.text()
 
 
-def _nothing_made(found: Checkout, error: str | None) -> Outcome:
+def _nothing_made(found: Checkout, failed: Failed | None) -> Outcome:
     """Of a recording that is up to date, or failed before: only what the table shows is fetched."""
     in_parallel(
         partial(
@@ -147,8 +147,8 @@ def _nothing_made(found: Checkout, error: str | None) -> Outcome:
         for name in found.current
         if name in SHOWN
     )
-    repeated = error is not None
-    outcome = Outcome(found.job.recording.id, (), found.current, error, 0.0, repeated)
+    error, code = (failed.error, failed.code) if failed else (None, None)
+    outcome = Outcome(found.job.recording.id, (), found.current, error, 0.0, failed is not None, code=code)
     return replace(outcome, row=summary(found.job, outcome))
 
 

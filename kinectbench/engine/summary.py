@@ -93,6 +93,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         first=_to_do_first(sequence, health, quality, views),
         status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
         error=outcome.error,
+        code=outcome.code,
         made=outcome.made,
         current=outcome.current,
     )

@@ -24,6 +24,8 @@ Result = TypeVar("Result")
 class TimeLimitError(KinectBenchError):
     """A recording takes longer than it may; the next run tries it again, perhaps with more time."""
 
+    what = "time-limit"
+
 
 @contextmanager
 def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:

@@ -38,7 +38,7 @@ def track_scene(
     try:
         trajectory = track(sequence, mode, settings, progress)
     except TrackingError as error:
-        raise TrackingError(f"{error}; {line}" if line else str(error)) from error
+        raise TrackingError(f"{error}; {line}" if line else str(error), what=error.what) from error
     if not line or trajectory.health is None:
         return trajectory
     warnings = (line, *trajectory.health.warnings)

@@ -70,7 +70,8 @@ def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[St
     manifest = Manifest.parse(store.read(place).decode("utf-8", errors="replace"), store.place(place))
     if manifest.fingerprint != folder.rpartition("/")[2]:
         raise StorageError(
-            f"{store.place(place)}: is of another artefact; look at it before anything is removed"
+            f"{store.place(place)}: is of another artefact; look at it before anything is removed",
+            what="other-content",
         )
     data = files_folder(folder, manifest)
     names = {place, *(f"{data}/{name}" for name in (*manifest.files, Timing.FILE, ARCHIVE))}

@@ -34,12 +34,18 @@ def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, 
         try:
             given = point.load()
         except (ImportError, AttributeError) as error:
-            raise SettingsError(f"{where}: cannot be imported ({error}); mend or uninstall it") from error
+            raise SettingsError(
+                f"{where}: cannot be imported ({error}); mend or uninstall it", what="bad-plugin"
+            ) from error
         if not isinstance(given, Mapping) or not all(isinstance(value, kind) for value in given.values()):
-            raise SettingsError(f"{where}: is no mapping from names to {kind.__name__}; mend or uninstall it")
+            raise SettingsError(
+                f"{where}: is no mapping from names to {kind.__name__}; mend or uninstall it",
+                what="bad-plugin",
+            )
         if twice := sorted(found.keys() & given.keys()):
             raise SettingsError(
-                f"{where}: '{twice[0]}' is there already; rename it, or uninstall this plug-in"
+                f"{where}: '{twice[0]}' is there already; rename it, or uninstall this plug-in",
+                what="bad-plugin",
             )
         found.update(given)
     return found

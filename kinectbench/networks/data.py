@@ -63,7 +63,8 @@ def training_targets(
         if not targets:
             raise ReleaseError(
                 f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair "
-                "--train 40 --validation 4 --test 8` makes some"
+                "--train 40 --validation 4 --test 8` makes some",
+                what="no-pairs",
             )
         found += ((release, target) for target in targets)
     _check_apart(releases, {target.object for _, target in found})
@@ -79,13 +80,15 @@ def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[s
 def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
     """Refuse a release that is there twice, and objects that are learnt from here and tested on there."""
     if len({release.benchmark_sha256 for release in releases}) < len(releases):
-        raise ReleaseError("--data: the same release is given twice; leave one out")
+        raise ReleaseError("--data: the same release is given twice; leave one out", what="overlap")
     for release in releases:
         held = {target.object for target in release.targets if target.split != "train"}
         if shared := sorted(held.intersection(learnt)):
             raise ReleaseError(
-                f"{release.folder}: {shared[0]} is to be tested on, and learnt from in another release of "
-                "--data; name it in training.leave_out, or make both releases with the same numbers of models"
+                f"{release.folder}: {shared[0]} is to be tested on, and learnt from in another release "
+                "of --data; name it in training.leave_out, or make both releases with the same numbers of "
+                "models",
+                what="overlap",
             )
 
 

@@ -115,18 +115,22 @@ class PredictionFolder:
             if of and of != self._run.benchmark_sha256:
                 raise SettingsError(
                     f"{folder}: holds predictions for another release ({of[:8]}…); "
-                    "choose another folder by --out"
+                    "choose another folder by --out",
+                    what="other-content",
                 )
         # What begins with a dot is the system's, or half a file of a run that was killed at its start.
         ours = begun or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
         if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
             raise SettingsError(
                 f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it "
-                "away"
+                "away",
+                what="other-content",
             )
         for name in sorted({target.recording for target in targets}):
             if not lies_below(folder / name, folder.resolve()):
-                raise SettingsError(f"{folder / name}: a link out of the folder; remove it")
+                raise SettingsError(
+                    f"{folder / name}: a link out of the folder; remove it", what="other-content"
+                )
 
     def _written_before(self, done: MethodFile | None) -> dict[str, str]:
         """{file: digest} of all that this very run wrote before; empty if another one did."""

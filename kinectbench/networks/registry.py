@@ -34,7 +34,7 @@ def require_torch() -> None:
         import_module("torch")
     except ImportError:
         raise KinectBenchError(
-            "train, predict and convert need PyTorch: pip install 'kinectbench[methods]'"
+            "train, predict and convert need PyTorch: pip install 'kinectbench[methods]'", what="no-package"
         ) from None
 
 

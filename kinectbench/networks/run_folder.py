@@ -63,7 +63,9 @@ def make_folder(folder: Path) -> None:
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise StorageError(f"{folder}: the way to it holds a file; choose another folder") from None
+        raise StorageError(
+            f"{folder}: the way to it holds a file; choose another folder", what="no-way"
+        ) from None
 
 
 def _differences(before: MethodSettings, now: MethodSettings) -> str:
@@ -98,7 +100,9 @@ def prepare(folder: Path, config: MethodSettings) -> None:
         course = TrainingFile.read_if_there(folder)
         trained, where = course.config_sha256 if course else config.sha256, ""
     if trained != config.sha256:
-        raise SettingsError(f"{folder}: trained with other settings{where}; choose another folder")
+        raise SettingsError(
+            f"{folder}: trained with other settings{where}; choose another folder", what="other-training"
+        )
     with replaced_file(path) as temporary:
         write_config(config, temporary)
 
@@ -174,9 +178,14 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
         raise _damaged(path) from error
     if content.benchmarks_sha256 != benchmarks(facts):
         named = ", ".join(f"{sha256[:8]}…" for sha256 in content.benchmarks_sha256[:20])
-        raise SettingsError(f"{folder}: was trained on another release ({named}); choose another folder")
+        raise SettingsError(
+            f"{folder}: was trained on another release ({named}); choose another folder",
+            what="other-training",
+        )
     if content.config_sha256 not in (None, config.sha256):
-        raise SettingsError(f"{folder}: trained with other settings; choose another folder")
+        raise SettingsError(
+            f"{folder}: trained with other settings; choose another folder", what="other-training"
+        )
     try:
         state = checked_state(content, steps)
         set_values(content, learner.network, learner.optimisers, state.step)

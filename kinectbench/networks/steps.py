@@ -23,6 +23,8 @@ Losses = dict[str, float]
 class StepError(KinectBenchError):
     """A training that cannot go on."""
 
+    kind, what = "training", "diverged"
+
 
 class Learner:
     """A network with its optimisers; a step's chance comes from the seed and the step's number alone.

@@ -241,7 +241,8 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
         if training.part[1] == 1:
             raise
         raise StepError(
-            "another process of this training has stopped; run all again, it goes on from what was saved"
+            "another process of this training has stopped; run all again, it goes on from what was saved",
+            what="process-stopped",
         ) from error
 
 
@@ -251,11 +252,15 @@ def _memory_told() -> Iterator[None]:
     try:
         yield
     except (torch.OutOfMemoryError, MemoryError) as error:
-        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+        raise StepError(
+            "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"
+        ) from error
     except RuntimeError as error:
         if "allocate memory" not in str(error):  # as torch says it of the CPU
             raise
-        raise StepError("memory is full; choose a smaller training.batch, or bfloat16") from error
+        raise StepError(
+            "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"
+        ) from error
 
 
 def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:

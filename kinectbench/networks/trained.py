@@ -69,11 +69,14 @@ def folder_of(name: str) -> Path:
         if name in packaged_configs():
             raise SettingsError(
                 f"{name}: a configuration of the package, which comes without weights; train it: "
-                f"`kinectbench train {name} --data RELEASE --out FOLDER`, and predict with FOLDER"
+                f"`kinectbench train {name} --data RELEASE --out FOLDER`, and predict with FOLDER",
+                what="untrained",
             )
         known = packaged_methods()
         more = f", and no method of the package: {listed(known)}" if known else ""
-        raise SettingsError(f"{printable(name)}: no folder of `kinectbench train` or `convert`{more}")
+        raise SettingsError(
+            f"{printable(name)}: no folder of `kinectbench train` or `convert`{more}", what="untrained"
+        )
     return folder
 
 

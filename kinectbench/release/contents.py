@@ -72,7 +72,9 @@ def refuse_large(folder: Path) -> None:
         advice = "build it with a larger fusion.voxel_size_m" if name.startswith("objects/") else "split it"
         size, most = path.stat().st_size, most_bytes(name)
         if size > most:
-            raise ReleaseError(f"{name}: {size} bytes, of {most} that it may have in a release; {advice}")
+            raise ReleaseError(
+                f"{name}: {size} bytes, of {most} that it may have in a release; {advice}", what="too-large"
+            )
         if name.endswith("/volume.npz"):
             try:
                 with open_plain(path) as file, open_npz(file, VOLUME_BYTES):
@@ -93,7 +95,9 @@ def release_files(folder: Path) -> Iterator[Path]:
         # By their parts, as paths are compared, but one by one that takes longer than to list them.
         found = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
     except OSError as error:
-        raise ReleaseError(f"{error.filename or folder}: {error.strerror}; this is no release") from error
+        raise ReleaseError(
+            f"{error.filename or folder}: {error.strerror}; this is no release", what="not-one"
+        ) from error
     sums = folder / SHA256SUMS
     yield from (path for path in found if path != sums)
 
@@ -134,11 +138,13 @@ class Contents:
         """
         entry = self.entries.get(name)
         if entry is None:
-            raise ReleaseError(f"{name}: missing; make or download it again")
+            raise ReleaseError(f"{name}: missing; make or download it again", what="missing-file")
         if entry.problem:
             raise ReleaseError(f"{name}: {entry.problem}; make or download it again")
         if entry.size > (most_bytes(name) if limit is None else limit):
-            raise ReleaseError(f"{name}: {entry.size} bytes are more than such a file can have")
+            raise ReleaseError(
+                f"{name}: {entry.size} bytes are more than such a file can have", what="too-large"
+            )
         with self.stream(name) as file:
             # No more than is said: an entry of an archive may unpack to any size.
             return file.read(entry.size)
@@ -152,7 +158,9 @@ class Contents:
         """
         size = self.entries[name].size
         if size > MOST_FILE_BYTES:
-            raise ReleaseError(f"{name}: {size} bytes are more than a file of a release can have")
+            raise ReleaseError(
+                f"{name}: {size} bytes are more than a file of a release can have", what="too-large"
+            )
         try:
             with self.entries[name].opener() as file:
                 yield file

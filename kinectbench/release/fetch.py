@@ -77,7 +77,7 @@ def release_url(name: str | Path) -> str:
         SettingsError: it is a name, and no place of releases is known.
     """
     if said := unusable(str(name)):
-        raise SettingsError(printable(said, 300))
+        raise SettingsError(printable(said, 300), what="bad-url")
     url = url_of(name)
     if url is not None:
         return url
@@ -88,7 +88,8 @@ def release_url(name: str | Path) -> str:
     if base is None or len(path.parts) != 1:
         raise SettingsError(
             f"{printable(shown(name))}: no such folder and no URL; name a release's URL or folder, or set "
-            f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names"
+            f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names",
+            what="no-release",
         )
     return joined(base, str(name))
 
@@ -116,7 +117,7 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     sums = parse_sums(text, store.place(SHA256SUMS))
     _refuse_many(store, sums)
     if BENCHMARK_JSON not in sums:
-        raise ReleaseError(_changed(store, BENCHMARK_JSON))
+        raise ReleaseError(_changed(store, BENCHMARK_JSON), what="changed")
     _refuse_other(out, text)
     table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
     wanted = part or Part()
@@ -125,7 +126,8 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
     if absent or not targets:
         named = f" ({printable(', '.join(absent))})" if absent else ""
         raise SettingsError(
-            f"{store.place()}: no pair of that split and category{named}; its {TARGETS_CSV} lists all"
+            f"{store.place()}: no pair of that split and category{named}; its {TARGETS_CSV} lists all",
+            what="no-pairs",
         )
     names = wanted_names(sums, targets, part)
     # Whoever finds all of it waits for nobody: many read one folder.
@@ -237,12 +239,14 @@ def _head(store: Store) -> tuple[str, ReleaseInfo]:
     except MissingObjectError:
         raise ReleaseError(
             f"{store.place()}: no release there ({BENCHMARK_JSON} or {SHA256SUMS} is missing); "
-            "correct the URL, or wait until it is published"
+            "correct the URL, or wait until it is published",
+            what="not-one",
         ) from None
     if benchmark_sha256(text, stated) != info.benchmark_sha256:
         raise ReleaseError(
             f"{store.place(SHA256SUMS)}: not the list that {BENCHMARK_JSON} names; if it is being published, "
-            "try again later"
+            "try again later",
+            what="being-written",
         )
     return text, info
 
@@ -257,7 +261,7 @@ def _text(store: Store, name: str) -> str:
 def _checked_text(store: Store, name: str, sha256: str | None) -> str:
     content = store.read(name, TEXT_BYTES)
     if hashlib.sha256(content).hexdigest() != sha256:
-        raise ReleaseError(_changed(store, name))
+        raise ReleaseError(_changed(store, name), what="changed")
     return content.decode("utf-8", errors="replace")
 
 
@@ -277,7 +281,7 @@ def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
     store.fetch(name, path, most_bytes(name))
     if sha256_file(path) != sha256:
         path.unlink()
-        raise ReleaseError(_changed(store, name))
+        raise ReleaseError(_changed(store, name), what="changed")
     return True
 
 
@@ -288,7 +292,9 @@ def _mirror_list(url: str, out: Path) -> tuple[Store, dict[str, str]]:
         text = store.read(SHA256SUMS, TEXT_BYTES)
         sums = parse_sums(text.decode("utf-8", errors="replace"), store.place(SHA256SUMS))
     except MissingObjectError:
-        raise ReleaseError(f"{store.place()}: no release there ({SHA256SUMS} is missing)") from None
+        raise ReleaseError(
+            f"{store.place()}: no release there ({SHA256SUMS} is missing)", what="not-one"
+        ) from None
     _refuse_many(store, sums)
     write_below(out / SHA256SUMS, text)
     return store, sums
@@ -321,19 +327,24 @@ def _refuse_other(out: Path, text: str) -> None:
     if not out.exists():
         return
     if not out.is_dir():
-        raise ReleaseError(f"{out}: a file; name another folder by --out")
+        raise ReleaseError(f"{out}: a file; name another folder by --out", what="other-content")
     if (out / SHA256SUMS).is_file():
         if list_of_files(release_text(out / SHA256SUMS)) == list_of_files(text):
             return
-        raise ReleaseError(f"{out}: holds another release; name another folder by --out, or remove it")
+        raise ReleaseError(
+            f"{out}: holds another release; name another folder by --out, or remove it", what="other-content"
+        )
     if any(not is_ours(path.name) for path in out.iterdir()):
-        raise ReleaseError(f"{out}: holds something else than a release; name another folder by --out")
+        raise ReleaseError(
+            f"{out}: holds something else than a release; name another folder by --out", what="other-content"
+        )
 
 
 def _refuse_many(store: Store, sums: Collection[str]) -> None:
     if len(sums) > MOST_FILES:
         raise ReleaseError(
-            f"{store.place(SHA256SUMS)}: lists more than {MOST_FILES} files; no release has them"
+            f"{store.place(SHA256SUMS)}: lists more than {MOST_FILES} files; no release has them",
+            what="too-large",
         )
 
 

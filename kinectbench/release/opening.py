@@ -54,10 +54,10 @@ def open_contents(path: Path) -> Iterator[Contents]:
             yield _rooted(contents, path)
         return
     if said := other_scheme(path):
-        raise SettingsError(said)
+        raise SettingsError(said, what="bad-url")
     contents = _folder(path)
     if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
-        raise ReleaseError(f"{path}: no release there; run publish or download one")
+        raise ReleaseError(f"{path}: no release there; run publish or download one", what="not-one")
     yield contents
 
 
@@ -97,7 +97,9 @@ def _rooted(contents: Contents, path: Path) -> Contents:
     tops = {name.partition("/")[0] for name in contents.entries if name.partition("/")[2] in known}
     if len(tops) != 1:
         found = "several" if tops else "none"
-        raise ReleaseError(f"{path}: must hold one release, at its top or in one folder; it holds {found}")
+        raise ReleaseError(
+            f"{path}: must hold one release, at its top or in one folder; it holds {found}", what="not-one"
+        )
     top = f"{tops.pop()}/"
     inside = {name.removeprefix(top): e for name, e in contents.entries.items() if name.startswith(top)}
     outside = [
@@ -297,5 +299,6 @@ def _damaged(path: Path, error: Exception) -> ReleaseError:
 
 def _bomb(path: Path) -> ReleaseError:
     return ReleaseError(
-        f"{path}: claims to hold more than {MOST_RATIO} times its size, which no release does; refused"
+        f"{path}: claims to hold more than {MOST_RATIO} times its size, which no release does; refused",
+        what="too-large",
     )

@@ -35,7 +35,9 @@ def release_text(path: Path) -> str:
     try:
         return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, shown(path))
     except FileNotFoundError:
-        raise ReleaseError(f"{shown(path)}: missing; make or download it again") from None
+        raise ReleaseError(
+            f"{shown(path)}: missing; make or download it again", what="missing-file"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ReleaseError(f"{shown(path)}: cannot be read ({error}); make or download it again") from error
 
@@ -57,7 +59,8 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
         raise ReleaseError(f"{shown(path)}: cannot be read ({reason}); download the release again") from error
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ReleaseError(
-            f"{shown(path)}: changed since it was published (SHA-256 differs); download it again"
+            f"{shown(path)}: changed since it was published (SHA-256 differs); download it again",
+            what="changed",
         )
     return content
 
@@ -71,7 +74,8 @@ def release_store(url: str) -> Store:
     if "?" in url and not url.startswith(("file:", "memory:")):
         raise ReleaseError(
             f"{shown(url)}: a URL with a query, such as a presigned one, leads to one file alone; "
-            "name the URL of the release's folder"
+            "name the URL of the release's folder",
+            what="bad-url",
         )
     return Store(url)
 

@@ -171,5 +171,7 @@ def _refuse_other(store: Store, there: _Place) -> None:
     others = [name for name in there.sizes if name not in known]
     if others and there.info is None:
         raise ReleaseError(
-            f"{store.place(others[0])}: not of a release; publish to a place that is empty or holds a release"
+            f"{store.place(others[0])}: not of a release; publish to a place that is empty or holds a "
+            "release",
+            what="other-content",
         )

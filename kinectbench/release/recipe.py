@@ -45,6 +45,8 @@ recordings:
 class NoRoomError(StorageError):
     """What is to come has no room: nor has what comes after it."""
 
+    what = "no-room"
+
 
 @dataclass(frozen=True)
 class FetchedScan:
@@ -166,7 +168,10 @@ class Recipe:
         if path.exists():
             here = Content(path.stat().st_size, sha256_file(path))
             if here.sha256 != (row.sha256 if row else sha256 or here.sha256):
-                raise StorageError(f"{path}: is not the file that came first; remove it to fetch it again")
+                raise StorageError(
+                    f"{path}: is not the file that came first; remove it to fetch it again",
+                    what="other-content",
+                )
             check(path)
             self._lock(file, here)
             return False
@@ -240,9 +245,11 @@ def opened_recipe(
     sources = read_sources(folder)
     place = out or folder
     if not (folder / BENCHMARK).is_file() and not (place / BENCHMARK).is_file():
-        raise SettingsError(f"{folder / BENCHMARK}: no such file; a recipe has one beside {SOURCES_YAML}")
+        raise SettingsError(
+            f"{folder / BENCHMARK}: no such file; a recipe has one beside {SOURCES_YAML}", what="no-file"
+        )
     if place.exists() and not place.is_dir():
-        raise SettingsError(f"--out {place}: a file; name a folder")
+        raise SettingsError(f"--out {place}: a file; name a folder", what="already-exists")
     with locked(place / SCANS, waiting=waiting):
         lock = SourcesLock.read_if_there(folder) or SourcesLock()
         yield Recipe(folder, place, sources, dict(lock.files))
@@ -261,7 +268,7 @@ def _check_zip(path: Path) -> None:
     """Refuse what is no zip archive, or has no end of one."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
-            raise StorageError(f"{path}: sends no whole zip archive")
+            raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")
 
 
 def _no_check(path: Path) -> None:
@@ -282,7 +289,9 @@ def _text(path: Path) -> str:
     try:
         return read_plain_text(path, INDEX_BYTES)
     except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: cannot be read ({getattr(error, 'strerror', '') or error})") from None
+        raise SettingsError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', '') or error})", what="unreadable"
+        ) from None
 
 
 def _ids(text: str, source: str) -> set[str]:

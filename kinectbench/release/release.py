@@ -65,7 +65,8 @@ class Release:
         if not found:
             there = " and ".join(sorted({target.split for target in self.targets})) or "no split"
             raise SettingsError(
-                f"{shown(self.folder)}: no pair of the {' or '.join(names)} split; its pairs are of {there}"
+                f"{shown(self.folder)}: no pair of the {' or '.join(names)} split; its pairs are of {there}",
+                what="no-pairs",
             )
         return found
 
@@ -84,7 +85,8 @@ class Release:
             raise ReleaseError(
                 f"{shown(self.folder)}: the truth of the {' and '.join(hidden)} split is held back; have the "
                 "predictions scored by whoever published it, or use the private part "
-                f"(benchmark_sha256 {str(self.metadata.private_benchmark_sha256)[:8]}…)"
+                f"(benchmark_sha256 {str(self.metadata.private_benchmark_sha256)[:8]}…)",
+                what="truth-held-back",
             )
 
     def pair_path(self, target: Target) -> Path:
@@ -162,9 +164,10 @@ def open_release(path: Path) -> Release:
     """
     if not is_there(path / BENCHMARK_JSON):
         if said := other_scheme(path):
-            raise SettingsError(said)
+            raise SettingsError(said, what="bad-url")
         raise ReleaseError(
-            f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one"
+            f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one",
+            what="not-one",
         )
     stated = release_text(path / BENCHMARK_JSON)
     metadata = ReleaseInfo.parse(stated, shown(path / BENCHMARK_JSON))
@@ -172,17 +175,22 @@ def open_release(path: Path) -> Release:
     if benchmark_sha256(sums_text, stated) != metadata.benchmark_sha256:
         raise ReleaseError(
             f"{shown(path)}: {BENCHMARK_JSON} and {SHA256SUMS} are not the published ones; download the "
-            "release again"
+            "release again",
+            what="changed",
         )
     sums = parse_sums(sums_text, shown(path / SHA256SUMS))
     # What is parsed is what was hashed: a file may change between two looks at it.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
     for name in published:
         if not is_there(path / name):
-            raise ReleaseError(f"{shown(path / name)}: missing; download the release again")
+            raise ReleaseError(
+                f"{shown(path / name)}: missing; download the release again", what="missing-file"
+            )
         published[name] = published_bytes(path / name, sums.get(name))
     if published[BENCHMARK_JSON] != stated.encode():
-        raise ReleaseError(f"{shown(path / BENCHMARK_JSON)}: changed while it was read; try again")
+        raise ReleaseError(
+            f"{shown(path / BENCHMARK_JSON)}: changed while it was read; try again", what="being-written"
+        )
     targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), shown(path / TARGETS_CSV))
     check_names(targets, shown(path / TARGETS_CSV))
     for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):

@@ -72,7 +72,9 @@ def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
 def _pixels(release: Release, target: Target, kind: Kind) -> NDArray[Any]:
     name = f"views/{target.recording}/{target.view}{kind.suffix}"
     if name not in release.sums:
-        raise ReleaseError(f"{shown(release.folder / name)}: the release has no such image")
+        raise ReleaseError(
+            f"{shown(release.folder / name)}: the release has no such image", what="missing-file"
+        )
     return _decoded(release.content(name), name, kind)
 
 

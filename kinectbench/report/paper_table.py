@@ -69,7 +69,7 @@ def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
         rows = table.pairs(PROTOCOL)
         if not rows or not table.complete:
             why = "some of its pairs are not scored" if rows else f"not scored under '{PROTOCOL}'"
-            raise SettingsError(f"{name}: {why}; score it again")
+            raise SettingsError(f"{name}: {why}; score it again", what="other-scores")
         of_methods.append((name, rows))
     views = sorted({_views(row) for _, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
     found = []

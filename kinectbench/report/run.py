@@ -81,12 +81,14 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
         if found != benchmark_sha256:
             raise SettingsError(
                 f"{path}: scored against benchmark {found[:12]}, the page is of "
-                f"{benchmark_sha256[:12]}; score it against that one or leave it out"
+                f"{benchmark_sha256[:12]}; score it against that one or leave it out",
+                what="other-scores",
             )
         if files and file.table.score_version != files[0].table.score_version:
             raise SettingsError(
                 f"{path}: counted by score version {file.table.score_version}, {files[0].path} by "
-                f"score version {files[0].table.score_version}; score both again or leave one out"
+                f"score version {files[0].table.score_version}; score both again or leave one out",
+                what="other-scores",
             )
         files.append(file)
     return files
@@ -281,7 +283,9 @@ def _of_release(
         if problem is None:
             found.append(file)
         elif refuse:
-            raise SettingsError(f"{file.path}: {problem}; score the predictions again or leave it out")
+            raise SettingsError(
+                f"{file.path}: {problem}; score the predictions again or leave it out", what="other-scores"
+            )
         else:
             warnings.append(f"{file.path}: {problem}; left out of the page, score again")
     return found, warnings

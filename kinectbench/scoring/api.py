@@ -104,9 +104,13 @@ class Scorer:
         """
         target = self._targets.get(pair_id)
         if target is None:
-            raise PredictionError(f"{pair_id}: no pair of the test or validation split has this name")
+            raise PredictionError(
+                f"{pair_id}: no pair of the test or validation split has this name", what="unknown-pair"
+            )
         if target.split == "validation" and self._thresholds is not None:
-            raise PredictionError(f"{pair_id}: thresholds are fixed already; update validation pairs first")
+            raise PredictionError(
+                f"{pair_id}: thresholds are fixed already; update validation pairs first", what="order"
+            )
         threshold = None
         if target.split == "test":
             threshold = self._fixed().of[target.category]

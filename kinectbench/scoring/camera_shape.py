@@ -99,17 +99,23 @@ def read_shape(path: Path, name: str) -> CameraShape:
         with open_plain(path) as file:
             return _shape(file, path.suffix)
     except PredictionError as error:
-        raise PredictionError(f"{name}: {error}") from None
+        raise PredictionError(f"{name}: {error}", what=error.what) from None
     except OSError as error:
-        raise PredictionError(f"{name}: cannot be read ({error.strerror or error})") from error
+        raise PredictionError(
+            f"{name}: cannot be read ({error.strerror or error})", what="unreadable"
+        ) from error
     except (ValueError, *UNREADABLE) as error:
-        raise PredictionError(f"{name}: not a readable {path.suffix[1:]} file: {error}") from error
+        raise PredictionError(
+            f"{name}: not a readable {path.suffix[1:]} file: {error}", what="unreadable"
+        ) from error
 
 
 def _shape(file: IO[bytes], suffix: str) -> CameraShape:
     most = MAX_GRID_BYTES if suffix == ".npz" else MAX_FILE_BYTES
     if not 0 < size_of(file) <= most:
-        raise PredictionError(f"{size_of(file)} bytes; a file of 1 to {most} bytes is accepted")
+        raise PredictionError(
+            f"{size_of(file)} bytes; a file of 1 to {most} bytes is accepted", what="too-large"
+        )
     if suffix == ".npz":
         return _of_arrays(arrays_of(file, MAX_GRID_BYTES))
     content, normals = file.read(most), None
@@ -118,7 +124,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
     elif suffix in (".obj", ".glb"):
         points, faces = (read_obj if suffix == ".obj" else read_glb)(content)
     else:
-        raise PredictionError(f"save it as {', '.join(SUFFIXES)}")
+        raise PredictionError(f"save it as {', '.join(SUFFIXES)}", what="unknown-suffix")
     return CameraShape("mesh" if len(faces) else "points", _checked_points(points), faces, normals)
 
 
@@ -157,11 +163,13 @@ def _checked_points(points: NDArray[Any]) -> Float64:
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or points.dtype.kind not in "fiu":
         raise PredictionError(f"points {points.shape} {points.dtype}: rows of x, y, z are needed")
     if len(points) > MAX_POINTS:
-        raise PredictionError(f"{len(points)} points; at most {MAX_POINTS} are accepted")
+        raise PredictionError(f"{len(points)} points; at most {MAX_POINTS} are accepted", what="too-large")
     found = points.astype(np.float64)
     # Not so of NaN, either.
     if not (np.abs(found) <= FARTHEST_M).all():
-        raise PredictionError(f"a point is not finite, or beyond {FARTHEST_M:g}; write the points again")
+        raise PredictionError(
+            f"a point is not finite, or beyond {FARTHEST_M:g}; write the points again", what="bad-values"
+        )
     return found
 
 
@@ -170,11 +178,13 @@ def _checked_cells(cells: NDArray[Any], key: str) -> NDArray[Any]:
     if key == "occupancy":
         if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):
             return cells.astype(bool)
-        raise PredictionError("occupancy must be bool, or uint8 of 0 and 1; apply your threshold first")
+        raise PredictionError(
+            "occupancy must be bool, or uint8 of 0 and 1; apply your threshold first", what="bad-values"
+        )
     with np.errstate(over="ignore"):
         distances = cells.astype(np.float32) if cells.dtype.kind == "f" else None
     if distances is None or not np.isfinite(distances).all():
-        raise PredictionError("sdf_m must be finite floats, metres, negative inside")
+        raise PredictionError("sdf_m must be finite floats, metres, negative inside", what="bad-values")
     return distances
 
 
@@ -198,9 +208,11 @@ def _of_cells(
     form: str, cells: Bools | Float32, shown: Bools, T_camera_grid: Float64, voxel_size_m: float
 ) -> CameraShape:
     if int(shown.sum()) > MOST_SHOWN:
-        raise PredictionError(f"more than {MOST_SHOWN} cells at a surface: noise? reduce the grid")
+        raise PredictionError(
+            f"more than {MOST_SHOWN} cells at a surface: noise? reduce the grid", what="too-complex"
+        )
     if not shown.any():
-        raise PredictionError("no cell is at a surface: an empty prediction")
+        raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     points = transform_points(T_camera_grid, (np.argwhere(shown) + 0.5) * voxel_size_m)
     none = np.zeros((0, 3), np.int64)
     return CameraShape(form, points, none, None, cells, T_camera_grid, voxel_size_m)

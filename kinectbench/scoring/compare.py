@@ -169,12 +169,14 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
             here = [path / SCORES_JSON] if (path / SCORES_JSON).is_file() else []
             below = here or sorted(path.glob(f"*/{SCORES_JSON}"))
             if not below:
-                raise SettingsError(f"{path}: no scores.json there; run `kinectbench score` first")
+                raise SettingsError(
+                    f"{path}: no scores.json there; run `kinectbench score` first", what="no-file"
+                )
             found += below
         elif path.exists():
             found.append(path)
         else:
-            raise SettingsError(f"{path}: no such file or folder")
+            raise SettingsError(f"{path}: no such file or folder", what="no-file")
     return found
 
 
@@ -193,27 +195,37 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
         if table.benchmark_sha256 != tables[0].benchmark_sha256:
             raise SettingsError(
                 f"{table.method}: scored against benchmark {table.benchmark_sha256[:12]}, {names[0]} against "
-                f"{tables[0].benchmark_sha256[:12]}; score both against one"
+                f"{tables[0].benchmark_sha256[:12]}; score both against one",
+                what="other-scores",
             )
         if table.counted_by != tables[0].counted_by:
             raise SettingsError(
                 f"{table.method}: counted by {table.counted_by}, {names[0]} by {tables[0].counted_by}; "
-                "score both again with one version and one `--upsampling`"
+                "score both again with one version and one `--upsampling`",
+                what="other-scores",
             )
         if not table.complete:
-            raise SettingsError(f"{table.method}: some of its pairs are not scored; complete it first")
+            raise SettingsError(
+                f"{table.method}: some of its pairs are not scored; complete it first", what="not-scored"
+            )
 
 
 def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:
     """The object means of each category."""
     means = object_means(table.rows).get(protocol)
     if means is None:
-        raise SettingsError(f"{table.method}: not scored under '{protocol}'; score it again with it")
+        raise SettingsError(
+            f"{table.method}: not scored under '{protocol}'; score it again with it", what="not-scored"
+        )
     if not means:
-        raise SettingsError(f"{table.left_out_line(protocol)}; there is nothing to compare by")
+        raise SettingsError(
+            f"{table.left_out_line(protocol)}; there is nothing to compare by", what="not-scored"
+        )
     column = AVERAGED.index(metric)
     if any(np.isnan(here.values[:, column]).any() for here in means.values()):
-        raise SettingsError(f"{table.method}: scored without '{metric}'; score it again with it")
+        raise SettingsError(
+            f"{table.method}: scored without '{metric}'; score it again with it", what="not-scored"
+        )
     return means
 
 
@@ -221,18 +233,27 @@ def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: st
     """Refuse tables of other pairs, or that say other things of the same truth."""
     for name, table in zip(names, tables, strict=True):
         if table.base_rate != tables[0].base_rate:
-            raise SettingsError(f"{name}: other base rates than {names[0]}; score both again")
+            raise SettingsError(
+                f"{name}: other base rates than {names[0]}; score both again", what="other-scores"
+            )
     pairs = [{row.pair: _of_truth(row) for row in table.pairs(protocol)} for table in tables]
     for name, here in zip(names, pairs, strict=True):
         if here.keys() != pairs[0].keys():
-            raise SettingsError(f"{name}: other pairs than {names[0]}; score both against one benchmark")
+            raise SettingsError(
+                f"{name}: other pairs than {names[0]}; score both against one benchmark", what="other-scores"
+            )
         other = next((pair for pair, of in here.items() if of != pairs[0][pair]), None)
         if other is not None:
-            raise SettingsError(f"{name}: states other truth of {other} than {names[0]}; score both again")
+            raise SettingsError(
+                f"{name}: states other truth of {other} than {names[0]}; score both again",
+                what="other-scores",
+            )
     for name, table in zip(names, tables, strict=True):
         left_out, first = (set(t.all_unknown_pairs.get(protocol, ())) for t in (table, tables[0]))
         if left_out != first:  # the truth alone decides
-            raise SettingsError(f"{name}: leaves out other pairs than {names[0]}; score both again")
+            raise SettingsError(
+                f"{name}: leaves out other pairs than {names[0]}; score both again", what="other-scores"
+            )
 
 
 def _of_truth(row: ScoreRow) -> tuple[object, ...]:

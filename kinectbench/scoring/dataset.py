@@ -170,7 +170,7 @@ def load(
         SettingsError: there is no such key.
     """
     if said := unusable(str(path)):
-        raise SettingsError(said)
+        raise SettingsError(said, what="bad-url")
     release = open_release(Path(path))
     return _dataset(release, release.targets, keys, transform, packed)
 

@@ -45,9 +45,13 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         raise _outside(vertices, grid)
     vertices, faces = joined(vertices, faces)
     if costs_too_much(vertices[:, :2] / voxel_size_m, faces, (FULL_CELLS, FULL_CELLS)):
-        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh, or submit a grid")
+        raise PredictionError(
+            f"{len(faces)} faces across each other; simplify the mesh, or submit a grid", what="too-complex"
+        )
     if not is_closed(faces):
-        raise PredictionError("the mesh is not closed, or not oriented alike; close it, or submit a grid")
+        raise PredictionError(
+            "the mesh is not closed, or not oriented alike; close it, or submit a grid", what="open-mesh"
+        )
     packed = voxelize_solid(vertices, faces, grid)
     # Nearer to the grid than half a cell is no centre that could have been cut off.
     if np.abs(vertices / voxel_size_m - FULL_CELLS / 2).max() <= (FULL_CELLS + 1) / 2:
@@ -62,7 +66,7 @@ def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
     try:
         vertices, triangles = READERS[kind](file.read(MAX_MESH_BYTES))
     except ValueError as error:
-        raise PredictionError(f"not a readable {kind} mesh: {error}") from None
+        raise PredictionError(f"not a readable {kind} mesh: {error}", what="unreadable") from None
     used = np.zeros(len(vertices), bool)
     used[triangles] = True
     return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[triangles]
@@ -94,7 +98,8 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
     far = MAX_FAR * float(grid.size_m[0])
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > far:
         raise PredictionError(
-            f"vertices beyond {far:.3g} m; write the mesh in metres from the corner of the pair's grid"
+            f"vertices beyond {far:.3g} m; write the mesh in metres from the corner of the pair's grid",
+            what="far-off",
         )
 
 
@@ -104,5 +109,6 @@ def _outside(vertices: Float64, grid: Grid) -> PredictionError:
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(
         f"the mesh lies outside the cube of its pair ({box} m, the cube is 0 to {grid.size_m[0]:.3g}): in "
-        "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes"
+        "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes",
+        what="far-off",
     )

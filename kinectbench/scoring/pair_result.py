@@ -128,7 +128,8 @@ def count_job(job: Job) -> PairResult | str:
         if any(differing(earlier, again, "", whole=True)):
             raise StorageError(
                 f"{job.target.name}: {JOURNAL} beside the scores says otherwise than its prediction: remove "
-                f"{JOURNALS} there, and score again"
+                f"{JOURNALS} there, and score again",
+                what="other-content",
             )
     return result
 

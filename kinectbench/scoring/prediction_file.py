@@ -75,7 +75,7 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loa
         file.seek(0)
         digest = blake3_of(file)
         if _state(file) != before:
-            raise PredictionError("changed while it was read; score it when it is written")
+            raise PredictionError("changed while it was read; score it when it is written", what="changed")
         return Loaded(prediction, digest, outside)
 
 
@@ -85,13 +85,17 @@ def _told(name: str) -> Iterator[None]:
     try:
         yield
     except PredictionError as error:
-        raise PredictionError(f"{name}: {error}") from None
+        raise PredictionError(f"{name}: {error}", what=error.what) from None
     except NpyError as error:
         raise PredictionError(f"{name}: {error}; write it with np.save or np.savez") from None
     except OSError as error:
-        raise PredictionError(f"{name}: cannot be read ({error.strerror or error})") from error
+        raise PredictionError(
+            f"{name}: cannot be read ({error.strerror or error})", what="unreadable"
+        ) from error
     except UNREADABLE as error:
-        raise PredictionError(f"{name}: a damaged npz ({error}); write it again") from error
+        raise PredictionError(
+            f"{name}: a damaged npz ({error}); write it again", what="unreadable"
+        ) from error
 
 
 def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[Prediction, float]:
@@ -134,7 +138,7 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
         order = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
         return _checked(order)
     except PredictionError as error:
-        raise PredictionError(f"{name}: {error}") from None
+        raise PredictionError(f"{name}: {error}", what=error.what) from None
 
 
 def _grid(file: IO[bytes], suffix: str) -> Prediction:
@@ -190,9 +194,9 @@ def _checked_size(file: IO[bytes], most: int) -> int:
     """The size of a file that is neither empty nor too large."""
     size = size_of(file)
     if size > most:
-        raise PredictionError(f"{size} bytes; {most} is the most accepted")
+        raise PredictionError(f"{size} bytes; {most} is the most accepted", what="too-large")
     if size == 0:
-        raise PredictionError("the file is empty")
+        raise PredictionError("the file is empty", what="empty")
     return size
 
 
@@ -235,7 +239,9 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
     if raw.max() > 1:
         index = _first(raw > 1)
         kind = "uint8 is accepted" if array.dtype == np.uint8 else "a bool is accepted"
-        raise PredictionError(f"{raw[index]} at {index}: {kind} only as 0 and 1; {ACCEPTED}")
+        raise PredictionError(
+            f"{raw[index]} at {index}: {kind} only as 0 and 1; {ACCEPTED}", what="bad-values"
+        )
     return raw.view(np.bool_)
 
 
@@ -254,7 +260,7 @@ def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
     """Name the first bad value, if there is one."""
     if bad.any():
         index = _first(bad)
-        raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]")
+        raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]", what="bad-values")
 
 
 def _first(bad: NDArray[np.bool_]) -> tuple[int, ...]:

@@ -56,7 +56,7 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
     """
     if not folder.is_dir():
-        raise PredictionError(f"{folder}: no such folder of predictions")
+        raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
     with _readable(folder):
         return _matched(folder, targets, read_method(folder))
 
@@ -117,7 +117,9 @@ def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
             for entry in entries:
                 seen += 1
                 if seen > MOST_FILES:
-                    raise PredictionError(f"{folder}: more than {MOST_FILES} files; keep predictions only")
+                    raise PredictionError(
+                        f"{folder}: more than {MOST_FILES} files; keep predictions only", what="too-large"
+                    )
                 name = way + entry.name
                 if entry.name.startswith("."):
                     continue
@@ -135,7 +137,9 @@ def _readable(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         where = printable(str(error.filename or folder))
-        raise PredictionError(f"{where}: cannot be looked into ({error.strerror or error})") from error
+        raise PredictionError(
+            f"{where}: cannot be looked into ({error.strerror or error})", what="unreadable"
+        ) from error
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
@@ -181,11 +185,14 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
     if not methods:
         raise PredictionError(
             f"{folder}: no predictions there; expected <recording>/<view>.npy, .npz, .ply or .obj, or a "
-            "folder of these per method"
+            "folder of these per method",
+            what="none",
         )
     for path in methods:
         if not lies_below(path, folder.resolve()):
-            raise PredictionError(f"{path}: a link out of the folder; put the predictions themselves there")
+            raise PredictionError(
+                f"{path}: a link out of the folder; put the predictions themselves there", what="link"
+            )
         check_method(path.name)
     return {path.name: path for path in methods}
 
@@ -197,9 +204,11 @@ def check_folder(folder: Path) -> None:
         PredictionError: the folder is missing, or is a release.
     """
     if not folder.is_dir():
-        raise PredictionError(f"{folder}: no such folder of predictions")
+        raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
     if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
-        raise PredictionError(f"{folder}: belongs to a release; give the folder of your predictions")
+        raise PredictionError(
+            f"{folder}: belongs to a release; give the folder of your predictions", what="is-release"
+        )
 
 
 def _answers(folder: Path, recordings: frozenset[str]) -> bool:
@@ -221,7 +230,8 @@ def check_method(name: str) -> None:
     """
     if problem := name_problem(name, also="+"):
         raise PredictionError(
-            f"'{printable(name)}': no name for a method: {problem}; rename its folder, or say --method NAME"
+            f"'{printable(name)}': no name for a method: {problem}; rename its folder, or say --method NAME",
+            what="bad-name",
         )
 
 

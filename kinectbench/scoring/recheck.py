@@ -82,12 +82,14 @@ def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path)
     if stated.benchmark_sha256 != release.benchmark_sha256:
         raise SettingsError(
             f"{path}: scored against benchmark {stated.benchmark_sha256[:12]}, this is "
-            f"{release.benchmark_sha256[:12]}; name its own with --benchmark"
+            f"{release.benchmark_sha256[:12]}; name its own with --benchmark",
+            what="other-scores",
         )
     if stated.score_version != VERSIONS["score"]:
         raise SettingsError(
             f"{path}: counted by score version {stated.score_version}, this is version {VERSIONS['score']}; "
-            "recheck it with the kinectbench that it names, or score again"
+            "recheck it with the kinectbench that it names, or score again",
+            what="other-scores",
         )
     methods = split_methods(predictions, release.targets)
     if len(methods) == 1:
@@ -106,9 +108,11 @@ def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) ->
         raise SettingsError(f"{path}: its thresholds are from a file ({source[:17]}); give it: --thresholds")
     if given is not None:
         if not given.is_file():
-            raise SettingsError(f"{given}: no such file")
+            raise SettingsError(f"{given}: no such file", what="no-file")
         if source != f"{FROM_FILE}{sha256_file(given)}":
-            raise SettingsError(f"{given}: not the file of the thresholds of {path} ({source[:17]})")
+            raise SettingsError(
+                f"{given}: not the file of the thresholds of {path} ({source[:17]})", what="other-scores"
+            )
 
 
 def _upsampling(stated: ScoreTable, path: Path) -> str:
@@ -116,7 +120,9 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
     words = (stated.settings.upsampling or HALF_PIXEL).replace(",", "").split()
     names = [name for name in CONVENTIONS if name in words]
     if len(names) != 1:
-        raise SettingsError(f"{path}: its upsampling is not one of {', '.join(CONVENTIONS)}; score again")
+        raise SettingsError(
+            f"{path}: its upsampling is not one of {', '.join(CONVENTIONS)}; score again", what="other-scores"
+        )
     return names[0]
 
 

@@ -102,7 +102,9 @@ def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
     """
     test = release.split("test")
     if not test:
-        raise ReleaseError(f"{shown(release.folder)}: no pair in the test split; nothing to score")
+        raise ReleaseError(
+            f"{shown(release.folder)}: no pair in the test split; nothing to score", what="no-pairs"
+        )
     release.require_truth(("test", "validation") if validation else ("test",))
     return test
 
@@ -194,7 +196,9 @@ def _by_recording(
     with closing(executor.outcomes(_count_all, list(by_id.values()), _Silent(), slowest_twice=True)) as found:
         for of_recording, results in found:
             if isinstance(results, Lost):
-                raise KinectBenchError(results.reason.format(id=of_recording[0].target.recording))
+                raise KinectBenchError(
+                    results.reason.format(id=of_recording[0].target.recording), what="process-killed"
+                )
             for job, result in zip(of_recording, results, strict=True):
                 keep(job, result)
 

@@ -143,7 +143,8 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
         most = MOST_ROWS // len(protocols)
         raise SettingsError(
             f"{pairs} pairs under {len(protocols)} protocols are more rows than the {MOST_ROWS} that a score "
-            f"table may have: ask for one --protocol, or score a release of at most {most} pairs"
+            f"table may have: ask for one --protocol, or score a release of at most {most} pairs",
+            what="too-large",
         )
 
 

@@ -137,22 +137,27 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
         content = read_plain(path, ThresholdsFile.MAX_BYTES)
         file = ThresholdsFile.parse(decoded(content, ThresholdsFile.MAX_BYTES, str(path)), str(path))
     except FileNotFoundError as error:
-        raise SettingsError(f"{path}: no such file") from error
+        raise SettingsError(f"{path}: no such file", what="no-file") from error
     except (OSError, UnicodeDecodeError, ReleaseError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise SettingsError(
             f"{path}: cannot be read as a threshold file ({why}); "
-            f'a threshold file is {{"thresholds": {{"chair": 0.5}}}}'
+            f'a threshold file is {{"thresholds": {{"chair": 0.5}}}}',
+            what="bad-thresholds",
         ) from error
     given = file.thresholds
     test_names = {_plain(name) for name in test_objects}
     shared = sorted(name for name in file.objects if _plain(name) in test_names)
     if shared:
-        raise SettingsError(f"{path}: found on objects of the test split ({', '.join(shared)}); use others")
+        raise SettingsError(
+            f"{path}: found on objects of the test split ({', '.join(shared)}); use others",
+            what="bad-thresholds",
+        )
     missing = [category for category in categories if category not in given]
     if missing:
         raise SettingsError(
-            f"{path}: no threshold for {', '.join(missing)}; add {'it' if len(missing) == 1 else 'them'}"
+            f"{path}: no threshold for {', '.join(missing)}; add {'it' if len(missing) == 1 else 'them'}",
+            what="bad-thresholds",
         )
     of = {category: _step(given[category], f"{path}: threshold of {category}") for category in categories}
     source = f"{FROM_FILE}{hashlib.sha256(content).hexdigest()}"
@@ -184,7 +189,9 @@ def _step(value: float, where: str) -> float:
     """The threshold k / 20 that a number stands for."""
     found = nearest_step(value)
     if found is None:
-        raise SettingsError(f"{where} is {value!r}: it must be one of {STEPS_IN_WORDS}")
+        raise SettingsError(
+            f"{where} is {value!r}: it must be one of {STEPS_IN_WORDS}", what="bad-thresholds"
+        )
     return found
 
 

@@ -54,5 +54,5 @@ def run_tasks(
             for future in submit_all(pool, function, tasks):
                 done(future.result())
         except BrokenProcessPool as error:
-            raise KinectBenchError(KILLED) from error
+            raise KinectBenchError(KILLED, what="process-killed") from error
     return results

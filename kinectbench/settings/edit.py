@@ -29,7 +29,10 @@ def file_of(config: Path, recording: str, box: BoxPart) -> Path:
     path = Path(entry.start_mark.name)
     if path.suffix.lower() in ENDINGS:
         cells = ", ".join(f"box.{key} {json.dumps(value)}" for key, value in box.json_value().items())
-        raise SettingsError(f"{yaml_nodes.place(entry)}: tables are not changed; fill in its cells: {cells}")
+        raise SettingsError(
+            f"{yaml_nodes.place(entry)}: tables are not changed; fill in its cells: {cells}",
+            what="not-editable",
+        )
     return path
 
 
@@ -63,7 +66,8 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
         done = False
     if not done:
         raise SettingsError(
-            f"{yaml_nodes.place(entry)}: cannot be changed safely; paste this line there: {box_line(box)}"
+            f"{yaml_nodes.place(entry)}: cannot be changed safely; paste this line there: {box_line(box)}",
+            what="not-editable",
         )
     return changed
 

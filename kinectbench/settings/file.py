@@ -15,7 +15,16 @@ from kinectbench.settings import yaml_nodes
 from kinectbench.settings.include import ACCEPTED, INCLUDE, RECORDINGS, with_included
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.reading import as_text, read_bytes
-from kinectbench.settings.words import Location, choices_of, field_at, model_of, near_miss, suggestion, wanted
+from kinectbench.settings.words import (
+    WHAT_OF_TYPE,
+    Location,
+    choices_of,
+    field_at,
+    model_of,
+    near_miss,
+    suggestion,
+    wanted,
+)
 
 # Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes.
 RECORDINGS_AT_ONCE = 5000
@@ -72,7 +81,8 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
     root = yaml_nodes.compose(text, source, allowance)
     if root.tag == yaml_nodes.NULL_TAG:
         raise SettingsError(
-            f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from"
+            f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from",
+            what="empty",
         )
     if not isinstance(root, yaml.MappingNode):
         raise SettingsError(
@@ -107,7 +117,7 @@ def _override_path(root: yaml.Node, key: str, source: str) -> Location:
         name = rest if rest in ids else rest.split(".")[0]
         if name in ids:
             raise SettingsError(f"{source}: write --set recordings.{name}.key=value")
-        raise SettingsError(f"{source}: no recording '{name}'; {suggestion(name, ids)}")
+        raise SettingsError(f"{source}: no recording '{name}'; {suggestion(name, ids)}", what="no-recording")
     name = max(matching, key=len)
     return ("recordings", ids.index(name), *rest[len(name) + 1 :].split("."))
 
@@ -125,7 +135,7 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
             return BenchmarkSettings.model_validate(values)
         except ValidationError as error:
             found = error.errors(include_url=False)
-    raise SettingsError(*_error_lines(root, values, found))
+    raise SettingsError(*_error_lines(root, values, found), what=WHAT_OF_TYPE.get(found[0]["type"], ""))
 
 
 def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:

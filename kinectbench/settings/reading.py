@@ -36,15 +36,17 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) ->
             return Store(parent_of(url)).read(url.rpartition("/")[2], most_bytes)
         except MissingObjectError:
             advice = "copy a benchmark.yaml there" if missing == INIT else missing
-            raise SettingsError(f"{shown(url)}: no such file; {advice}") from None
+            raise SettingsError(f"{shown(url)}: no such file; {advice}", what="no-file") from None
     if path.is_dir():
-        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it")
+        raise SettingsError(f"{path}: a folder; name the benchmark.yaml in it", what="no-file")
     try:
         return read_plain(path, most_bytes)
     except FileNotFoundError:
-        raise SettingsError(other_scheme(path) or f"{path}: no such file; {missing}") from None
+        raise SettingsError(
+            other_scheme(path) or f"{path}: no such file; {missing}", what="no-file"
+        ) from None
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}", what="unreadable") from None
 
 
 def as_text(content: bytes, source: str) -> str:
@@ -57,9 +59,13 @@ def as_text(content: bytes, source: str) -> str:
         return decoded(content.removeprefix(codecs.BOM_UTF8), MOST_BYTES, source)
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
-        raise SettingsError(f"{source}:{line}: not UTF-8 text; save the file as UTF-8") from None
+        raise SettingsError(
+            f"{source}:{line}: not UTF-8 text; save the file as UTF-8", what="not-utf-8"
+        ) from None
     except OSError as error:
-        raise SettingsError(f"{source}: cannot be read: {error.strerror or error}") from None
+        raise SettingsError(
+            f"{source}: cannot be read: {error.strerror or error}", what="unreadable"
+        ) from None
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
@@ -130,4 +136,6 @@ def refuse_outside(path: Path, folder: Path) -> None:
         SettingsError: they do.
     """
     if url_of(path) is None and path.exists() and not lies_below(path, folder.resolve()):
-        raise SettingsError(f"{path}: a link that leads out of {folder.resolve()}; copy the file there")
+        raise SettingsError(
+            f"{path}: a link that leads out of {folder.resolve()}; copy the file there", what="outside-folder"
+        )

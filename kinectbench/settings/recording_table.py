@@ -92,7 +92,7 @@ def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[
         import pyarrow as arrow
         from pyarrow import parquet
     except ImportError as error:
-        raise SettingsError(f"{source}: {INSTALL}") from error
+        raise SettingsError(f"{source}: {INSTALL}", what="no-package") from error
     try:
         file = parquet.ParquetFile(io.BytesIO(content))
         _check_parquet(file, source)
@@ -114,7 +114,9 @@ def _check_parquet(file: Any, source: str) -> None:
     said, schema = file.metadata, file.schema_arrow
     _check_header([str(name) for name in schema.names], source)
     if said.num_rows > MOST_ROWS:
-        raise SettingsError(f"{source}: {said.num_rows} rows; at most {MOST_ROWS} may be there")
+        raise SettingsError(
+            f"{source}: {said.num_rows} rows; at most {MOST_ROWS} may be there", what="too-large"
+        )
     for name, kind in zip(schema.names, schema.types, strict=True):
         inner = kind.value_type if types.is_list(kind) or types.is_large_list(kind) else kind
         inner = inner.value_type if types.is_dictionary(inner) else inner
@@ -130,7 +132,9 @@ def _check_parquet(file: Any, source: str) -> None:
     )
     unpacked = sum(chunk.total_uncompressed_size + 8 * chunk.num_values for chunk in chunks)
     if unpacked > UNPACKED_BYTES:
-        raise SettingsError(f"{source}: unpacks to {unpacked} bytes; at most {UNPACKED_BYTES} may be there")
+        raise SettingsError(
+            f"{source}: unpacks to {unpacked} bytes; at most {UNPACKED_BYTES} may be there", what="too-large"
+        )
 
 
 def _numbers(types: Any) -> tuple[Callable[[Any], bool], ...]:
@@ -144,7 +148,7 @@ def _cells(column: Any, source: str) -> list[str]:
         cells.append(_cell(value.as_py()))
         left -= len(cells[-1])
         if left < 0:
-            raise SettingsError(f"{source}: a column of more than {MOST_BYTES} characters")
+            raise SettingsError(f"{source}: a column of more than {MOST_BYTES} characters", what="too-large")
     return cells
 
 

@@ -42,7 +42,8 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
     if not found:
         raise SettingsError(
             f"{folder}: no recording of a known format in it; `kinectbench inspect FOLDER` says of one why, "
-            "and `kinectbench formats` what is read; put one there and try again"
+            "and `kinectbench formats` what is read; put one there and try again",
+            what="no-recording",
         )
     folder_name = folder.resolve().name
     # A folder that is itself the recording goes by its own name.

@@ -14,6 +14,8 @@ from kinectbench.settings.models import BenchmarkSettings
 # More than any section has keys; of a thousand recordings nobody reads the names.
 LISTED = 40
 Location = tuple[str | int, ...]
+# What went wrong, by the type of the first of pydantic's errors; of other types that of the class.
+WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
 def without_none(annotation: Any) -> Any:

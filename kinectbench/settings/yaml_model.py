@@ -10,7 +10,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import printable, quoted, read_plain_text
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
-from kinectbench.settings.words import field_at, model_of, suggestion, wanted
+from kinectbench.settings.words import WHAT_OF_TYPE, field_at, model_of, suggestion, wanted
 
 Model = TypeVar("Model", bound=Settings)
 # Such a file has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
@@ -33,12 +33,12 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
     try:
         text = read_plain_text(path, MOST_BYTES)
     except UnicodeDecodeError:
-        raise SettingsError(f"{path}: not UTF-8 text; save the file as UTF-8") from None
+        raise SettingsError(f"{path}: not UTF-8 text; save the file as UTF-8", what="not-utf-8") from None
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise SettingsError(f"{path}: cannot be read: {error.strerror or error}", what="unreadable") from None
     root = yaml_nodes.compose(text, str(path))
     if not isinstance(root, yaml.MappingNode):
-        raise SettingsError(f"{path}: holds no settings; wanted lines like '{example}'")
+        raise SettingsError(f"{path}: holds no settings; wanted lines like '{example}'", what="empty")
     values = yaml_nodes.plain(root)
     try:
         return model.model_validate(values)
@@ -47,7 +47,7 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
         lines = [_line(root, one, model) for one in found[:SHOWN]]
         if len(found) > SHOWN:
             lines.append(f"{path}: and {len(found) - SHOWN} more errors")
-        raise SettingsError(*dict.fromkeys(lines)) from None
+        raise SettingsError(*dict.fromkeys(lines), what=WHAT_OF_TYPE.get(found[0]["type"], "")) from None
 
 
 def _line(root: yaml.Node, error: object, model: type[Settings]) -> str:

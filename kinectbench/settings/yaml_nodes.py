@@ -66,7 +66,7 @@ class Allowance:
         """
         self.values -= count
         if self.values < 0:
-            raise SettingsError(f"{source}:{line}: {TOO_MANY}")
+            raise SettingsError(f"{source}:{line}: {TOO_MANY}", what="too-large")
 
 
 class _Counting(Composer):
@@ -133,14 +133,16 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
         node = _nodes(text, source, allowance or Allowance())
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark or null_mark(source)
-        raise SettingsError(f"{_place(source, mark.line)}: {_problem(error, text, mark.index)}") from None
+        raise SettingsError(
+            f"{_place(source, mark.line)}: {_problem(error, text, mark.index)}", what="bad-yaml"
+        ) from None
     except yaml.reader.ReaderError as error:
         place = _place(source, text[: error.position].count("\n"))
         raise SettingsError(
-            f"{place}: the control character U+{int(error.character):04X}; remove it"
+            f"{place}: the control character U+{int(error.character):04X}; remove it", what="bad-yaml"
         ) from None
     except RecursionError:
-        raise SettingsError(f"{source}: nested too deeply") from None
+        raise SettingsError(f"{source}: nested too deeply", what="bad-yaml") from None
     return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
 
 
@@ -216,7 +218,7 @@ def plain(node: yaml.Node) -> Any:
     try:
         return _plain(node, {}, set())
     except RecursionError:
-        raise SettingsError(f"{place(node)}: nested too deeply") from None
+        raise SettingsError(f"{place(node)}: nested too deeply", what="bad-yaml") from None
 
 
 def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
@@ -224,7 +226,9 @@ def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
     if id(node) in done:
         return done[id(node)]
     if id(node) in open_nodes:
-        raise SettingsError(f"{place(node)}: an alias that contains itself; write the value out")
+        raise SettingsError(
+            f"{place(node)}: an alias that contains itself; write the value out", what="bad-yaml"
+        )
     open_nodes.add(id(node))
     if isinstance(node, yaml.MappingNode):
         value: Any = {key: _plain(child, done, open_nodes) for key, child in _checked_items(node)}
@@ -241,11 +245,14 @@ def _checked_items(node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
     first: dict[str, yaml.Node] = {}
     for key, child in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise SettingsError(f"{place(key)}: a key must be a name, not a list or a mapping")
+            raise SettingsError(
+                f"{place(key)}: a key must be a name, not a list or a mapping", what="bad-yaml"
+            )
         if key.value in first:
             raise SettingsError(
                 f"{place(key)}: '{printable(key.value)}' stands twice, first at {place(first[key.value])}; "
-                "keep one"
+                "keep one",
+                what="repeated-key",
             )
         first[key.value] = key
         yield key.value, child
@@ -264,11 +271,13 @@ def _scalar(node: yaml.Node) -> Any:
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     except (ValueError, KeyError):
         raise SettingsError(
-            f"{place(node)}: '{printable(text)}' does not fit its tag; remove the tag"
+            f"{place(node)}: '{printable(text)}' does not fit its tag; remove the tag", what="bad-yaml"
         ) from None
     if node.tag == STR_TAG:
         return text
-    raise SettingsError(f"{place(node)}: the tag '{printable(node.tag)}' is not used here; remove it")
+    raise SettingsError(
+        f"{place(node)}: the tag '{printable(node.tag)}' is not used here; remove it", what="bad-yaml"
+    )
 
 
 def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:

@@ -160,7 +160,10 @@ class ReleaseInfo(ReleaseFile):
             version = strict_json(text).get("format_version")
             if version != FORMAT_VERSION:
                 said = version if version is None or type(version) is int else "unknown"
-                raise ReleaseError(f"{where}: format version {said}; this package reads {FORMAT_VERSION}")
+                raise ReleaseError(
+                    f"{where}: format version {said}; this package reads {FORMAT_VERSION}",
+                    what="other-version",
+                )
         return super().parse(text, where)
 
     def hides(self, recording: str) -> bool:

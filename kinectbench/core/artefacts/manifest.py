@@ -49,6 +49,7 @@ class Failed(Stored):
     format_version: int = Field(1, description="version of this file's format")
     stage: str | None = Field(description="name of the stage that failed; null if its process was killed")
     error: str = Field(description="the reason in one line, as it was shown")
+    code: str | None = Field(None, description="the error's code, as in the table of errors")
     fingerprint: str | None = Field(
         None,
         description="of what was to be made, if it would fail again: it is not tried before this or the "

@@ -161,7 +161,8 @@ def check_names(targets: Sequence[Target], where: str) -> None:
         if split_of.setdefault(target.object, target.split) != target.split:
             raise ReleaseError(
                 f"{where}: object '{target.object}' is in two splits, {split_of[target.object]} and "
-                f"{target.split}; scores would not be honest"
+                f"{target.split}; scores would not be honest",
+                what="object-in-two-splits",
             )
 
 

@@ -54,9 +54,13 @@ _NO_SUCH_HOST = ("not known", "does not resolve", "No such host is known")
 class MissingObjectError(StorageError):
     """There is no such object."""
 
+    what = "no-file"
+
 
 class StoreGoneError(StorageError):
     """The store does not answer any more: whoever has more to do there ends."""
+
+    what = "no-answer"
 
 
 class StoppedError(Exception):
@@ -81,7 +85,8 @@ def patience_s() -> float:
     if not 0 <= seconds < math.inf:
         raise SettingsError(
             f"{PATIENCE_VARIABLE}={printable(given)}: no number of seconds; set it to one, such as "
-            f"{PATIENCE_S:.0f}, or unset it"
+            f"{PATIENCE_S:.0f}, or unset it",
+            what="bad-environment",
         )
     return seconds
 
@@ -198,7 +203,8 @@ def _called(place: str, call: Callable[[], T]) -> T:
             raise
         raise StorageError(
             f"{place}: obstore cannot work with it ({printable(str(error), REASON_CHARS)}); correct the URL "
-            "and the variables of the store"
+            "and the variables of the store",
+            what="bad-address",
         ) from None
 
 
@@ -239,7 +245,7 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
     if isinstance(error, FileNotFoundError) or "NoSuchBucket" in str(error):
         raise _missing(place, str(error)) from None
     if isinstance(error, ValueError):  # a name that no store may have
-        raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}") from None
+        raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}", what="bad-address") from None
     if type(error).__module__.partition(".")[0] != "obstore":
         raise error
     text = str(error)
@@ -248,38 +254,48 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
         with storage_errors(Path(place)):
             raise OSError(int(found[1]), os.strerror(int(found[1]))) if found else _lasting(place, error)
     if any(word in text for word in _ASKS_FOR_CREDENTIALS):
-        raise StorageError(f"{place}: {NO_CREDENTIALS}") from None
+        raise StorageError(f"{place}: {NO_CREDENTIALS}", what="no-credentials") from None
     name = type(error).__name__
     status = _STATUS.search(text)
     number = int(status[1]) if status else 0
     if name in ("PermissionDeniedError", "UnauthenticatedError") or number in (401, 403):
         raise StorageError(
-            f"{place}: not permitted ({_reason(error)}); check the credentials, and what they may do there"
+            f"{place}: not permitted ({_reason(error)}); check the credentials, and what they may do there",
+            what="not-permitted",
         ) from None
     if any(word in text for word in _TLS):
         found = _TLS_REASON.search(text)
         raise StorageError(
             f"{place}: no secure connection ({printable(found[0]) if found else 'TLS'}); correct the URL, or "
-            "let this machine trust the certificate of the store"
+            "let this machine trust the certificate of the store",
+            what="no-secure-connection",
         ) from None
     if not known and any(word in text for word in _NO_SUCH_HOST):
-        raise StorageError(f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL") from None
+        raise StorageError(
+            f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL", what="no-host"
+        ) from None
     if "Received redirect without LOCATION" in text:
-        raise StorageError(f"{place}: the bucket is in another region; set AWS_REGION to it") from None
+        raise StorageError(
+            f"{place}: the bucket is in another region; set AWS_REGION to it", what="wrong-region"
+        ) from None
     if "Error parsing Path" in text:
-        raise StorageError(f"{place}: holds names that lead out of it, or that no file has") from None
+        raise StorageError(
+            f"{place}: holds names that lead out of it, or that no file has", what="bad-address"
+        ) from None
     if number in LASTING or (400 <= number < 500 and number not in PASSING) or name != "GenericError":
         raise _lasting(place, error) from None
 
 
 def _missing(place: str, text: str) -> StorageError:
     if "NoSuchBucket" in text:
-        return StorageError(f"{place}: there is no such bucket; make it, or correct the URL")
+        return StorageError(
+            f"{place}: there is no such bucket; make it, or correct the URL", what="no-bucket"
+        )
     return MissingObjectError(f"{place}: there is no such file; correct the URL")
 
 
 def _lasting(place: str, error: Exception) -> StorageError:
-    return StorageError(f"{place}: the store refuses it ({_reason(error)})")
+    return StorageError(f"{place}: the store refuses it ({_reason(error)})", what="refused")
 
 
 def _reason(error: Exception) -> str:

@@ -112,7 +112,7 @@ def download(
         if broken:
             raise UnsettledError("; ".join((*broken, *refused)))
         kind = StoreGoneError if unknown == len(order) else StorageError
-        raise kind(f"{path.name} cannot be fetched: {'; '.join(refused)}")
+        raise kind(f"{path.name} cannot be fetched: {'; '.join(refused)}", what="not-fetched")
 
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -215,7 +215,8 @@ class Store:
                 except TimeoutError:
                     raise StorageError(
                         f"{self.place(below or '')}: the store lists nothing for {LISTED_S:.0f} s and says "
-                        "that there is more; name another store, or ask whoever runs it"
+                        "that there is more; name another store, or ask whoever runs it",
+                        what="refused",
                     ) from None
                 if chunk is None:
                     return
@@ -225,7 +226,8 @@ class Store:
         if _first_process.setdefault("id", os.getpid()) != os.getpid():
             raise StorageError(
                 f"{self.place()}: cannot be used in a process that was forked after a store was opened; "
-                "start processes by spawn, a DataLoader's by multiprocessing_context='spawn'"
+                "start processes by spawn, a DataLoader's by multiprocessing_context='spawn'",
+                what="forked",
             )
         return _opened(self.url, make, os.getpid())
 
@@ -250,7 +252,8 @@ class Store:
             if same(there, content):
                 return False
             raise StorageError(
-                f"{self.place(name)}: holds something else than what was to be written there, and stays so"
+                f"{self.place(name)}: holds something else than what was to be written there, and stays so",
+                what="other-content",
             ) from None
         return True
 
@@ -276,7 +279,10 @@ class Store:
 
     def _check_size(self, name: str, size: int, most_bytes: int) -> None:
         if size > most_bytes:
-            raise StorageError(f"{self.place(name)}: {size} bytes are more than the {most_bytes} it may have")
+            raise StorageError(
+                f"{self.place(name)}: {size} bytes are more than the {most_bytes} it may have",
+                what="too-large",
+            )
 
     def _list_on(self, below: str, most: int, found: list[StoredObject]) -> None:
         """Add to what was found what is listed behind it; a store that lists in no order is listed anew."""
@@ -290,7 +296,7 @@ class Store:
         for chunk in self._chunks(below or None, found[-1].name if found else None, LISTED_AT_ONCE):
             found += [_object(each) for each in chunk]
             if len(found) > most:
-                raise StorageError(f"{self.place(below)}: holds more than {most} files")
+                raise StorageError(f"{self.place(below)}: holds more than {most} files", what="too-large")
 
     def _check_readable(self, path: Path) -> None:
         try:
@@ -298,7 +304,8 @@ class Store:
         except OSError as error:
             raise StorageError(
                 f"{path}: cannot be read ({error.strerror}), and so not put to {self.place()}; "
-                "run the command again"
+                "run the command again",
+                what="unreadable",
             ) from error
 
 

@@ -26,15 +26,17 @@ def require_usable(url: str, place: str) -> None:
     try:
         import obstore  # noqa: F401
     except ImportError:
-        raise SettingsError(f"{place}: {MISSING}") from None
+        raise SettingsError(f"{place}: {MISSING}", what="no-package") from None
     scheme = url.partition(":")[0]
     if said := unusable(url):
-        raise SettingsError(said)
+        raise SettingsError(said, what="bad-url")
     for name in ENDPOINTS if scheme in ("s3", "s3a") else ():
         endpoint = os.environ.get(name, "")
         if endpoint and not _is_endpoint(endpoint):
             said = printable(_without_user(endpoint), 80)
-            raise SettingsError(f"{name}={said}: must begin with http:// or https:// and name a host")
+            raise SettingsError(
+                f"{name}={said}: must begin with http:// or https:// and name a host", what="bad-environment"
+            )
 
 
 def _is_endpoint(text: str) -> bool:

@@ -114,7 +114,8 @@ def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
     if n < MIN_MATCHED:
         raise TrackingError(
             f"only {n} poses of the two trajectories match by stamp, and {MIN_MATCHED} are needed; "
-            "are they of one recording, on one clock?"
+            "are they of one recording, on one clock?",
+            what="no-match",
         )
     T_reference_estimate = align_positions(T_estimate[:, :3, 3], T_reference[:, :3, 3])
     aligned = transform_points(T_reference_estimate, T_estimate[:, :3, 3])

@@ -47,7 +47,9 @@ def parse_stamp_ns(text: str, where: str) -> int:
     if not stamp.is_finite() or stamp.adjusted() > 11 or abs(stamp) * NS_PER_S >= LIMIT_NS:
         unit = UNITS_OF_TODAY.get(stamp.adjusted() // 3 * 3) if stamp.is_finite() else None
         advice = f"it looks like {unit}: write seconds" if unit else "correct or remove the line"
-        raise RecordingError(f"{where}: '{printable(text)}' is not a time stamp in seconds; {advice}")
+        raise RecordingError(
+            f"{where}: '{printable(text)}' is not a time stamp in seconds; {advice}", what="bad-stamp"
+        )
     return int((stamp * NS_PER_S).to_integral_value())
 
 
@@ -71,7 +73,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
     if unit == "milliseconds":
         return [f"{where}: images are {period_s:g} s apart; if the stamps are {unit}, write seconds"]
     what = f"images are {period_s:g} s apart: the stamps look like {unit}"
-    raise RecordingError(f"{where}: {what}; write seconds")
+    raise RecordingError(f"{where}: {what}; write seconds", what="bad-stamp")
 
 
 def no_times(stamps_ns: Sequence[int]) -> str:

@@ -35,7 +35,7 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: is not a text file (byte {error.start} is not UTF-8)") from error
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})", what="unreadable") from error
 
 
 def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]:
@@ -46,13 +46,17 @@ def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]
     """
     text = read_text(path, most_bytes)
     if sum(map(text.count, LINE_ENDS)) - text.count("\r\n") > MOST_ROWS:
-        raise RecordingError(f"{path}: holds more than the {MOST_ROWS} lines that such a file may have")
+        raise RecordingError(
+            f"{path}: holds more than the {MOST_ROWS} lines that such a file may have", what="too-large"
+        )
     lines = enumerate(text.splitlines(), start=1)
     stripped = ((number, line.strip()) for number, line in lines)
     rows = [(f"{path}, line {n}", line) for n, line in stripped if line and not line.startswith("#")]
     long = next((where for where, line in rows if len(line) > MOST_COLUMNS), None)
     if long is not None:
-        raise RecordingError(f"{long}: is longer than the {MOST_COLUMNS} characters that a line may have")
+        raise RecordingError(
+            f"{long}: is longer than the {MOST_COLUMNS} characters that a line may have", what="too-large"
+        )
     return rows
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.geometry import closest_rotation, quaternion_xyzw_from_rotation, rigid
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_from_xyzw
 from kinectbench.core.sequence import GivenTrajectory
@@ -66,14 +66,17 @@ def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTraject
     for where, row in text_rows(path):
         words = row.replace(",", " ").split()
         if len(words) != 8:
-            raise RecordingError(f"{where}: holds {len(words)} values, not the 8 of 't tx ty tz qx qy qz qw'")
+            raise GivenPosesError(
+                f"{where}: holds {len(words)} values, not the 8 of 't tx ty tz qx qy qz qw'"
+            )
         stamp_ns = parse_stamp_ns(words[0], where)
         numbers = parse_floats(words[1:], where)
         rows.append(TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
     if frames is not None and len(rows) != frames:
         raise RecordingError(
             f"{path}: holds {len(rows)} poses for {frames} frames whose stamps are no times: which pose is "
-            "of which frame cannot be told; write one for each frame, in their order"
+            "of which frame cannot be told; write one for each frame, in their order",
+            what="pose-count",
         )
     if frames is not None:
         rows = [row._replace(stamp_ns=ns) for row, ns in zip(rows, counted_ns(frames), strict=True)]
@@ -97,14 +100,14 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
         RecordingError: a value is not finite or too large, a quaternion has length zero, or there is no row.
     """
     if not rows:
-        raise RecordingError(f"{name}: the trajectory is empty; remove it or export it again")
+        raise GivenPosesError(f"{name}: the trajectory is empty; remove it or export it again")
     for row in rows:
         if not np.isfinite([*row.translation_m, *row.quaternion_xyzw]).all():
-            raise RecordingError(f"{row.where}: the pose holds NaN or infinity; remove this row")
+            raise GivenPosesError(f"{row.where}: the pose holds NaN or infinity; remove this row")
         if np.abs([*row.translation_m, *row.quaternion_xyzw]).max() > FARTHEST_M:
-            raise RecordingError(f"{row.where}: the pose is beyond {FARTHEST_M:g} m; give metres")
+            raise GivenPosesError(f"{row.where}: the pose is beyond {FARTHEST_M:g} m; give metres")
         if np.linalg.norm(row.quaternion_xyzw) < 1e-6:
-            raise RecordingError(f"{row.where}: the quaternion has length zero; remove this row")
+            raise GivenPosesError(f"{row.where}: the quaternion has length zero; remove this row")
     order, repeated = first_by_stamp([row.stamp_ns for row in rows])
     warnings = []
     if repeated:

@@ -78,9 +78,13 @@ def read_build(folder: Path) -> Build:
         if (folder / "sequence").is_dir():
             raise StorageError(
                 f"{folder}: what was built there is out of date (another version, or a file is gone); "
-                "build it again"
+                "build it again",
+                what="not-built",
             )
-        raise StorageError(f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>")
+        raise StorageError(
+            f"{folder}: nothing was built there; run `kinectbench build`, or name build/<id>",
+            what="not-built",
+        )
     sequence = read_sequence(folder / "sequence")
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
@@ -149,11 +153,15 @@ def register(build: Build, truth: Truth, align: bool = True) -> Registration:
     if not matched.any():
         raise RecordingError(
             f"{truth.folder}: no frame of the build has the stamp of a frame of this truth; "
-            "is it the truth of this recording?"
+            "is it the truth of this recording?",
+            what="other-truth",
         )
     shown = matched & has_pose(truth.T_world_camera)[true_frame]
     if not shown.any():
-        raise RecordingError(f"{truth.folder}: every frame shows another scene; there is nothing to compare")
+        raise RecordingError(
+            f"{truth.folder}: every frame shows another scene; there is nothing to compare",
+            what="other-truth",
+        )
     T_truth_built, aligned = np.eye(4), False
     if align and build.trajectory is not None:
         usable = shown & has_pose(build.trajectory.T_world_camera)

@@ -73,7 +73,8 @@ def mask_figures(build: Build, truth: Truth, registration: Registration) -> Mask
         if silhouette.shape != view.mask.shape or valid.shape != view.mask.shape:
             raise RecordingError(
                 f"{truth.folder}: silhouette {index:06d} is {silhouette.shape[1]}x{silhouette.shape[0]}, "
-                f"view {view.name} is {view.mask.shape[1]}x{view.mask.shape[0]}; are they of one recording?"
+                f"view {view.name} is {view.mask.shape[1]}x{view.mask.shape[0]}; are they of one recording?",
+                what="other-truth",
             )
         overlap = iou(view.mask & valid, silhouette & valid)
         rows.append(MaskRow(view.name, view.frame, overlap, iou(view.mask, silhouette)))

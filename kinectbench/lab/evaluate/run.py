@@ -68,7 +68,8 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     found = _find(recording, truth, config, overrides)
     if not (found.truth / "truth.json").is_file():
         raise RecordingError(
-            f"{found.truth}: no truth there; name its folder, or simulate the recording again"
+            f"{found.truth}: no truth there; name its folder, or simulate the recording again",
+            what="no-truth",
         )
     return found
 
@@ -87,7 +88,10 @@ def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[
         job = _job_of(path, overrides)
         return Found(job.build, truth or truth_folder(path), job)
     hint = "give a simulated recording's path, or an id and --config"
-    raise SettingsError(f"no recording '{recording}'; {suggestion(recording, [*known]) if known else hint}")
+    raise SettingsError(
+        f"no recording '{recording}'; {suggestion(recording, [*known]) if known else hint}",
+        what="no-recording",
+    )
 
 
 def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
@@ -146,7 +150,10 @@ def evaluate_recording(
         PairError: a pair is damaged.
     """
     if out.exists() and not _replaceable(out):
-        raise StorageError(f"{out}: holds something else than an evaluation; choose a new or empty folder")
+        raise StorageError(
+            f"{out}: holds something else than an evaluation; choose a new or empty folder",
+            what="other-content",
+        )
     built = read_build(build)
     true = replace(read_truth(truth), limits=built.limits)
     evaluation = evaluate(built, true, align=align, progress=progress)

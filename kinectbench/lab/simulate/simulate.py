@@ -393,7 +393,8 @@ def _check_place(spec: SimulationSpec, out: Path) -> None:
         empty = path.is_dir() and not any(path.iterdir())
         if (path.exists() or path.is_symlink()) and not (empty or is_truth(truth)):
             raise SettingsError(
-                f"{path}: exists and is no simulated recording; choose another name or remove it"
+                f"{path}: exists and is no simulated recording; choose another name or remove it",
+                what="other-content",
             )
     other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
     if other.exists():

@@ -196,7 +196,8 @@ def read_truth(folder: Path) -> Truth:
         if record["format_version"] != FORMAT_VERSION:
             raise RecordingError(
                 f"{path}: format version {record['format_version']}; this package reads {FORMAT_VERSION}; "
-                "simulate the recording again"
+                "simulate the recording again",
+                what="other-version",
             )
         frames, surface = load_arrays(folder / "frames.npz"), load_arrays(folder / "surface.npz")
         return Truth(

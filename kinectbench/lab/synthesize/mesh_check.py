@@ -84,25 +84,25 @@ def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
         ShapeError: it is empty, too large, not finite, or inside out.
     """
     if len(mesh.faces) > max_faces:
-        raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}")
+        raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}", what="bad-mesh")
     if len(mesh.faces) == 0:
-        raise ShapeError("it is empty: not a single triangle")
+        raise ShapeError("it is empty: not a single triangle", what="bad-mesh")
     used = np.unique(mesh.faces)
     if used[0] < 0 or used[-1] >= len(mesh.vertices):
-        raise ShapeError("a triangle names a vertex that is not there")
+        raise ShapeError("a triangle names a vertex that is not there", what="bad-mesh")
     if not np.isfinite(mesh.vertices[used]).all():
-        raise ShapeError("a vertex is not a finite number (NaN or infinite)")
+        raise ShapeError("a vertex is not a finite number (NaN or infinite)", what="bad-mesh")
     clean = _cleaned(mesh.keep_faces(np.ones(len(mesh.faces), dtype=bool)))
     dropped = len(mesh.faces) - len(clean.faces)
     a, b, c = (clean.vertices[clean.faces[:, corner]] for corner in range(3))
     if not np.cross(b - a, c - a).any():
-        raise ShapeError("no triangle has an area")
+        raise ShapeError("no triangle has an area", what="bad-mesh")
     notes = (f"{dropped} triangles with two corners at one place left out",) if dropped else ()
     if not _is_closed(clean.faces):
         return CheckedMesh(clean, "six-rays", notes)
     volume = clean.volume_m3
     if volume < 0:
-        raise ShapeError("it is inside out: its volume is negative")
+        raise ShapeError("it is inside out: its volume is negative", what="bad-mesh")
     return CheckedMesh(clean, "winding" if volume > 0 else "six-rays", notes)
 
 
@@ -135,7 +135,7 @@ def _load(path: Path) -> TriangleMesh:
         return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3))
     except Exception as error:  # readers raise whatever a damaged file leads them to
         text = " ".join(str(error).split())[:120]
-        raise ShapeError(f"cannot be read ({type(error).__name__}: {text})") from error
+        raise ShapeError(f"cannot be read ({type(error).__name__}: {text})", what="bad-mesh") from error
 
 
 def _cleaned(mesh: TriangleMesh) -> TriangleMesh:

@@ -120,12 +120,14 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
         SettingsError: no folder there, no category in it, or not those asked for.
     """
     if not folder.is_dir():
-        raise SettingsError(f"{folder}: no folder of models there; give one with --models")
+        raise SettingsError(f"{folder}: no folder of models there; give one with --models", what="no-file")
     found = {SYNSETS.get(path.name, path.name): path for path in sorted(folder.iterdir()) if path.is_dir()}
     missing = [name for name in categories if name not in found]
     if missing or not found:
         there = ", ".join(found) or "no category's folder"
-        raise SettingsError(f"{folder}: no {', '.join(missing) or 'models'} there; it holds {there}")
+        raise SettingsError(
+            f"{folder}: no {', '.join(missing) or 'models'} there; it holds {there}", what="no-file"
+        )
     models: dict[str, Model] = {}
     left_out = []
     spelled: dict[str, str] = {}

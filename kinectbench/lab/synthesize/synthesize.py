@@ -78,7 +78,9 @@ def assemble(
             first = next(
                 reason for model in made for group in model.groups.values() for reason in group.refused
             )
-            raise PairError(f"{out}: every single pair was refused, the first because {first}")
+            raise PairError(
+                f"{out}: every single pair was refused, the first because {first}", what="all-refused"
+            )
         if settings["layout"] == "recgan":
             content = {"package_version": __version__, "settings": settings, "report": list(lines)}
             content["models"] = {
@@ -136,7 +138,7 @@ def _complete(
 def _link(source: Path, target: Path) -> None:
     """Make every file below `source` appear below `target`."""
     if not source.is_dir():
-        raise StorageError(f"{source}: gone while it was needed; run the command again")
+        raise StorageError(f"{source}: gone while it was needed; run the command again", what="changed")
     for path in sorted(source.rglob("*")):
         if path.is_file():
             there = target / path.relative_to(source)
@@ -204,7 +206,9 @@ def synthesize(
         left_out += tuple(bad for here in dealt.values() for bad in here.left_out)
         if not tasks:
             reason = f": {left_out[0].model}: {left_out[0].reason}" if left_out else ""
-            raise KinectBenchError(f"{settings.models or 'families'}: not one model can be used{reason}")
+            raise KinectBenchError(
+                f"{settings.models or 'families'}: not one model can be used{reason}", what="no-model"
+            )
         run_tasks(make_model, tasks, jobs, partial(tell, "making"))
         lines = tuple(_lines(settings, dealt, tasks, left_out))
         public = settings.model_dump(mode="json", exclude={"models"})
@@ -219,7 +223,9 @@ def _check_target(out: Path) -> None:
     if not out.exists() and not out.is_symlink():
         return
     if not out.is_dir() or (any(out.iterdir()) and not _is_ours(out)):
-        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+        raise SettingsError(
+            f"{out}: holds something else; choose a new or empty folder", what="other-content"
+        )
 
 
 def _is_ours(out: Path) -> bool:
@@ -235,7 +241,10 @@ def _is_ours(out: Path) -> bool:
 def _check_work(work: Path) -> None:
     """A folder of that name that is not an unfinished run's is somebody's."""
     if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
-        raise SettingsError(f"{work}: holds something else, and is needed for unfinished work; move it away")
+        raise SettingsError(
+            f"{work}: holds something else, and is needed for unfinished work; move it away",
+            what="other-content",
+        )
 
 
 @contextmanager

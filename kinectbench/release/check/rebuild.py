@@ -77,7 +77,7 @@ def find_sources(path: Path) -> dict[str, Source]:
             for r in settings.recordings
         }
     if not path.is_dir():
-        raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings")
+        raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings", what="no-file")
     found = {entry.stem: Source(entry) for entry in sorted(path.iterdir()) if not entry.name.startswith(".")}
     return found | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
 
@@ -101,12 +101,16 @@ def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPl
     wanted = {target.recording for target in kept}
     missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())
     if missing:
-        raise SettingsError(f"no recording here for {', '.join(missing)}; give the folder that holds them")
+        raise SettingsError(
+            f"no recording here for {', '.join(missing)}; give the folder that holds them",
+            what="no-recording",
+        )
     if not wanted:
         raise ReleaseError(
             "all views are isolated: `kinectbench publish` without --isolate makes a release to be made again"
             if isolated
-            else "all truth is held back: only the private part can be made again"
+            else "all truth is held back: only the private part can be made again",
+            what="not-rebuildable",
         )
     notes = [*version_notes(metadata), *stage_notes(contents, wanted)]
     if held_back:
@@ -120,7 +124,9 @@ def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[
     """The release's settings with the paths of this machine."""
     values = metadata.settings.json_value()
     if not values.get("recordings"):
-        raise ReleaseError(f"{BENCHMARK_JSON}: this release was not made from recordings")
+        raise ReleaseError(
+            f"{BENCHMARK_JSON}: this release was not made from recordings", what="not-rebuildable"
+        )
     rows = [dict(row) for row in values["recordings"] if row.get("id") in wanted]
     for row in rows:
         source = sources[row["id"]]
@@ -133,7 +139,8 @@ def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[
         key = ".".join(str(part) for part in error.errors()[0]["loc"])
         raise ReleaseError(
             f"{BENCHMARK_JSON}: this version does not know the setting '{key}' as it is there; install "
-            f"kinectbench {metadata.package_version}, which made the release"
+            f"kinectbench {metadata.package_version}, which made the release",
+            what="other-version",
         ) from error
 
 

@@ -46,6 +46,8 @@ NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 class TooLargeError(ReleaseError):
     """A volume that would take more than some hundred megabytes to be compared."""
 
+    what = "too-large"
+
 
 @dataclass(frozen=True)
 class ObjectTruth:
@@ -140,7 +142,7 @@ def _published(name: str, whole: Collection[str]) -> str:
         ReleaseError: no such file was published, or it is another one.
     """
     if name not in whole:
-        raise ReleaseError(f"{name}: not as it was published")
+        raise ReleaseError(f"{name}: not as it was published", what="changed")
     return name
 
 

@@ -110,7 +110,9 @@ def _write_dataset_files(
 ) -> None:
     """Write what belongs to all scenes."""
     if camera is None:
-        raise ReleaseError(f"{shown(release.folder)}: no pair, so there is no image to export")
+        raise ReleaseError(
+            f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"
+        )
     targets = [
         {"im_id": image, "inst_count": 1, "obj_id": scene["scene_id"], "scene_id": scene["scene_id"]}
         for scene in scenes

@@ -48,7 +48,9 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
         StorageError: the disk is full or read-only.
     """
     if out.exists() and not (out.is_dir() and ((out / known_by).is_file() or not any(out.iterdir()))):
-        raise SettingsError(f"{out}: holds something else; choose a new or empty folder")
+        raise SettingsError(
+            f"{out}: holds something else; choose a new or empty folder", what="other-content"
+        )
     with replaced_folder(out) as folder:
         yield folder
 

@@ -37,7 +37,9 @@ def export_parquet(release: Release, out: Path, progress: Progress | None = None
         from pyarrow import parquet
     except ImportError as error:
         advice = "pip install 'kinectbench[tables]'"
-        raise SettingsError(f"export: Parquet needs the package pyarrow; run `{advice}`") from error
+        raise SettingsError(
+            f"export: Parquet needs the package pyarrow; run `{advice}`", what="no-package"
+        ) from error
     names = [column.name for column in fields(Target)]
     schema = arrow.schema(
         [(name, arrow.float64() if name in NUMBER_COLUMNS else arrow.string()) for name in names]

@@ -182,7 +182,9 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
         raise SettingsError(f"{exported}: a release that was exported has its own split; leave out --views")
     found = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
     if not found:
-        raise SettingsError(f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there")
+        raise SettingsError(
+            f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there", what="no-file"
+        )
     check_names([one.target for one in found], str(folder))
     with new_folder(out, BENCHMARK_JSON) as temporary:
         targets = []
@@ -248,7 +250,10 @@ def _theirs(folder: Path) -> list[Found]:
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
         match = PATH.fullmatch(path.relative_to(folder).as_posix())
         if not match or not NAME.fullmatch(f"{match[5]}-{match[4]}"):
-            raise PairError(f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout")
+            raise PairError(
+                f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout",
+                what="bad-name",
+            )
         rows.append((match[2], match[3], match[5], match[4], tuple(map(int, match.group(6, 7, 8))), path))
     counts: dict[str, int] = {}
     found = []
@@ -268,7 +273,7 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
 def _refuse_link_out(path: Path, root: Path) -> None:
     """What is read is published, and a link could lead to any file of whoever imports the folder."""
     if not lies_below(path, root):
-        raise PairError(f"{path}: a link out of the folder; put the file itself there")
+        raise PairError(f"{path}: a link out of the folder; put the file itself there", what="link")
 
 
 def _pair(found: Found, root: Path) -> Pair:
@@ -276,7 +281,9 @@ def _pair(found: Found, root: Path) -> Pair:
     for path in (found.file_25d, found.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():
-            raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
+            raise PairError(
+                f"{path}: missing; every file of 25d needs its counterpart of 3d", what="missing-file"
+            )
     seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))
     unknown: dict[str, Any] = {
         "T_world_grid": np.eye(4),

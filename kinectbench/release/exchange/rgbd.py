@@ -291,7 +291,8 @@ def color_registered(release: Release, recording: str) -> bool:
     name = f"views/{recording}/views.json"
     if name not in release.sums:
         raise ReleaseError(
-            f"{shown(release.folder / name)}: missing; this layout needs the depth images of the views"
+            f"{shown(release.folder / name)}: missing; this layout needs the depth images of the views",
+            what="missing-file",
         )
     return bool(ViewsFile.parse(release.text(name), name).color_registered)
 

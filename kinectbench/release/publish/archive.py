@@ -51,7 +51,7 @@ def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> N
 
 def _refuse(reasons: Sequence[str]) -> None:
     if reasons:
-        raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}")
+        raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}", what="no-archive")
 
 
 def write_archive(release: Path, out: Path) -> Path:

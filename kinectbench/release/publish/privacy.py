@@ -89,7 +89,9 @@ def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:
     try:
         clean, removed = without_metadata(data)
     except ValueError as error:
-        raise ReleaseError(f"{file}: {error}; build this recording's views again") from error
+        raise ReleaseError(
+            f"{file}: {error}; build this recording's views again", what="stale-build"
+        ) from error
     found += _rows(file, removed)
     return clean
 

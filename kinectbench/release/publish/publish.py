@@ -118,7 +118,7 @@ def publish(
     _refuse_empty_split(settings, recordings, options.hold_back)
     passed = gate(settings, build, recordings, bool(options.allow_poor))
     if not passed.published:
-        raise ReleaseError(f"{build}: no recording to publish; {passed.first_reasons()}")
+        raise ReleaseError(f"{build}: no recording to publish; {passed.first_reasons()}", what="no-pairs")
     _refuse_empty_split(settings, passed.published, options.hold_back)
     _refuse_many_files(settings, build, passed.published)
     hidden_ids = _hidden(settings, options)
@@ -156,7 +156,10 @@ def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[s
 def _refuse_other(out: Path) -> None:
     """Refuse to replace a folder that is not a release."""
     if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
-        raise ReleaseError(f"{out}: holds something else than a release; move it away, then publish again")
+        raise ReleaseError(
+            f"{out}: holds something else than a release; move it away, then publish again",
+            what="other-content",
+        )
 
 
 def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
@@ -167,7 +170,8 @@ def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Seq
     if total > MOST_FILES:
         raise ReleaseError(
             f"{pairs} pairs of {len(recordings)} recordings would be {total} files, and a release may have "
-            f"{MOST_FILES}: publish the recordings as several benchmarks, or set a smaller views.count"
+            f"{MOST_FILES}: publish the recordings as several benchmarks, or set a smaller views.count",
+            what="too-large",
         )
 
 
@@ -179,7 +183,10 @@ def _refuse_empty_split(
     there = {by_id[name].split for name in recordings}
     for split in hold_back:
         if split not in there:
-            raise ReleaseError(f"--hold-back {split}: no recording of this split was built; check the splits")
+            raise ReleaseError(
+                f"--hold-back {split}: no recording of this split was built; check the splits",
+                what="no-pairs",
+            )
 
 
 def _write(
@@ -196,7 +203,7 @@ def _write(
     made = _pairs(settings, build, folder, passed, options, isolated, found)
     passed = passed.with_pairs(made)
     if not made:
-        raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}")
+        raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}", what="no-pairs")
     infos = {name: published.info for name, published in made.items()}
     # What would do harm first, then what is wrong with the truth, and last how it is used.
     warnings = [

@@ -105,7 +105,9 @@ class Built:
 
     def _posed(self, row: ViewRow) -> PosedView:
         if row.T_world_camera is None:
-            raise ReleaseError(f"view {row.view}: views.json does not say its pose; build it again")
+            raise ReleaseError(
+                f"view {row.view}: views.json does not say its pose; build it again", what="stale-build"
+            )
         name = self.built_name(row.view)
         view = read_posed_view(self.folder / "views", name, self.camera, row.T_world_camera)
         return isolated_view(view) if self.isolated else view
@@ -170,7 +172,10 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
     for key in ("framing", "partial_rule"):
         found, wanted = getattr(pair, key), getattr(built.settings.pairs, key)
         if found != wanted:
-            raise ReleaseError(f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again")
+            raise ReleaseError(
+                f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again",
+                what="stale-build",
+            )
     return content, pair
 
 
@@ -322,7 +327,10 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
 def _frame(row: ViewRow) -> LineageView:
     """The frame of a view that was recorded."""
     if row.frame is None or row.stamp_ns is None:
-        raise ReleaseError(f"view {row.view}: views.json does not say of which frame it is; build it again")
+        raise ReleaseError(
+            f"view {row.view}: views.json does not say of which frame it is; build it again",
+            what="stale-build",
+        )
     return LineageView(view=row.view, frame=row.frame, stamp_ns=row.stamp_ns)
 
 
@@ -346,6 +354,6 @@ def _copy_built(source: Path, target: Path) -> None:
         ReleaseError: it is missing.
     """
     if not source.is_file():
-        raise ReleaseError(f"{source}: missing; run the build again")
+        raise ReleaseError(f"{source}: missing; run the build again", what="stale-build")
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, target)

@@ -36,7 +36,10 @@ def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dic
     """
     points_m = view.object_points_m
     if not len(points_m):
-        raise ReleaseError(f"{view.target.name}: no point of the object is measured; leave the view out")
+        raise ReleaseError(
+            f"{view.target.name}: no point of the object is measured; leave the view out",
+            what="nothing-measured",
+        )
     chosen = np.random.default_rng(SEED).permutation(len(points_m))[:POINTS]
     points_m = points_m[np.sort(chosen)]
     center_m = points_m.mean(axis=0)

@@ -56,7 +56,7 @@ def export_for(
     """
     adapter = adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
-        raise SettingsError(f"--for {name}: {missing_extra('methods')}")
+        raise SettingsError(f"--for {name}: {missing_extra('methods')}", what="no-package")
     return export_rgbd(release, out, progress, name, adapter.write, "color" in adapter.inputs)
 
 
@@ -83,7 +83,7 @@ def adapt(
     """
     adapter = adapter_of(name)
     if not output.is_dir():
-        raise PredictionError(f"{output}: no such folder")
+        raise PredictionError(f"{output}: no such folder", what="no-folder")
     problems, written = list[str](), 0
     with new_folder(out, MethodFile.FILE) as folder:
         for done, target in enumerate(release.targets, start=1):
@@ -94,7 +94,7 @@ def adapt(
             if progress:
                 progress(done, len(release.targets))
         if not written:
-            raise PredictionError(_nothing(output, adapter, problems))
+            raise PredictionError(_nothing(output, adapter, problems), what="none")
         said = MethodFile(
             name=name,
             benchmark_sha256=release.benchmark_sha256,
@@ -117,17 +117,22 @@ def _adapted(
     try:
         path = find_output(there, adapter.output)
     except OSError as error:
-        raise PredictionError(f"its folder cannot be listed ({error.strerror or error})") from error
+        raise PredictionError(
+            f"its folder cannot be listed ({error.strerror or error})", what="unreadable"
+        ) from error
     if path is None:
         return False
     camera = ViewCamera.read(there)
     T_camera_method = _placed(camera, name)
     if not np.allclose(camera.T_world_camera, camera_of(release, target)[1], rtol=0, atol=SAME_POSE):
-        raise PredictionError(f"{ViewCamera.FILE}: of another release; export this one, and run {name} again")
+        raise PredictionError(
+            f"{ViewCamera.FILE}: of another release; export this one, and run {name} again",
+            what="other-release",
+        )
     try:
         shape = adapter.read(path, camera).transformed(T_camera_method)
     except (ValueError, *UNREADABLE) as error:
-        raise PredictionError(f"{path.name}: cannot be read ({error})") from error
+        raise PredictionError(f"{path.name}: cannot be read ({error})", what="unreadable") from error
     write_shape(shape, folder / target.recording / target.view)
     return True
 

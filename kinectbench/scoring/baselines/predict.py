@@ -122,9 +122,15 @@ def write_baselines(
     chosen = tuple(names or possible)
     blind = [name for name in chosen if name not in possible]
     if BASE_RATE in blind:
-        raise SettingsError(f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out")
+        raise SettingsError(
+            f"{BASE_RATE}: needs truth of every category, and it is held back; leave it out",
+            what="truth-held-back",
+        )
     if blind:
-        raise SettingsError(f"{', '.join(blind)}: needs training pairs of every category; leave it out")
+        raise SettingsError(
+            f"{', '.join(blind)}: needs training pairs of every category; leave it out",
+            what="truth-held-back",
+        )
     tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
     # Files of an earlier run, which may be of another release, must not stay where this one is stopped.
     for name in chosen:

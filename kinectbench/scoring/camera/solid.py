@@ -89,10 +89,11 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
         far_m = MAX_FAR * FULL_CELLS * truth.voxel_size_m
         raise PredictionError(
-            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes"
+            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
+            what="far-off",
         )
     if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
-        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh")
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-complex")
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)

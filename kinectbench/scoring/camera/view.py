@@ -121,7 +121,7 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
     if not len(surface):
-        raise PredictionError("no cell is at a surface: an empty prediction")
+        raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
     rows: list[Scored] = []
     for protocol, kind in _rows_of(job):

@@ -31,7 +31,8 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
             return recording
         raise RecordingError(
             f"{recording.path}: `depth_code` is of depth images in PNG files, which a {recording.format} "
-            "recording has not; remove it"
+            "recording has not; remove it",
+            what="unused-setting",
         )
     if camera.depth_code == "float16":
         return replace(recording, depth_code="float16", depth_scale=FLOAT_SCALE)

@@ -14,9 +14,13 @@ FLOAT_SCALE = 5000.0
 class DamagedImageError(RecordingError):
     """One image is missing or damaged; a few of those among many frames can be left out."""
 
+    what = "damaged-image"
+
 
 class OddImageError(DamagedImageError):
     """One image is whole, but of another kind or size than depth of this recording has."""
+
+    what = "other-image"
 
 
 def image_header(data: bytes, name: str) -> tuple[str, int, int]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
@@ -91,24 +91,25 @@ class Intrinsics:
             said = beside(path) if beside else ""
             raise RecordingError(
                 f"{path}: the recording does not say its intrinsics ({', '.join(missing)}): give them in "
-                f"benchmark.yaml as `camera: {{fx: ..., fy: ..., cx: ..., cy: ...}}` (pixels){said}"
+                f"benchmark.yaml as `camera: {{fx: ..., fy: ..., cx: ..., cy: ...}}` (pixels){said}",
+                what="no-intrinsics",
             )
         declared = (self.width or width, self.height or height)
         if declared != size_px:
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{path}: the intrinsics are for {declared[0]}x{declared[1]} images, but the depth images "
                 f"are {width}x{height}: give those of the depth images under `camera:` in benchmark.yaml"
             )
         fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
         if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
-            raise RecordingError(f"{path}: the focal lengths {fx:g}, {fy:g} are not positive numbers")
+            raise IntrinsicsError(f"{path}: the focal lengths {fx:g}, {fy:g} are not positive numbers")
         if not (min(fx, fy) >= LEAST_FOCAL_PX and max(fx, fy) <= MOST_FOCAL_PX):
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{path}: the focal lengths {fx:g}, {fy:g} are no camera's; correct them (pixels), or give "
                 "fx, fy, cx, cy under `camera:`"
             )
         if not (0 <= cx < width and 0 <= cy < height):
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{path}: the principal point ({cx:g}, {cy:g}) lies outside the {width}x{height} depth "
                 "images: these intrinsics belong to another image size"
             )
@@ -151,7 +152,9 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
     if values.get("depth_scale", 1.0) <= 0:
-        raise RecordingError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
+        raise RecordingError(
+            f"{path}: 'depth_scale' must be above 0 (native units per metre)", what="bad-depth-scale"
+        )
     if "color_registered" in known:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
@@ -164,7 +167,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         matrix = pinhole(_open3d_matrix(known[key], path, key), path)
         for name in NEEDED:
             if not math.isclose(values.get(name, getattr(matrix, name)), getattr(matrix, name), rel_tol=1e-3):
-                raise RecordingError(
+                raise IntrinsicsError(
                     f"{path}: '{name}' is {values[name]:g} and that of '{key}' {getattr(matrix, name):g}: "
                     "correct one of them, or give fx, fy, cx, cy under `camera:`"
                 )
@@ -238,7 +241,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
         return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
     shape = MATRIX_SHAPES.get(len(numbers))
     if shape is None:
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{path}: holds {len(numbers)} numbers, not the 3x3 of a pinhole matrix (nor 3x4, 4x4, or fx fy "
             "cx cy)"
         )
@@ -260,7 +263,7 @@ def check_focal_lengths(said: Intrinsics, size_px: tuple[int, int], file: Path) 
         if focal is None or focal <= 0 or LEAST_FOCAL * side <= focal <= MOST_FOCAL * side:
             continue
         view_deg = math.degrees(2 * math.atan(side / (2 * focal)))
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{file}: a focal length of {focal:g} pixels gives {size_px[0]}x{size_px[1]} images a field of "
             f"view of {view_deg:.0f} degrees: it is of another camera or unit; correct it, or give fx, fy, "
             "cx, cy under `camera:`"
@@ -375,7 +378,7 @@ def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> 
     if numbers.shape == (3, 3):
         return numbers
     if numbers.shape != (9,):
-        raise RecordingError(f"{path}: '{key}' must hold nine numbers")
+        raise IntrinsicsError(f"{path}: '{key}' must hold nine numbers")
     by_row = not numbers[6:8].any()
     return numbers.reshape(3, 3) if by_row else numbers.reshape(3, 3).T
 
@@ -391,7 +394,7 @@ def pinhole(K: Float64, path: Path) -> Intrinsics:
         RecordingError: it is no pinhole matrix.
     """
     if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{path}: {K.tolist()} is not a pinhole matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
     return Intrinsics.of_matrix(K)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.core.untrusted import listed, printable
 from kinectbench.settings.models import CameraSettings
@@ -121,7 +121,8 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
         if found is not None and said != found[1]:
             raise RecordingError(
                 f"{file}: has another camera than {found[0]}; a recording must keep one: correct them, or "
-                "give fx, fy, cx, cy under `camera:`"
+                "give fx, fy, cx, cy under `camera:`",
+                what="two-cameras",
             )
         found = found or (file, said)
     return Intrinsics() if found is None else found[1]
@@ -153,7 +154,7 @@ def _read_yaml(file: Path) -> Intrinsics | None:
             K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
             return replace(K, **sizes)
         if key not in LOOSE_KEYS or len(numbers) > len(NEEDED):
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{file}: '{key}' holds {len(numbers)} numbers, not the nine of a pinhole matrix (or fx, fy, "
                 "cx, cy): correct it, or give fx, fy, cx, cy under `camera:`"
             )
@@ -176,7 +177,8 @@ def _number(word: str) -> float | None:
 def _two_cameras(file: Path, key: str) -> RecordingError:
     return RecordingError(
         f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? Keep it "
-        "alone, or give fx, fy, cx, cy under `camera:`"
+        "alone, or give fx, fy, cx, cy under `camera:`",
+        what="two-cameras",
     )
 
 

@@ -103,7 +103,8 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
     if len(color) != len(depth):
         raise RecordingError(
             f"{where}: {len(depth)} depth and {len(color)} colour images, and no names agree: give images of "
-            "one frame the same name, or name all by their time stamps in seconds, such as 12.033367.png"
+            "one frame the same name, or name all by their time stamps in seconds, such as 12.033367.png",
+            what="unpaired",
         )
     said = (
         f"{where}: no names of depth and colour agree: their {len(depth)} images each are paired in their "

@@ -45,7 +45,8 @@ class FrameChecks:
         check_size(frame, self._recording)
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             raise RecordingError(
-                f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase"
+                f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase",
+                what="bad-stamp",
             )
         suffix = check_color(frame, self._recording)
         self._last_stamp_ns = frame.stamp_ns
@@ -67,16 +68,19 @@ class FrameChecks:
         if lost and lost >= MAX_DAMAGED * frames:
             raise RecordingError(
                 f"{self._left_out[0]} ({lost} of {frames} frames cannot be used; "
-                f"fewer than {MAX_DAMAGED:.0%} may be left out)"
+                f"fewer than {MAX_DAMAGED:.0%} may be left out)",
+                what="too-many-damaged",
             )
         if frames - lost < MIN_FRAMES:
             raise RecordingError(
-                f"{self._recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed"
+                f"{self._recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
+                what="too-few-frames",
             )
         warnings = [f"frame left out: {why}" for why in self._left_out]
         if len(self._empty) == self._seen:
             raise RecordingError(
-                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)"
+                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)",
+                what="empty-depth",
             )
         self._check_scale()
         if self._empty:
@@ -101,7 +105,8 @@ class FrameChecks:
         raise RecordingError(
             f"{self._recording.path}: {problem}: give its unit in benchmark.yaml, "
             f"`camera: {{depth_scale: ...}}` (units a metre; at {better:g} it would be {native / better:.3g} "
-            "m); where it has poses, `kinectbench inspect` tries scales and codes by them"
+            "m); where it has poses, `kinectbench inspect` tries scales and codes by them",
+            what="bad-depth-scale",
         )
 
 

@@ -350,4 +350,6 @@ def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
             lambda file: depth_size_px(read_image_file(file), str(file)), (frame.depth for frame in files)
         )
     except DamagedImageError as error:
-        raise RecordingError(f"{error}; none of the {tried(len(files))} depth images is usable") from error
+        raise RecordingError(
+            f"{error}; none of the {tried(len(files))} depth images is usable", what="no-frame"
+        ) from error

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
-from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
+from kinectbench.core.errors import GivenPosesError, KinectBenchError, RecordingError, StorageError
 from kinectbench.core.sequence import Sequence, UpSample, depth_in_metres
 from kinectbench.core.storage import storage_errors
 from kinectbench.core.threads import ahead
@@ -84,7 +84,7 @@ def write_sequence(
     """
     problem = trajectory_problem(recording)
     if problem and needs_trajectory:
-        raise RecordingError(f"{problem}; `trajectory: ignore` does without it")
+        raise GivenPosesError(f"{problem}; `trajectory: ignore` does without it")
     with storage_errors(folder):
         for name in ("depth", "color"):
             (folder / name).mkdir(parents=True, exist_ok=True)

@@ -32,9 +32,11 @@ def check_there(path: Path, missing: str = MISSING) -> None:
     try:
         there = path.exists()
     except OSError as error:  # a name that is too long, a link to itself
-        raise RecordingError(f"{said}: cannot be read ({error.strerror}); correct its path") from error
+        raise RecordingError(
+            f"{said}: cannot be read ({error.strerror}); correct its path", what="unreadable"
+        ) from error
     if not there:
-        raise RecordingError(f"{said}: {missing}")
+        raise RecordingError(f"{said}: {missing}", what="not-found")
 
 
 def check_count(path: Path, frames: int) -> None:
@@ -45,7 +47,8 @@ def check_count(path: Path, frames: int) -> None:
     """
     if frames > MOST_FRAMES:
         raise RecordingError(
-            f"{path}: holds more than the {MOST_FRAMES} frames that a recording may have; split it"
+            f"{path}: holds more than the {MOST_FRAMES} frames that a recording may have; split it",
+            what="too-large",
         )
 
 
@@ -68,7 +71,8 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
     ):
         if number >= MOST_FILES:
             raise RecordingError(
-                f"{folder}: holds more than {MOST_FILES} files and folders; name the folder of one recording"
+                f"{folder}: holds more than {MOST_FILES} files and folders; name the folder of one recording",
+                what="too-large",
             )
         if plain:
             found.append(path)
@@ -85,7 +89,8 @@ def check_link(path: Path, *, follow_links: bool) -> None:
         raise RecordingError(
             f"{path}: is a link, and links in a recording are not followed: copy what it leads to in its "
             "place, or, if you trust where the links lead, write `follow_links: true` beside the recording's "
-            "`path:` in benchmark.yaml (`inspect --follow-links`)"
+            "`path:` in benchmark.yaml (`inspect --follow-links`)",
+            what="link",
         )
 
 
@@ -106,7 +111,8 @@ def _entries(
         return
     if len(above) > MOST_DEPTH:
         raise RecordingError(
-            f"{printable(str(folder), QUOTED)}: lies too deep; no recording has such folders"
+            f"{printable(str(folder), QUOTED)}: lies too deep; no recording has such folders",
+            what="too-large",
         )
     entries = [entry for entry in scanned(folder, MOST_FILES) if not entry.name.startswith(".")]
     # By their names: to sort paths takes ten times as long.
@@ -117,7 +123,8 @@ def _entries(
         if entry.is_dir():
             if entry.is_symlink() and next(links, None) is None:
                 raise RecordingError(
-                    f"{path}: holds more than {MOST_LINKED} links to folders; copy what they lead to"
+                    f"{path}: holds more than {MOST_LINKED} links to folders; copy what they lead to",
+                    what="too-large",
                 )
             yield path, False
             yield from _entries(path, above | {identity}, follow_links, links)
@@ -126,5 +133,6 @@ def _entries(
         else:
             what = "a link that leads nowhere" if entry.is_symlink() else "a pipe, a socket or a device"
             raise RecordingError(
-                f"{path}: is no plain file but {what}; a recording cannot hold it: remove it"
+                f"{path}: is no plain file but {what}; a recording cannot hold it: remove it",
+                what="no-plain-file",
             )

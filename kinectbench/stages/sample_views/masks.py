@@ -190,7 +190,8 @@ class GivenMasks:
         files = [*self._of.get(MaskName(frame, True, kind), ()), *of_view]
         if len(files) > 1:
             raise SegmentationError(
-                f"{self.folder}: {files[0]} and {files[1]} are masks of one image; remove one of them"
+                f"{self.folder}: {files[0]} and {files[1]} are masks of one image; remove one of them",
+                what="bad-mask",
             )
         return files[0] if files else None
 
@@ -218,7 +219,8 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
         if own.shape != mask.shape:
             raise SegmentationError(
                 f"{given.folder}/{name}: the mask is {own.shape[1]}x{own.shape[0]}, the depth image "
-                f"{mask.shape[1]}x{mask.shape[0]}; draw it in depth pixels"
+                f"{mask.shape[1]}x{mask.shape[0]}; draw it in depth pixels",
+                what="mask-size",
             )
         result = {"": own, ".include": result | own, ".exclude": result & ~own}[kind]
     return result

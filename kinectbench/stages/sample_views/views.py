@@ -135,7 +135,9 @@ def sample_views(
             break
     if not views:
         first = refused[0][1] if refused else "no frame has a pose"
-        raise SegmentationError(f"no view fits the object: {len(refused)} frames refused ({first})")
+        raise SegmentationError(
+            f"no view fits the object: {len(refused)} frames refused ({first})", what="no-view"
+        )
     warnings = _warnings(views, settings, len(order))
     if masks is not None:
         warnings += unused_masks(masks, {view.name: view.frame for view in views})
@@ -313,7 +315,9 @@ def read_masks(folder: Path) -> GivenMasks:
     def read(name: str) -> Bools:
         mask = _read_mask(folder / name)
         if mask is None:
-            raise SegmentationError(f"{folder / name}: not a readable PNG; save the mask again")
+            raise SegmentationError(
+                f"{folder / name}: not a readable PNG; save the mask again", what="bad-mask"
+            )
         return mask
 
     names = (path.name for path in listed(folder) if path.name != MasksFile.FILE and path.is_file())

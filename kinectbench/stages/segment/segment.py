@@ -144,7 +144,7 @@ def _make_solids(
             solidify(enlarged_observation(half, scale), excluded, larger) for half in (odd, even)
         )
     except ShapeError as error:
-        raise ShapeError(f"odd or even frames alone: {error}") from error
+        raise ShapeError(f"odd or even frames alone: {error}", what=error.what) from error
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), scale)
     del odd, even  # of a large object each is a gigabyte

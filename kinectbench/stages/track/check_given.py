@@ -118,7 +118,8 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
         raise TrackingError(
             f"the given trajectory does not fit the depth: {wrong.sum()} of {compared} frames disagree by "
             f"more than {settings.max_disagreement_m * 1000:.0f} mm; {CAUSES}? `trajectory: ignore` does "
-            "without them"
+            "without them",
+            what="given-disagrees",
         )
     odd = checked.frames.outlier
     kept = posed & ~wrong & ~blind & ~odd

@@ -69,7 +69,8 @@ def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Co
         )
         raise TrackingError(
             f"no stamp is a frame's: the frames are of {ours}, the trajectory is of {theirs}; "
-            "give one of this recording, on its clock"
+            "give one of this recording, on its clock",
+            what="no-match",
         )
     posed = has_pose(trajectory.T_world_camera[frames])
     T_estimate = trajectory.T_world_camera[frames[posed]]

@@ -41,7 +41,8 @@ def track_own_pixels(
     if has_mask.sum() < MIN_GOOD_FRAMES:
         raise TrackingError(
             f"only {has_mask.sum()} of {len(sequence)} frames have a mask that is not empty, and "
-            f"{MIN_GOOD_FRAMES} are needed; `segment_by: masks` needs one of every frame that is to count"
+            f"{MIN_GOOD_FRAMES} are needed; `segment_by: masks` needs one of every frame that is to count",
+            what="too-few-masks",
         )
     trajectory = track(by_own_pixels(sequence, masks), mode, settings, progress)
     lines = _at_rest(sequence, trajectory, settings) if mode == "ignore" else []

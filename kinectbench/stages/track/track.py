@@ -51,12 +51,15 @@ def track(
     """
     given = sequence.given_trajectory
     if sequence.trajectory_error and mode != "ignore":
-        raise TrackingError(f"{sequence.trajectory_error}; `trajectory: ignore` does without it")
+        raise TrackingError(
+            f"{sequence.trajectory_error}; `trajectory: ignore` does without it", what="bad-given"
+        )
     if mode == "ignore" or (mode is None and given is None):
         return _finished(sequence, "tracked", track_frames(sequence, None, progress), [], None)
     if given is None:
         raise TrackingError(
-            f"trajectory: {mode} asks for a given trajectory, but the recording has none; use ignore"
+            f"trajectory: {mode} asks for a given trajectory, but the recording has none; use ignore",
+            what="no-given",
         )
     T_given = poses_at(given, sequence.stamps_ns, settings.max_stamp_gap_s)
     posed = int(np.isfinite(T_given[:, 0, 0]).sum())
@@ -74,7 +77,8 @@ def track(
             raise TrackingError(
                 f"the depth agrees with {agreeing} of the {posed} given poses, the others overlap too little "
                 f"to be checked: {CAUSES}, and are they in metres? `trajectory: trust` goes on with them, "
-                "`trajectory: ignore` does without them"
+                "`trajectory: ignore` does without them",
+                what="given-unchecked",
             )
         return _finished(sequence, "trust", kept, warnings, checked)
     refined = track_frames(sequence, T_given, lambda done, total: report(n + done, n + total))
@@ -93,7 +97,8 @@ def _finished(
             advice = "correct the poses or the depth"
         raise TrackingError(
             f"only {posed} of {len(sequence)} frames can be used, and {MIN_GOOD_FRAMES} are needed"
-            f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}"
+            f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}",
+            what="too-few-poses",
         )
     figures = health(
         sequence, source, tracked, [*warnings, *outlier_warnings(tracked.reasons, source)], check

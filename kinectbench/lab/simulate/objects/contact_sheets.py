@@ -98,6 +98,6 @@ def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> l
             path.write_bytes(encoded.tobytes())
         except OSError as error:
             raise StorageError(
-                f"{path}: cannot be written ({error.strerror}); choose another folder"
+                f"{path}: cannot be written ({error.strerror}); choose another folder", what="not-writable"
             ) from error
     return paths

@@ -108,7 +108,7 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     vertices = (found.vertices + 0.5) * voxel_m + grid.T_world_grid[:3, 3]
     shape = solid(vertices, found.faces)
     if shape is None:
-        raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh")
+        raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh", what="bad-mesh")
     # Fewer faces, none moved by more than a twentieth of a voxel.
     return surface(shape.simplify(voxel_m / 20)), (
         f"closed by voxelising at {voxel_m * 1000:.1f} mm: {open_edges(whole)} open edges; "
@@ -139,16 +139,19 @@ def _painted(mesh: TriangleMesh, parts: list[tuple[TriangleMesh, Vector3]]) -> l
 
 def _check(path: Path, whole: TriangleMesh) -> None:
     if not np.isfinite(whole.vertices).all():
-        raise RecordingError(f"{path}: vertices are not finite; export the mesh again")
+        raise RecordingError(f"{path}: vertices are not finite; export the mesh again", what="bad-mesh")
     used = whole.vertices[np.unique(whole.faces)]
     size = np.ptp(used, axis=0)
     if not SMALLEST_M <= size.max() <= LARGEST_M:
         raise RecordingError(
             f"{path}: its largest side is {size.max():.3g} m, not {SMALLEST_M} to {LARGEST_M:g} m; "
-            "scale the mesh to metres"
+            "scale the mesh to metres",
+            what="bad-mesh",
         )
     if size.min() <= 1e-4:
-        raise RecordingError(f"{path}: the mesh is flat and has no volume; choose another one")
+        raise RecordingError(
+            f"{path}: the mesh is flat and has no volume; choose another one", what="bad-mesh"
+        )
 
 
 def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
@@ -156,14 +159,16 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
     import trimesh
 
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file; give a mesh file (obj, ply, stl, glb or off)")
+        raise RecordingError(
+            f"{path}: no such file; give a mesh file (obj, ply, stl, glb or off)", what="bad-mesh"
+        )
     try:
         scene = trimesh.load_scene(path, process=False)
         loaded = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
     except Exception as error:  # The readers raise whatever they trip over.
         what = " ".join(str(error).split())[:120] or type(error).__name__
         raise RecordingError(
-            f"{path}: not a readable mesh ({what}); give an obj, ply, stl, glb or off file"
+            f"{path}: not a readable mesh ({what}); give an obj, ply, stl, glb or off file", what="bad-mesh"
         ) from error
     parts: dict[Vector3, list[TriangleMesh]] = {}
     for mesh in loaded:
@@ -171,13 +176,15 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
         if not len(faces):
             continue
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise RecordingError(f"{path}: a face names a vertex that is not there; export the mesh again")
+            raise RecordingError(
+                f"{path}: a face names a vertex that is not there; export the mesh again", what="bad-mesh"
+            )
         colors, label = np.unique(_face_colors(mesh), axis=0, return_inverse=True)
         for at, (red, green, blue) in enumerate(colors.tolist()):
             part = TriangleMesh(vertices, faces).keep_faces(label.reshape(-1) == at)
             parts.setdefault((red / 255, green / 255, blue / 255), []).append(part)
     if not parts:
-        raise RecordingError(f"{path}: the mesh is empty; choose another one")
+        raise RecordingError(f"{path}: the mesh is empty; choose another one", what="bad-mesh")
     return [(join(meshes), color) for color, meshes in parts.items()]
 
 

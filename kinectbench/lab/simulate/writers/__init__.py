@@ -62,5 +62,7 @@ def cut(path: Path, share: float) -> None:
     files = [path] if path.is_file() else [*path.glob("*.db3"), *path.glob("*.mcap")]
     files = files or [image for pattern in DEPTH_IMAGES for image in path.glob(pattern)]
     if not files:
-        raise RecordingError(f"{path}: has no depth image to cut off; record more frames, or cut nothing")
+        raise RecordingError(
+            f"{path}: has no depth image to cut off; record more frames, or cut nothing", what="no-depth"
+        )
     os.truncate(max(files), round(max(files).stat().st_size * (1 - share)))

@@ -153,7 +153,8 @@ def read_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str |
         if not chosen:
             names = ", ".join([*(topic.name for topic in found), "tf"])
             raise RecordingError(
-                f"{bag.path}: `pose_topic: {named}` holds no poses; those that fit are: {names}"
+                f"{bag.path}: `pose_topic: {named}` holds no poses; those that fit are: {names}",
+                what="no-poses",
             )
         found = chosen
     if named == "tf" or not found:
@@ -195,6 +196,7 @@ def _from_tree(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str |
     if moving is None and named == "tf":
         raise RecordingError(
             f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "
-            f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}"
+            f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}",
+            what="no-poses",
         )
     return moving, []

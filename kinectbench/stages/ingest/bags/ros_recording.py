@@ -226,7 +226,7 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
     try:
         return first_whole(size_px, range(len(depth.topic.messages)))
     except DamagedImageError as error:
-        raise RecordingError(f"{error}; none of the depth images is usable") from error
+        raise RecordingError(f"{error}; none of the depth images is usable", what="no-frame") from error
 
 
 def _pair(

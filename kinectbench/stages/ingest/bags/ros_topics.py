@@ -111,7 +111,8 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
         images = [f"{t.name} ({t.encoding})" for t in every_image(bag)]
         raise RecordingError(
             f"{bag.path}: no topic holds depth images (16UC1, mono16, 32FC1 or 16-bit PNG); its image topics "
-            f"are: {', '.join(images) or 'none'}"
+            f"are: {', '.join(images) or 'none'}",
+            what="no-depth",
         )
     best = max(
         found,
@@ -173,7 +174,9 @@ def _named(bag: RosBag, key: str, named: str, found: list[ImageTopic]) -> ImageT
             return topic
     names = ", ".join(topic.name for topic in found) or "no topic"
     what = "holds no such images" if any(t.name == named for t in bag.topics) else "is not in the bag"
-    raise RecordingError(f"{bag.path}: `{key}: {named}` {what}; those that fit are: {names}")
+    raise RecordingError(
+        f"{bag.path}: `{key}: {named}` {what}; those that fit are: {names}", what="bad-topic"
+    )
 
 
 def _first_folder(image: ImageTopic) -> str:
@@ -309,7 +312,8 @@ def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tup
         raise RecordingError(
             f"{path}: {image.name} has the distortion model '{info.distortion_model}' with "
             f"{len(coefficients)} values; only plumb_bob and rational_polynomial can be removed: record "
-            "rectified images"
+            "rectified images",
+            what="lens",
         )
     return coefficients
 

@@ -95,7 +95,9 @@ class _Walk:
         try:
             fields, data_size = _read_header(file, size)
             if fields.get(b"encryptor"):
-                raise RecordingError(f"{path}: the bag is encrypted; record or copy it without encryption")
+                raise RecordingError(
+                    f"{path}: the bag is encrypted; record or copy it without encryption", what="unsupported"
+                )
             file.seek(data_size, os.SEEK_CUR)
             while file.tell() < size:
                 self.take_record(file, size)

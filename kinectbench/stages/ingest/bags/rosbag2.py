@@ -48,7 +48,8 @@ class Rosbag2Recording(RosRecording):
         files = [file for file in _bag_files(path) if _is_bag_file(file)] if path.is_dir() else [path]
         if len(files) > MOST_FILES:
             raise RecordingError(
-                f"{path}: holds more than the {MOST_FILES} files that a bag may have; name the folder of one"
+                f"{path}: holds more than the {MOST_FILES} files that a bag may have; name the folder of one",
+                what="too-large",
             )
         budget = WalkBudget(sum(file.stat().st_size for file in files))
         bags = [_walk_file(file, cls.wanted, budget) for file in files]

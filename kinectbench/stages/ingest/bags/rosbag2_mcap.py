@@ -61,7 +61,8 @@ def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     if walked.unknown and not topics:
         raise RecordingError(
             f"{path}: its messages are encoded as {', '.join(sorted(walked.unknown))}; only cdr (ROS 2) and "
-            "ros1 can be read"
+            "ros1 can be read",
+            what="unsupported",
         )
     count = sum(len(topic.messages) for topic in topics)
     trouble = ""

@@ -87,7 +87,9 @@ def open_recording(
         check_count(path, len(recording))
         return with_depth_code(_with_delays(recording, settings), settings)
     except OSError as error:
-        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
+        raise RecordingError(
+            f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"
+        ) from error
 
 
 def known_format(path: Path) -> str:
@@ -99,10 +101,12 @@ def known_format(path: Path) -> str:
     """
     check_there(path)
     if not (path.is_dir() or path.is_file()):
-        raise RecordingError(f"{path}: is neither a folder nor a plain file; correct the recording's `path:`")
+        raise RecordingError(
+            f"{path}: is neither a folder nor a plain file; correct the recording's `path:`", what="not-found"
+        )
     name = format_of(path)
     if name is None:
-        raise RecordingError(_unknown(path))
+        raise RecordingError(_unknown(path), what="unknown-format")
     return name
 
 
@@ -122,7 +126,9 @@ def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
     try:
         return _files_of(reader_of(known_format(path)), path, follow_links)
     except OSError as error:
-        raise RecordingError(f"{error.filename or path}: cannot be read ({error.strerror})") from error
+        raise RecordingError(
+            f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"
+        ) from error
 
 
 def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[Path]:
@@ -172,7 +178,8 @@ def _check_scale(path: Path, scale: float) -> None:
     if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # which NaN is not
         raise RecordingError(
             f"{path}: 1 m cannot be {scale:g} units of 16-bit depth; correct the recording's depth scale, or "
-            "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)"
+            "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)",
+            what="bad-depth-scale",
         )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Bools, Float64
@@ -93,7 +93,7 @@ class AzureCalibration:
             return _in_pixels(camera, (side, side), crop_px), camera.distortion
         if size_px != camera.sensor_px:
             sizes = ", ".join(f"{width}x{height}" for width, height in DEPTH_MODES)
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{path}: its depth is {size_px[0]}x{size_px[1]}, which is no mode of the sensor ({sizes}): "
                 "give fx, fy, cx, cy under `camera:` after converting it to another format"
             )
@@ -132,15 +132,21 @@ def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
         raise RecordingError(f"{where} needs Intrinsics and Rt")
     model = intrinsics.get("ModelType")
     if model not in (BROWN_CONRADY, RATIONAL):
-        raise RecordingError(f"{where}: the model {model!r:.60} of lenses is not read; {UNDISTORT}")
+        raise RecordingError(
+            f"{where}: the model {model!r:.60} of lenses is not read; {UNDISTORT}", what="lens"
+        )
     numbers = numbers_of(intrinsics.get("ModelParameters"))
     if numbers.shape[:1] < (PARAMETERS,) or numbers.ndim != 1 or not np.isfinite(numbers[:PARAMETERS]).all():
         raise RecordingError(f"{where}: ModelParameters must hold {PARAMETERS} numbers")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = numbers[:PARAMETERS].tolist()
     if codx or cody:
-        raise RecordingError(f"{where}: a centre of distortion beside the axis is not read; {UNDISTORT}")
+        raise RecordingError(
+            f"{where}: a centre of distortion beside the axis is not read; {UNDISTORT}", what="lens"
+        )
     if model == RATIONAL and (p1 or p2):
-        raise RecordingError(f"{where}: the tangential terms of {model} are not read; {UNDISTORT}")
+        raise RecordingError(
+            f"{where}: the tangential terms of {model} are not read; {UNDISTORT}", what="lens"
+        )
     sensor = [number_of(raw.get(key), f"{where}: {key}") for key in ("SensorWidth", "SensorHeight")]
     if not 16 <= min(sensor) <= max(sensor) <= 1 << 14:
         raise RecordingError(f"{where}: a sensor of {sensor[0]:g}x{sensor[1]:g} pixels is none")

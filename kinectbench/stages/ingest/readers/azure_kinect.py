@@ -108,7 +108,8 @@ class AzureKinectRecording(Recording):
             if depth_track is None:
                 raise RecordingError(
                     f"{path}: has no depth track (DEPTH of k4arecorder), so there is colour only: record it "
-                    "with a depth mode other than OFF and PASSIVE_IR"
+                    "with a depth mode other than OFF and PASSIVE_IR",
+                    what="no-depth",
                 )
             calibration = AzureCalibration.of(_attached(container, path), path)
             depth_px = _size_px(depth_track, path)
@@ -191,7 +192,8 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
         import av
     except ModuleNotFoundError as error:
         raise RecordingError(
-            f"{path}: reading a .mkv of Azure Kinect needs PyAV: pip install 'kinectbench[azure]'"
+            f"{path}: reading a .mkv of Azure Kinect needs PyAV: pip install 'kinectbench[azure]'",
+            what="no-package",
         ) from error
     try:
         # Of a name alone, others of FFmpeg's readers might take it for a list of other files; and nothing is
@@ -245,7 +247,8 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
                 attachment.data.rstrip(b"\0"), f"{path}: {CALIBRATION_FILE}", "CalibrationInformation"
             )
     raise RecordingError(
-        f"{path}: has no {CALIBRATION_FILE} attached; record it with k4arecorder, or convert it"
+        f"{path}: has no {CALIBRATION_FILE} attached; record it with k4arecorder, or convert it",
+        what="no-intrinsics",
     )
 
 
@@ -306,7 +309,8 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
             return position + skipped
     raise RecordingError(
         f"{path}: its images are packed by Matroska's own compression; unpack them with `mkvmerge -o NEW.mkv "
-        f"--compression -1:none {path.name}`"
+        f"--compression -1:none {path.name}`",
+        what="unsupported",
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
@@ -65,7 +65,7 @@ class BopRecording(FileRecording):
         """Read the cameras, which must be one, and choose the masks of the object."""
         cameras = _read_by_image(path / "scene_camera.json")
         if not cameras or not all(isinstance(camera, dict) for camera in cameras.values()):
-            raise RecordingError(f"{path / 'scene_camera.json'}: must hold an object for each image")
+            raise IntrinsicsError(f"{path / 'scene_camera.json'}: must hold an object for each image")
         masks, warnings = _masks(path, settings.mask_object)
         files = tuple(
             FrameFiles(
@@ -83,7 +83,8 @@ class BopRecording(FileRecording):
         size_px = (width + right, height + down)
         if is_too_large(*size_px):
             raise RecordingError(
-                f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart"
+                f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart",
+                what="two-cameras",
             )
         intrinsics = said.overridden_by(settings)
         poses = [_pose(cameras[number]) for number in sorted(cameras)]
@@ -164,7 +165,8 @@ def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float, tuple[
         raise RecordingError(
             f"{file}: image {sorted(cameras)[int(same.argmin())]} has another camera than the first: a "
             "recording must keep one focal length and depth scale, and principal points that differ by whole "
-            "pixels: give a scene of one sensor"
+            "pixels: give a scene of one sensor",
+            what="two-cameras",
         )
     return shared, float(scales[0]), tuple((int(x), int(y)) for x, y in np.rint(away_px).tolist())
 
@@ -174,10 +176,10 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
     try:
         K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
     except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
+        raise IntrinsicsError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
     usable = np.isfinite(K).all() and np.abs(K).max() < MOST_FOCAL_PX and np.isfinite(scale) and scale > 0
     if not usable:
-        raise RecordingError(f"{file}: cam_K or depth_scale of image {number} is not usable")
+        raise IntrinsicsError(f"{file}: cam_K or depth_scale of image {number} is not usable")
     return K, scale
 
 
@@ -212,7 +214,8 @@ def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str
         return {}, [f"{path}: has the objects {names}; no masks are read: name one as `mask_object`"]
     if object_id is not None and object_id not in known:
         raise RecordingError(
-            f"{path}: `mask_object: {object_id}` is not in the scene; its objects are {names}"
+            f"{path}: `mask_object: {object_id}` is not in the scene; its objects are {names}",
+            what="no-object",
         )
     chosen = known[0] if object_id is None else object_id
     masks = {

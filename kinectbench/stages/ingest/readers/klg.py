@@ -192,13 +192,13 @@ def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame
     if position != size or (declared > 0 and declared != len(frames)):
         return frames, [_damaged(path, frames, declared, "is cut off")]
     if not frames:
-        raise RecordingError(f"{path}: holds no frame")
+        raise RecordingError(f"{path}: holds no frame", what="no-frame")
     return frames, []
 
 
 def _damaged(path: Path, frames: list[PackedFrame], declared: int, what: str) -> str:
     if not frames:
-        raise RecordingError(f"{path}: {what}, and no frame in it is whole; copy it again")
+        raise RecordingError(f"{path}: {what}, and no frame in it is whole; copy it again", what="no-frame")
     of = f" of {declared}" if declared > 0 else ""
     return f"{path}: {what}: {len(frames)}{of} frames are whole and are read; copy it again"
 

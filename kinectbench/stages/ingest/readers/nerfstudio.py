@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
@@ -89,7 +89,9 @@ class NerfstudioRecording(PhoneRecording):
         intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
         unit_m = number_of(_first(said, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
-            raise RecordingError(f"{path / FILE}: its depth scale must be above 0 (metres a unit)")
+            raise RecordingError(
+                f"{path / FILE}: its depth scale must be above 0 (metres a unit)", what="bad-depth-scale"
+            )
         trajectory, lost, error = read_given(lambda: _trajectory(path, said, files, whole))
         camera = intrinsics.overridden_by(settings).camera(size_px, path)
         coefficients = _distortion(path, whole)
@@ -129,7 +131,8 @@ def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]
     if not named:
         raise RecordingError(
             f"{file}: none of its {len(frames)} frames has a depth_file_path, so there is colour only: "
-            "export it with depth, as from a camera or phone that measures it"
+            "export it with depth, as from a camera or phone that measures it",
+            what="no-depth",
         )
     check_count(file, len(named))
     alone = len(frames) - len(named)
@@ -154,7 +157,7 @@ def _name(file: Path, name: object) -> str:
         below(file.parent, name)
     except ValueError as error:
         raise RecordingError(
-            f"{file}: {quoted(name)} does not name a file inside the recording's folder"
+            f"{file}: {quoted(name)} does not name a file inside the recording's folder", what="link"
         ) from error
     return name
 
@@ -172,7 +175,9 @@ def _intrinsics(
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
         name = printable(model) if isinstance(model, str) else quoted(model)
-        raise RecordingError(f"{file}: cameras of the model {name} are not read: undistort the images first")
+        raise RecordingError(
+            f"{file}: cameras of the model {name} are not read: undistort the images first", what="lens"
+        )
     if any(frame.get(key) is None for frame in frames for key in PINHOLE_KEYS):
         return Intrinsics(), []
     sizes = {
@@ -183,7 +188,9 @@ def _intrinsics(
         for frame in frames
     }
     if len(sizes) > 1:
-        raise RecordingError(f"{file}: its frames are of several sizes; a recording must keep one camera")
+        raise RecordingError(
+            f"{file}: its frames are of several sizes; a recording must keep one camera", what="two-cameras"
+        )
     rows = [[number_of(frame[key], f"{file}: '{key}'") for key in PINHOLE_KEYS] for frame in frames]
     K, warnings = one_camera(np.array(rows), path)
     K[:2, 2] -= 0.5
@@ -197,7 +204,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
     rows = {tuple(number_of(f.get(key, 0), f"{file}: '{key}'") for key in BROWN_KEYS) for f in frames}
     if len(rows) > 1 or any(frame.get("k4") for frame in frames):
         what = "k4 is not 0" if len(rows) == 1 else "frames differ in their distortion"
-        raise RecordingError(f"{file}: {what}, which is not read: undistort the images first")
+        raise RecordingError(f"{file}: {what}, which is not read: undistort the images first", what="lens")
     return rows.pop()
 
 
@@ -207,7 +214,7 @@ def _trajectory(
     """Camera to world in metres: nerfstudio's `applied_scale` is taken back."""
     scale = number_of(said.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
-        raise RecordingError(f"{path / FILE}: 'applied_scale' must be above 0")
+        raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")
     matrices = [_matrix(path, frame.get("transform_matrix"), scale) for frame in frames]
     return trajectory_from_matrices([file.stamp_ns for file in files], matrices, str(path))
 
@@ -217,7 +224,7 @@ def _matrix(path: Path, value: object, scale: float) -> Float64 | None:
         return None
     T = numbers_of(value)
     if T.shape != (4, 4):
-        raise RecordingError(f"{path / FILE}: 'transform_matrix' must be four rows of four numbers")
+        raise GivenPosesError(f"{path / FILE}: 'transform_matrix' must be four rows of four numbers")
     T[:3, 3] /= scale
     with np.errstate(invalid="ignore"):  # of what is not finite
         return np.asarray(T @ OPENGL_FROM_OPTICAL)

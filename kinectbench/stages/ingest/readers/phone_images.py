@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
 from kinectbench.stages.ingest.intrinsics import Intrinsics
@@ -96,7 +96,7 @@ def scaled_to_depth(
     """
     (width, height), fits = color_px, min(color_px) > 0
     if not fits or abs(width * depth_px[1] / height - depth_px[0]) > 1:
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{path}: the intrinsics are for {width}x{height} images, but the depth images are "
             f"{depth_px[0]}x{depth_px[1]}, which is another shape: export depth again, whole and upright"
         )
@@ -119,12 +119,13 @@ def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
     """
     fx, fy, cx, cy = np.median(rows, axis=0).tolist()
     if (rows[:, :2] <= 0).any():
-        raise RecordingError(f"{path}: a focal length is not positive; export the recording again")
+        raise IntrinsicsError(f"{path}: a focal length is not positive; export the recording again")
     apart_px = float(np.abs(rows - [fx, fy, cx, cy]).max())
     if apart_px > LARGEST_SHARE * fx:
         raise RecordingError(
             f"{path}: the intrinsics of its frames differ by {apart_px:.0f} pixels; a recording must keep "
-            "one camera and zoom: give the frames of one"
+            "one camera and zoom: give the frames of one",
+            what="two-cameras",
         )
     warnings = []
     if apart_px > USUAL_PX:

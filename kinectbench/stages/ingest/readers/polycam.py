@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
@@ -62,7 +62,9 @@ class PolycamRecording(PhoneRecording):
         warnings = [] if corrected else [f"{path}: has no corrected_cameras; ARKit's own poses are taken"]
         depth = {int(f.stem): f for f in (inside / "depth").glob("*.png") if STAMP_US.fullmatch(f.stem)}
         if not depth:
-            raise RecordingError(f"{inside / 'depth'}: holds no depth image; export the raw data again")
+            raise RecordingError(
+                f"{inside / 'depth'}: holds no depth image; export the raw data again", what="no-depth"
+            )
         stems = [depth[stamp_us].stem for stamp_us in sorted(depth)]
         files = tuple(
             FrameFiles(
@@ -108,10 +110,14 @@ def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64
     """The pinhole matrix of all images, their size, and warnings."""
     there = [camera for camera in cameras if camera]
     if not there:
-        raise RecordingError(f"{folder}: holds no camera of a depth image; export the raw data again")
+        raise RecordingError(
+            f"{folder}: holds no camera of a depth image; export the raw data again", what="no-intrinsics"
+        )
     rows = np.array([[number_of(c.get(key), f"{c['file']}: '{key}'") for key in CAMERA_KEYS] for c in there])
     if (rows[:, 4:] != rows[0, 4:]).any():
-        raise RecordingError(f"{folder}: its images are of several sizes; a recording must keep one camera")
+        raise RecordingError(
+            f"{folder}: its images are of several sizes; a recording must keep one camera", what="two-cameras"
+        )
     K, warnings = one_camera(rows[:, :4], folder)
     return K, (int(rows[0, 4]), int(rows[0, 5])), warnings
 
@@ -122,6 +128,6 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
         return None
     numbers = numbers_of([camera.get(key) for key in POSE_KEYS])
     if numbers.shape != (12,):
-        raise RecordingError(f"{camera['file']}: t_00 to t_23 must be numbers")
+        raise GivenPosesError(f"{camera['file']}: t_00 to t_23 must be numbers")
     with np.errstate(invalid="ignore"):  # of what is not finite
         return np.asarray(np.vstack([numbers.reshape(3, 4), [0, 0, 0, 1]]) @ OPENGL_FROM_OPTICAL)

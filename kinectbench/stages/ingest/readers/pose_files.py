@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
@@ -81,7 +81,8 @@ def read_pose_file(
         if len(rows) != len(stems):
             raise RecordingError(
                 f"{file}: holds {len(rows)} poses for {len(stems)} frames: which pose is of which frame "
-                "cannot be told; write one for each frame, in their order"
+                "cannot be told; write one for each frame, in their order",
+                what="pose-count",
             )
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
     trajectory, warnings = read_trajectory(file)
@@ -108,10 +109,10 @@ def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float6
     for where, row in rows:
         words = row.replace(",", " ").split()
         if not FRAME_NUMBER.fullmatch(words[-1]):
-            raise RecordingError(f"{where}: its last value is no id of a frame")
+            raise GivenPosesError(f"{where}: its last value is no id of a frame")
         numbers = parse_floats(words[1:-1], where)
         if not np.linalg.norm(numbers[3:]) > 0:
-            raise RecordingError(f"{where}: the quaternion has length zero; remove this row")
+            raise GivenPosesError(f"{where}: the quaternion has length zero; remove this row")
         rotation = rotation_from_quaternion_xyzw(np.array([numbers[3:]]))[0]
         poses[int(words[-1])] = rigid(rotation, np.array(numbers[:3]))
     numbered = [int(stem) if FRAME_NUMBER.fullmatch(stem) else -1 for stem in stems]
@@ -123,7 +124,7 @@ def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]
     values = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in rows]
     side = 4 if len(values) > 3 and all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
     if len(rows) % side:
-        raise RecordingError(
+        raise GivenPosesError(
             f"{file}: holds {len(rows)} rows of four numbers, no whole number of matrices: write 4x4 "
             "matrices below each other, the last row of each 0 0 0 1, or 3x4 matrices"
         )
@@ -149,13 +150,13 @@ def read_log(file: Path, frames: int) -> list[Float64]:
     """
     rows = text_rows(file)
     if len(rows) % 5:
-        raise RecordingError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
+        raise GivenPosesError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
     matrices = [np.full((4, 4), np.nan)] * frames
     for start in range(0, len(rows), 5):
         where, head = rows[start]
         index = head.split()[0]
         if not FRAME_NUMBER.fullmatch(index) or int(index) >= frames:
-            raise RecordingError(
+            raise GivenPosesError(
                 f"{where}: '{printable(head)}' does not name one of the {frames} frames (0-{frames - 1})"
             )
         values = [
@@ -163,6 +164,6 @@ def read_log(file: Path, frames: int) -> list[Float64]:
             for row_where, row in rows[start + 1 : start + 5]
         ]
         if any(len(row) != 4 for row in values):
-            raise RecordingError(f"{where}: the four rows after it are not four numbers each")
+            raise GivenPosesError(f"{where}: the four rows after it are not four numbers each")
         matrices[int(index)] = np.array(values)
     return matrices

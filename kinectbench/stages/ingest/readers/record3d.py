@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, IntrinsicsError, RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
@@ -88,7 +88,8 @@ class Record3dRecording(Recording):
         numbers = sorted(int(match[1]) for name in members if (match := MEMBER.fullmatch(name)))
         if not numbers:
             raise RecordingError(
-                f"{path}: holds no rgbd/0.depth, so there is colour only: record it with depth"
+                f"{path}: holds no rgbd/0.depth, so there is colour only: record it with depth",
+                what="no-depth",
             )
         said = _read_metadata(archive, members)
         stamps_ns, warnings = _stamps_ns(path, said, numbers)
@@ -140,7 +141,8 @@ def _unpacked(data: bytes, size: int, name: str) -> bytes:
         import imagecodecs
     except ImportError as error:
         raise RecordingError(
-            f"{name}: is packed by LZFSE; install what unpacks it with `pip install 'kinectbench[record3d]'`"
+            f"{name}: is packed by LZFSE; install what unpacks it with `pip install 'kinectbench[record3d]'`",
+            what="no-package",
         ) from error
     try:
         found = bytes(imagecodecs.lzfse_decode(data, out=size + 1))
@@ -166,7 +168,7 @@ def _intrinsics(path: Path, said: dict[str, Any]) -> tuple[Float64, tuple[int, i
         K = numbers_of(said.get("K"))
         rows = K[[[0, 4, 6, 7]]] if K.shape == (9,) else np.full((1, 4), np.nan)
     if not np.isfinite(rows).all():
-        raise RecordingError(f"{path}: 'K' of its metadata must hold nine numbers")
+        raise IntrinsicsError(f"{path}: 'K' of its metadata must hold nine numbers")
     K, warnings = one_camera(rows, path)
     return K, (width, height), warnings
 
@@ -214,7 +216,8 @@ def _trajectory(
     if not isinstance(poses, list) or len(poses) <= numbers[-1]:
         count = len(poses) if isinstance(poses, list) else 0
         raise RecordingError(
-            f"{path}: its metadata has {count} poses for {len(numbers)} frames; export it again"
+            f"{path}: its metadata has {count} poses for {len(numbers)} frames; export it again",
+            what="pose-count",
         )
     matrices = [_pose(path, poses[number]) for number in numbers]
     there = [T for T in matrices if T is not None]
@@ -228,7 +231,7 @@ def _pose(path: Path, row: object) -> Float64 | None:
         return None
     numbers = numbers_of(row)
     if numbers.shape != (7,):
-        raise RecordingError(f"{path}: a pose of its metadata must hold seven numbers (x y z w, position)")
+        raise GivenPosesError(f"{path}: a pose of its metadata must hold seven numbers (x y z w, position)")
     if not np.isfinite(numbers).all() or np.linalg.norm(numbers[:4]) < 1e-6:
         return np.full((4, 4), np.nan)
     T = rigid(rotation_from_quaternion_xyzw(numbers[:4]), numbers[4:])

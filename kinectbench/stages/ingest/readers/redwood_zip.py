@@ -62,7 +62,9 @@ class RedwoodZipRecording(Recording):
         found = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
         depth, color = _named(found, "depth"), _named(found, "rgb")
         if not depth:
-            raise RecordingError(f"{path}: holds no depth/ images, only colour; download the scan again")
+            raise RecordingError(
+                f"{path}: holds no depth/ images, only colour; download the scan again", what="no-depth"
+            )
         stems = [[stem for stem, _ in names] for names in (depth, color)]
         partners, color_ns = pair_images(*stems, delay_s=settings.color_delay_s, where=str(path))
         stamps_ns = stamps_of_names(stems[0])
@@ -74,7 +76,9 @@ class RedwoodZipRecording(Recording):
         size_px = _first_size(archive, [place.depth for place in places])
         if size_px is None:
             count = tried(len(places))
-            raise RecordingError(f"{path}: none of the {count} depth images is usable; copy it again")
+            raise RecordingError(
+                f"{path}: none of the {count} depth images is usable; copy it again", what="no-frame"
+            )
         usual = size_px == (PRIMESENSE.width, PRIMESENSE.height)
         intrinsics = (PRIMESENSE if usual else Intrinsics()).overridden_by(settings)
         return cls(

@@ -51,7 +51,9 @@ class ScannetFolderRecording(FileRecording):
         """List the depth images, pair them with colour, and read poses of the same name."""
         depth = in_folder(path / "depth", frozenset({".png"}))
         if not depth.files:
-            raise RecordingError(f"{path / 'depth'}: holds no PNG image; export the scene again with depth")
+            raise RecordingError(
+                f"{path / 'depth'}: holds no PNG image; export the scene again with depth", what="no-depth"
+            )
         files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         size_px = first_depth_size(files)
         said = _read_intrinsics(path, size_px, settings)

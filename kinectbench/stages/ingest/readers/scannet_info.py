@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import read_head
@@ -54,12 +54,14 @@ def read_info(file: Path, color_px: tuple[int, int]) -> Rig:
         rows[key.removeprefix("m_")] = (where, value.split())
     K = _matrix(rows, DEPTH_INTRINSIC)
     if K is None:
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{file}: has no row 'm_calibrationDepthIntrinsic = ' with the 16 numbers of a 4x4"
         )
     width, height, scale = (_number(rows, key) for key in ("depthWidth", "depthHeight", "depthShift"))
     if scale is not None and not scale > 0:
-        raise RecordingError(f"{file}: 'm_depthShift' must be above 0 (native units per metre)")
+        raise RecordingError(
+            f"{file}: 'm_depthShift' must be above 0 (native units per metre)", what="bad-depth-scale"
+        )
     depth = Intrinsics.of_matrix(K, scale)
     if width and height:
         depth = replace(depth, width=int(width), height=int(height))
@@ -78,7 +80,7 @@ def _matrix(rows: dict[str, tuple[str, list[str]]], key: str) -> Float64 | None:
     if not words:
         return None
     if len(words) != 16:
-        raise RecordingError(f"{where}: '{key}' holds {len(words)} numbers, not the 16 of a 4x4 matrix")
+        raise IntrinsicsError(f"{where}: '{key}' holds {len(words)} numbers, not the 16 of a 4x4 matrix")
     return np.array(parse_floats(words, where)).reshape(4, 4)
 
 
@@ -86,5 +88,5 @@ def _number(rows: dict[str, tuple[str, list[str]]], key: str) -> float | None:
     where, words = rows.get(key, ("", []))
     value = parse_floats(words[:1], where) if words else []
     if value and not (np.isfinite(value[0]) and 0 <= value[0] < 1e6):
-        raise RecordingError(f"{where}: '{key}' is {value[0]:g}, which it cannot be")
+        raise IntrinsicsError(f"{where}: '{key}' is {value[0]:g}, which it cannot be")
     return value[0] if value else None

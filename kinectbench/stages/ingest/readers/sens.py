@@ -90,7 +90,9 @@ class SensRecording(PackedRecording):
             head = _read_head(file, path, size_of(file))
             frames, matrices, cut = _find_frames(file, head, path)
         if not frames:
-            raise RecordingError(f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole")
+            raise RecordingError(
+                f"{path}: {'is cut off, and no' if cut else 'no'} frame in it is whole", what="no-frame"
+            )
         warnings = (
             [f"{path}: {cut}: {len(frames)} of {head.frames} frames are whole and are read"] if cut else []
         )
@@ -145,7 +147,9 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
         raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
     version, length = START.unpack(start)
     if version != VERSION:
-        raise RecordingError(f"{path}: is of version {version}; only version {VERSION} can be read")
+        raise RecordingError(
+            f"{path}: is of version {version}; only version {VERSION} can be read", what="unsupported"
+        )
     if length > LONGEST_NAME:
         raise RecordingError(f"{path}: the name of its sensor has {length} bytes: the file is damaged")
     file.seek(length, os.SEEK_CUR)
@@ -158,9 +162,13 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     if min(depth_px) <= 0 or is_too_large(*depth_px):
         raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
     if depth not in (RAW, ZLIB):
-        raise RecordingError(f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)")
+        raise RecordingError(
+            f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)", what="unsupported"
+        )
     if not (np.isfinite(shift) and shift > 0):
-        raise RecordingError(f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged")
+        raise RecordingError(
+            f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged", what="bad-depth-scale"
+        )
     color_intrinsic, color_extrinsic, depth_intrinsic, depth_extrinsic = matrices
     return SensHead(
         color_intrinsic=color_intrinsic,

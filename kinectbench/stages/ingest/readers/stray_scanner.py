@@ -84,7 +84,7 @@ class StrayScannerRecording(PhoneRecording):
         rows = _read_odometry(path / "odometry.csv")
         paired = [(number, row) for number, row in rows if number in depth]
         if not paired:
-            raise RecordingError(f"{path}: no row of odometry.csv names an image in depth/")
+            raise RecordingError(f"{path}: no row of odometry.csv names an image in depth/", what="no-frame")
         alone = len(depth.keys() - {number for number, _ in paired})
         order, repeated = first_by_stamp([row.stamp_ns for _, row in paired])
         warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []

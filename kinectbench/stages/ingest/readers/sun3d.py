@@ -48,7 +48,9 @@ class Sun3dRecording(FileRecording):
         depth, depth_ns = _by_stamp(path / "depth", frozenset({".png"}))
         color, color_ns = _by_stamp(path / "image", COLOR_SUFFIXES)
         if not depth:
-            raise RecordingError(f"{path / 'depth'}: holds no PNG image; copy the sequence again")
+            raise RecordingError(
+                f"{path / 'depth'}: holds no PNG image; copy the sequence again", what="no-depth"
+            )
         partners = pair_by_time(depth_ns, color_ns, delay_s=settings.color_delay_s, where=str(path))
         files = tuple(
             FrameFiles(stamp_ns, file, None if partner is None else color[partner])
@@ -98,7 +100,8 @@ def _read_poses(
     if rest or poses != len(stamps_ns):
         raise RecordingError(
             f"{found[-1]}: holds {len(numbers)} numbers, not 12 for each of the {len(color_ns)} colour "
-            f"(or {len(depth_ns)} depth) images"
+            f"(or {len(depth_ns)} depth) images",
+            what="pose-count",
         )
     rows = numbers.reshape(poses, 3, 4)
     matrices = [np.vstack([row, [0, 0, 0, 1]]) for row in rows]

@@ -52,7 +52,7 @@ class TumRecording(FileRecording):
         """Read the lists, pair colour with depth, and read the trajectory."""
         depth_rows = _read_rows(path / "depth.txt")
         if not depth_rows:
-            raise RecordingError(f"{path / 'depth.txt'}: lists no images")
+            raise RecordingError(f"{path / 'depth.txt'}: lists no images", what="no-depth")
         color_rows = _read_rows(path / "rgb.txt") if (path / "rgb.txt").is_file() else []
         why = no_times([stamp_ns for stamp_ns, _ in depth_rows])
         warnings = []

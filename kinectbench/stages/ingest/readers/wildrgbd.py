@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
@@ -49,7 +49,9 @@ class WildRgbdRecording(FileRecording):
         """List the depth images by number, with colour and mask of the same number."""
         found = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
         if not found:
-            raise RecordingError(f"{path / 'depth'}: holds no image 00000.png; copy the scene again")
+            raise RecordingError(
+                f"{path / 'depth'}: holds no image 00000.png; copy the scene again", what="no-depth"
+            )
         files = tuple(
             FrameFiles(
                 number * NS_PER_S,
@@ -83,7 +85,7 @@ def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None,
     for where, row in text_rows(file):
         values = parse_floats(row.split(), where)
         if len(values) != 17 or not 0 <= values[0] < 10**9 or values[0] % 1:
-            raise RecordingError(f"{where}: is not a frame's number and the 16 numbers of its pose")
+            raise GivenPosesError(f"{where}: is not a frame's number and the 16 numbers of its pose")
         matrices.setdefault(int(values[0]), np.array(values[1:]).reshape(4, 4))
     alone = len(matrices.keys() - set(numbers))
     warnings = [f"{file}: {alone} poses are of frames without depth, and were left out"] if alone else []

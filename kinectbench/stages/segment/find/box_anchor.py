@@ -52,7 +52,8 @@ def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
             return replace(box, anchor=box.anchor._replace(frame=index))
     raise SegmentationError(
         f"the box in benchmark.yaml is tied to a frame, then number {frame}, whose depth is not in the "
-        f"recording any more; {CHOOSE}"
+        f"recording any more; {CHOOSE}",
+        what="box-moved",
     )
 
 
@@ -75,7 +76,8 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
     if not known:
         raise SegmentationError(
-            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}"
+            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}",
+            what="box-moved",
         )
     T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
     T_then_camera = rigid(rotation_from_quaternion_xyzw(np.array(was[3:])), was[:3])
@@ -94,7 +96,8 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     place = f"for the same place now write `{line}`, or " if upright else ""
     raise SegmentationError(
         "the box in benchmark.yaml was chosen in another floor frame, of another trajectory or plane: by "
-        f"frame {frame} it would be {moved_m:.2f} m off; {place}{CHOOSE}"
+        f"frame {frame} it would be {moved_m:.2f} m off; {place}{CHOOSE}",
+        what="box-moved",
     )
 
 

@@ -89,7 +89,8 @@ def find_candidates(
         least = f"{MIN_AREA_M2 * scene.scale**2:.2g} m²"
         raise SegmentationError(
             f"no candidates: nothing that stands on the floor has {least} of surface; is it in view? "
-            "A black, glass or mirror-like one gives no depth: make it matt"
+            "A black, glass or mirror-like one gives no depth: make it matt",
+            what="no-candidates",
         )
     candidates.sort(key=lambda c: (not c.automatic, max(c.box.size_m) > LARGE_M, c.distance_m))
     return Candidates(scene, tuple(candidates[:MAX_CANDIDATES]))

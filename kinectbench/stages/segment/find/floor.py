@@ -108,7 +108,7 @@ class Floor:
         except SegmentationError as error:
             if not self.against:
                 raise
-            raise SegmentationError(f"{error}; {self.against[0]}") from error
+            raise SegmentationError(f"{error}; {self.against[0]}", what=error.what) from error
 
     @property
     def T_world_floor(self) -> Float64:
@@ -182,7 +182,7 @@ def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: 
         if turned.chosen is not None and _is_plain(turned.chosen, T_world_turned):
             choice, against, T_world_camera = turned, (UPSIDE_DOWN,), T_world_turned
     if choice.chosen is None:
-        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest))
+        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest), what="no-floor")
     plane, noise_m = refined_near(choice.chosen.plane, surface)
     tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
     share = choice.chosen.inlier_share
@@ -209,7 +209,7 @@ def _given_floor(
     """The floor by a person's plane (4,)."""
     above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
     if np.median(above_m) <= 0:
-        raise SegmentationError(ABOVE_CAMERAS)
+        raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
     tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)

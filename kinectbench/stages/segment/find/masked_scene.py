@@ -48,7 +48,7 @@ def segment_masked_scene(
     surface = surface_points(mesh, cell_m)
     points_world = surface.points
     if len(points_world) < MIN_BOX_POINTS:
-        raise SegmentationError(NOTHING_FUSED)
+        raise SegmentationError(NOTHING_FUSED, what="empty-scene")
     label = connected(points_world, cell_m)
     sizes = np.bincount(label)
     kept = (sizes >= LEAST_SHARE * sizes.max())[label]
@@ -59,7 +59,8 @@ def segment_masked_scene(
         kept &= given_box.contains(points_floor)
         if kept.sum() < MIN_BOX_POINTS:
             raise SegmentationError(
-                "the box in benchmark.yaml holds nothing of what the masks show; leave it out, or correct it"
+                "the box in benchmark.yaml holds nothing of what the masks show; leave it out, or correct it",
+                what="empty-box",
             )
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
     box = given_box or fit_box(vertices_floor[kept[surface.owner]])

@@ -80,7 +80,9 @@ def find_scene(
     scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
     surface = surface_points(mesh, CELL_M * scale)
     if len(surface.points) == 0:
-        raise SegmentationError("no object found: the fused scene is empty; is the depth within max_depth_m?")
+        raise SegmentationError(
+            "no object found: the fused scene is empty; is the depth within max_depth_m?", what="empty-scene"
+        )
     try:
         floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, settings.seed, hint)
     except SegmentationError:
@@ -314,7 +316,8 @@ def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloo
         raise SegmentationError(
             f"the box in benchmark.yaml holds nothing of the scene, which reaches from {_text(low)} to "
             f"{_text(high)} m in the floor frame; correct center_m and size_m, or choose one of those "
-            "that `kinectbench segment --suggest` lists"
+            "that `kinectbench segment --suggest` lists",
+            what="empty-box",
         )
     chosen = np.zeros(len(above), dtype=bool)
     chosen[above] = select_in_box(points_floor / scene.scale, in_box)

@@ -74,7 +74,7 @@ def floor_of_frames(
     cell_m = CELL_M * distance_scale(T_world_camera, focus_world)
     surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
     if len(surface.points) < MIN_POINTS:
-        raise SegmentationError("the frames hardly show any surface")
+        raise SegmentationError("the frames hardly show any surface", what="no-floor")
     floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, 0, hint)
     return floor, clouds
 

@@ -120,9 +120,9 @@ def find_turntable(sequence: Sequence) -> Turntable:
     """
     depths_m, step, watched = watch_some(sequence)
     if watched is None or not watched.something_moves:
-        raise SegmentationError(MOVES.format(what="nothing moves before it"))
+        raise SegmentationError(MOVES.format(what="nothing moves before it"), what="no-turntable")
     if not (watched.camera_still or watched.plain):
-        raise SegmentationError(MOVES.format(what="the camera moves"))
+        raise SegmentationError(MOVES.format(what="the camera moves"), what="no-turntable")
     camera = sequence.camera.every(step)
     before = [_before(depth_m, watched) for depth_m in depths_m]
     moving = _largest(
@@ -131,14 +131,14 @@ def find_turntable(sequence: Sequence) -> Turntable:
         )
     )
     if not len(moving):
-        raise SegmentationError(MOVES.format(what="nothing moves before it"))
+        raise SegmentationError(MOVES.format(what="nothing moves before it"), what="no-turntable")
     if watched.plain:
         center = np.median(moving, axis=0)
         radius_m = float(np.linalg.norm(moving - center, axis=1).max())
         return Turntable(None, center, WIDER * radius_m + MARGIN_M)
     turntable = _on_floor(watched, camera, moving)
     if np.median([turntable.lowest_m(depth_m, camera) for depth_m in depths_m]) > HANGS_M:
-        raise SegmentationError(MOVES.format(what="what moves hangs in the air"))
+        raise SegmentationError(MOVES.format(what="what moves hangs in the air"), what="no-turntable")
     return turntable
 
 
@@ -148,7 +148,9 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
 
     floor = _floor(watched, camera, moving)
     if floor is None:
-        raise SegmentationError(MOVES.format(what="no plane that it stands on was found around it"))
+        raise SegmentationError(
+            MOVES.format(what="no plane that it stands on was found around it"), what="no-turntable"
+        )
     local = transform_points(floor.T_floor_world, moving)
     ground = local[local[:, 2] > CLEAR_M, :2]
     (x, y), radius_m = cv2.minEnclosingCircle(ground.astype(np.float32))

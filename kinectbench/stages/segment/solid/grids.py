@@ -53,7 +53,8 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
             what, advice = "with its margin the given box", "give a smaller one, close around the object,"
         raise SegmentationError(
             f"{what} is {size_m[0]:.1f} x {size_m[1]:.1f} x {size_m[2]:.1f} m: too large for voxels of "
-            f"{voxel_size_m * 1000:.0f} mm; {advice} in benchmark.yaml, or larger voxels"
+            f"{voxel_size_m * 1000:.0f} mm; {advice} in benchmark.yaml, or larger voxels",
+            what="too-large",
         )
     nx, ny, nz = (int(n) * CUBE_VOXELS for n in blocks)
     turn = yaw_rotation(box.yaw_rad)

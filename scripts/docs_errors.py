@@ -1,0 +1,37 @@
+"""Write docs/errors.md, a table of the codes of all errors, from `kinectbench.core.error_codes`.
+
+.venv/bin/python scripts/docs_errors.py
+"""
+
+from pathlib import Path
+
+from kinectbench.core.error_codes import ERROR_CODES, KINDS
+
+PAGE = Path(__file__).parents[1] / "docs" / "errors.md"
+HEAD = """# Errors
+
+Every error has a code, which stays the same where its line is reworded. The line says what, where
+and what to do. In Python the code is `error.code`. `failed.json`, `build --json` and
+`build --status --json` have it as the key `code`. `build --verbose` shows it, and so does any command
+with KINECTBENCH_DEBUG=1. This page is made of `kinectbench/core/error_codes.py` by
+`scripts/docs_errors.py`.
+"""
+
+
+def page() -> str:
+    """The page: a section for each kind of error."""
+    made = HEAD
+    for kind, about in KINDS.items():
+        made += f"\n## {kind}\n\n{about}\n\n| code | meaning |\n| --- | --- |\n"
+        codes = {code: text for code, text in ERROR_CODES.items() if code.startswith(f"{kind}.")}
+        made += "".join(f"| `{code}` | {text} |\n" for code, text in codes.items())
+    return made
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
