@@ -2,7 +2,6 @@
 
 import ast
 import pickle
-import sys
 from pathlib import Path
 
 from kinectbench.core.error_codes import ERROR_CODES, KINDS
@@ -69,7 +68,6 @@ def test_codes_are_of_a_kind_and_in_order() -> None:
 
 
 def test_the_page_lists_them() -> None:
-    sys.path.insert(0, str(ROOT / "scripts"))
     from docs_errors import page
 
     assert page() == (ROOT / "docs" / "errors.md").read_text(encoding="utf-8"), "run scripts/docs_errors.py"

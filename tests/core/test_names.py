@@ -2,6 +2,7 @@
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
+from raising import raises
 
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.scores import OVERALL
@@ -49,7 +50,7 @@ def test_clashes_are_refused_wherever_names_are_read(first, second, said) -> Non
         ",".join((r, o, "000", c, "test", f"pairs/{r}/000.npz", "0" * 64, "")) for r, o, c in (first, second)
     ]
     targets = parse_targets("\n".join((",".join(COLUMNS), *rows, "")), "targets.csv")
-    with pytest.raises(ReleaseError, match=f"targets.csv: {said}"):
+    with raises(ReleaseError, "release.damaged", match=f"targets.csv: {said}"):
         check_names(targets, "targets.csv")
     recordings = [{"id": r, "path": "p", "object": o, "category": c} for r, o, c in (first, second)]
     with pytest.raises(ValidationError, match=said):
@@ -68,5 +69,5 @@ def test_names_that_go_together() -> None:
     ],
 )
 def test_of_a_threshold_file(thresholds: str, said: str) -> None:
-    with pytest.raises(ReleaseError, match=said):
+    with raises(ReleaseError, "release.damaged", match=said):
         ThresholdsFile.parse(f'{{"thresholds": {thresholds}}}', "thresholds.json")

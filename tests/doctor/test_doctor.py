@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from ingest_writers import BagWriter
 from numpy.typing import NDArray
+from raising import raises
 from slow import slow
 from small_benchmark import Run, small_spec
 from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of
@@ -165,7 +166,7 @@ def test_a_recording_of_the_benchmark_is_inspected_by_its_id(
 @pytest.mark.parametrize("name", ["swapped byte order", "65535 for none", "half-resolution intrinsics"])
 def test_a_build_does_not_begin_with_it(name: str, tmp_path: Path, command: Callable[..., Run]) -> None:
     refuse_hopeless(open_recording(CHAIR))
-    with pytest.raises(RecordingError, match=f"{WRONG[name][2]}.*kinectbench inspect"):
+    with raises(RecordingError, "recording.implausible", match=f"{WRONG[name][2]}.*kinectbench"):
         refuse_hopeless(open_recording(make_wrong(CHAIR, name, tmp_path / "wrong", 24)))
     yaml = "name: x\nrecordings: [{id: a, path: wrong, category: chair}]\n"
     (tmp_path / "benchmark.yaml").write_text(yaml)

@@ -222,7 +222,8 @@ def _given_up_for(
         kind, begun = StoreGoneError, min(since, _given_up.setdefault(host, since))
     return kind(
         f"{place}: the store did not answer well for {time.monotonic() - begun:.0f} s ({_reason(error)}); "
-        "run the same command again when it does: what was stored is kept"
+        "run the same command again when it does: what was stored is kept",
+        what="no-answer",
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from raising import raises
 
 from kinectbench.core.artefacts.benchmark import PublishStamp, ReleaseInfo
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
@@ -130,7 +131,7 @@ def test_a_release_older_than_some_keys() -> None:
 
 def test_another_format_is_told_before_its_keys() -> None:
     for content in ({"format_version": 2}, BENCHMARK | {"format_version": 2}, {}):
-        with pytest.raises(ReleaseError, match=r"^b\.json: format version (2|None); this package reads 1$"):
+        with raises(ReleaseError, "release.other-version", match=r"(2|None).*1"):
             ReleaseInfo.parse(json.dumps(content), "b.json")
 
 
@@ -145,7 +146,7 @@ def test_another_format_is_told_before_its_keys() -> None:
     ],
 )
 def test_what_is_wrong_is_named(text: str, part: str) -> None:
-    with pytest.raises(ReleaseError, match=f"^b.json: .*(?:{part}).*make or download it again$"):
+    with raises(ReleaseError, "release.damaged", match=f"(?:{part}).*make"):
         ReleaseInfo.parse(text, "b.json")
 
 
@@ -167,5 +168,5 @@ def test_checksums_name_the_release() -> None:
     second = BENCHMARK | {"benchmark_sha256_version": 2}
     covered = {key: value for key, value in second.items() if not key.endswith("benchmark_sha256")}
     assert benchmark_sha256(text, json.dumps(second)) == sha256_text(files + canonical_json(covered))
-    with pytest.raises(ReleaseError, match="line 1"):
+    with raises(ReleaseError, "release.damaged", match="line 1"):
         parse_sums(f"{'ab' * 32}  ../outside\n", "SHA256SUMS")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from raising import raises
 
 from kinectbench.core.artefacts.manifest import Failed, Manifest, SourceFile, Sources, Timing
 from kinectbench.core.errors import StorageError
@@ -58,5 +59,5 @@ def test_sources_are_one_line_whatever_the_files_are_called(tmp_path: Path) -> N
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"a": 5}', '{"a": [1, 2]}', '{"a": [1, "b", "c"]}'])
 def test_a_damaged_file_of_hashes_is_told(tmp_path: Path, text: str) -> None:
     (tmp_path / "sources.json").write_text(text)
-    with pytest.raises(StorageError, match=r"sources\.json: .*--force"):
+    with raises(StorageError, "storage.damaged", match=r"sources\.json: .*--force"):
         Sources.read(tmp_path)

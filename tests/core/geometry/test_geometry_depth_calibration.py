@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from analytic_scenes import MemoryFrames, health_of
 from ingest_writers import write_tum
+from raising import raises
 
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration
 from kinectbench.core.errors import StorageError
@@ -92,7 +93,9 @@ def test_an_older_trajectory_has_no_calibration(build):
 def test_another_calibration_is_refused(build, change):
     path = build / "trajectory" / StoredDepthCalibration.FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(StorageError, match=r"depth_calibration.json: .*; `kinectbench build --force`"):
+    with raises(
+        StorageError, "storage.damaged", match=r"depth_calibration.json: .*; `kinectbench build --force`"
+    ):
         read_tracked(build)
 
 

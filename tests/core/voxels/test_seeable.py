@@ -5,6 +5,7 @@ from dataclasses import replace
 import manifold3d
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import (
@@ -119,9 +120,9 @@ def test_what_wider_lines_see_does_not_grow_through_a_wall(walls: int) -> None:
 
 
 def test_a_mesh_that_has_no_seeable_solid() -> None:
-    with pytest.raises(ShapeError, match="no faces"):
+    with raises(ShapeError, "shape.no-solid", match="no faces"):
         seeable_solid(TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), np.eye(4), LIMITS)
-    with pytest.raises(ShapeError, match="below the plane"):
+    with raises(ShapeError, "shape.no-solid", match="below the plane"):
         seeable_solid(mesh_of(SEALED.translate([0, 0, -1])), np.eye(4), LIMITS)
 
 

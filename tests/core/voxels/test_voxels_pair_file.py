@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from references import shell_of
 
 from kinectbench.core.errors import PairError, StorageError
@@ -138,23 +139,23 @@ def store(arrays, path: Path) -> Path:
 )  # fmt: skip
 def test_wrong_values(stored, tmp_path: Path, name, value, message):
     path = store({**stored, name: value}, tmp_path / "007.npz")
-    with pytest.raises(PairError, match=rf"007\.npz.*{message}"):
+    with raises(PairError, "pair.malformed", match=rf"007\.npz.*{message}"):
         read_pair(path)
 
 
 @pytest.mark.parametrize("name", ["partial", "known", "K", "framing", "voxel_size_m"])
 def test_missing_keys(stored, tmp_path: Path, name):
     path = store({key: value for key, value in stored.items() if key != name}, tmp_path / "000.npz")
-    with pytest.raises(PairError, match=rf"000\.npz.*{name}.*missing"):
+    with raises(PairError, "pair.malformed", match=rf"000\.npz.*{name}.*missing"):
         read_pair(path)
 
 
 def test_several_missing_keys_and_none_at_all(tmp_path: Path):
-    with pytest.raises(PairError, match="partial, partial_256, full"):
+    with raises(PairError, "pair.malformed", match="partial_256"):
         read_pair(store({"x": np.zeros(3)}, tmp_path / "000.npz"))
-    with pytest.raises(PairError, match=r"none\.npz"):
+    with raises(PairError, "pair.malformed", match=r"none\.npz"):
         read_pair(tmp_path / "none.npz")
-    with pytest.raises(PairError, match=r"000\.npy"):
+    with raises(PairError, "pair.malformed", match=r"000\.npy"):
         np.save(tmp_path / "000.npy", np.zeros(3))
         read_pair(tmp_path / "000.npy")
 
@@ -193,7 +194,7 @@ def test_a_file_without_an_occupancy_rule_is_by_winding(pair, stored, tmp_path: 
     path.write_bytes(pair_bytes(replace(pair, occupancy_rule="six-rays")))
     assert read_pair(path).occupancy_rule == "six-rays"
     path.write_bytes(npz_bytes({**stored, "occupancy_rule": np.asarray(3)}))
-    with pytest.raises(PairError, match="'occupancy_rule' is not a text"):
+    with raises(PairError, "pair.malformed", match="'occupancy_rule'"):
         read_pair(path)
 
 
@@ -211,7 +212,7 @@ def test_a_file_that_does_not_tell_by_what_it_is_known(pair, stored, tmp_path: P
     assert keys_there(("known", "interior"), path.read_bytes()) == ["known"]
     assert keys_there(("said", "interior"), pair_bytes(pair)) == ["said", "interior"]
     path.write_bytes(npz_bytes({**stored, "said": np.zeros((256, 256, 16), np.uint8)}))
-    with pytest.raises(PairError, match=r"'said' is uint8\(256, 256, 16\)"):
+    with raises(PairError, "pair.malformed", match=r"uint8\(256.*256.*16\)"):
         read_pair(path)
 
 
