@@ -221,8 +221,8 @@ def _call() -> tuple[int, tuple[str, ...]]:
     except USAGE_ERRORS as error:
         return 2, _usage(error)
     except KinectBenchError as error:
-        code = (f"code: {error.code}",) if os.environ.get("KINECTBENCH_DEBUG") else ()
-        return error.exit_status, (*error.lines, *code)
+        code = f" ({error.code})" if os.environ.get("KINECTBENCH_DEBUG") else ""
+        return error.exit_status, (*error.lines[:-1], *(f"{line}{code}" for line in error.lines[-1:]))
     except Exception as error:
         check_interrupt()
         if os.environ.get("KINECTBENCH_DEBUG"):

@@ -319,10 +319,18 @@ def test_bad_masks(command: Command, one: Path, name: str) -> None:
 
 def test_a_lost_folder_of_masks_stops_a_build_at_its_start(command: Command, one: Path) -> None:
     shutil.rmtree(one / "build")
-    check_line(
-        command(one, "build", "--set", "recordings.chair.masks=masks/none"), 1, "no such folder of masks"
-    )
+    lost = ("build", "--set", "recordings.chair.masks=masks/none")
+    line = check_line(command(one, *lost), 1, "no such folder of masks")
+    assert check_line(command(one, *lost, "-v"), 1, "") == f"{line} (recording.not-found)"
     assert not list((one / "build").glob("chair/*/"))
+
+
+def test_the_code_of_an_error_is_shown_to_whoever_looks_for_its_cause(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = check_line(command(tmp_path, "build"), 2, "no such file")
+    monkeypatch.setenv("KINECTBENCH_DEBUG", "1")
+    assert check_line(command(tmp_path, "build"), 2, "") == f"{line} (settings.no-file)"
 
 
 def test_what_libraries_say_of_a_damaged_image_is_not_shown(tmp_path: Path) -> None:

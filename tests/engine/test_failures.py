@@ -111,7 +111,8 @@ def test_each_stage_that_failed_waits_for_a_change(
         again = built(root)
         assert (again.error, again.repeated) == (REASON, True)
     assert tried.of == []
-    assert json.loads((root / "build" / "chair" / "failed.json").read_text())["error"] == REASON
+    kept = json.loads((root / "build" / "chair" / "failed.json").read_text())
+    assert (kept["error"], kept["code"]) == (REASON, again.code) and again.code == first.code is not None
     changed = built(root, **OTHERS[stage])
     assert (changed.error, changed.repeated, tried.of[-1]) == (REASON, False, stage)
     tried.of.clear()

@@ -154,7 +154,12 @@ def test_a_recording_that_kills_its_process_fails_alone(small: Path, tmp_path: P
         outcomes[0].error is not None and "its process was killed although no other ran" in outcomes[0].error
     )
     kept = json.loads((tmp_path / "build" / "chair" / "failed.json").read_text())
-    assert kept == {"format_version": 1, "stage": None, "error": outcomes[0].error}
+    assert kept == {
+        "format_version": 1,
+        "stage": None,
+        "error": outcomes[0].error,
+        "code": "run.process-killed",
+    }
     assert outcomes[1].error is None and len(outcomes[1].current) == 6
     assert sorted(listener.ends) == ["chair", "table"]
     (warning,) = listener.warnings

@@ -220,7 +220,7 @@ def test_why_a_stage_failed_is_kept_for_the_page_until_it_succeeds(command: Comm
     assert result.status == 1
     told = result.err.splitlines()[0].removeprefix("chair: error: ")
     file = one / "build" / "chair" / "failed.json"
-    kept = {"format_version": 1, "stage": "segment", "error": told}
+    kept = {"format_version": 1, "stage": "segment", "error": told, "code": "segmentation.empty-box"}
     assert json.loads(file.read_text()).items() >= kept.items()
     page = one / "scores" / "index.html"
     assert f"The last build failed: segment: {told}" in html.unescape(page.read_text())

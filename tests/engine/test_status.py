@@ -39,6 +39,7 @@ def test_what_is_missing_failed_or_out_of_date_is_listed(
     shown = command(root, "build", "--status")
     assert shown.status == 3 and shown.out.endswith("1 of 2 done, 1 failed, 0 missing\n")
     assert "no such recording" in shown.out and "chair" not in shown.out
+    assert json.loads(command(root, "build", "--status", "--json").out)[1]["code"] == "recording.not-found"
 
 
 def test_a_forced_build_that_failed_is_told_though_the_earlier_result_is_there(
