@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from raising import raises
 
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import StorageError
@@ -176,7 +177,7 @@ def test_a_place_that_can_hold_no_file_is_told(tmp_path: Path) -> None:
         with pytest.raises(StorageError, match=f"{name}: {words}"), replaced_file(tmp_path / name) as part:
             part.write_text("new", encoding="utf-8")
     if Path("/proc/self").is_dir():  # where nothing can be made
-        with pytest.raises(StorageError, match="choose another place"), replaced_file(Path("/proc/a.html")):
+        with raises(StorageError, "storage.no-way"), replaced_file(Path("/proc/a.html")):
             pass
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "gone", "pipe"]
 
@@ -243,7 +244,7 @@ def test_a_full_disk_while_the_manifest_is_written(tmp_path: Path, monkeypatch: 
         return whole_write(self, *args, **kwargs)
 
     monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(StorageError, match="disk is full"):
+    with raises(StorageError, "storage.not-writable"):
         write(made, "new")
     monkeypatch.undo()
     assert made.is_current() and leftovers(tmp_path) == []

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from command_lines import ONE, check_line
 from distributed import Client, Future, LocalCluster
+from raising import raises
 from small_benchmark import Run, copied
 from small_benchmark import run as separate
 
@@ -114,9 +115,9 @@ def wrong(task: int, say: Say) -> int:
 
 def test_what_a_task_raises_comes_here(threads: tuple[LocalCluster, Cluster]) -> None:
     _, where = threads
-    with pytest.raises(ReleaseError, match="changed"):
+    with raises(ReleaseError, "release.damaged", match="changed"):
         list(where.outcomes(wrong, [1], Heard()))
-    with pytest.raises(ClusterError, match=r"a worker could not .*ZeroDivisionError.*every worker needs"):
+    with raises(ClusterError, "cluster.task-failed"):
         list(where.outcomes(wrong, [0], Heard()))
 
 
@@ -208,7 +209,7 @@ def test_a_scheduler_that_dies_is_told(tmp_path: Path) -> None:
             time.sleep(0.1)
         threading.Timer(2.0, scheduler.kill).start()
         with (
-            pytest.raises(ClusterError, match=r"scheduler\.json: lost the scheduler; start it again") as told,
+            raises(ClusterError, "cluster.lost", match=r"scheduler\.json") as told,
             cluster(str(file)) as found,
         ):
             list(found.outcomes(doubled, [1], Heard()))
@@ -221,7 +222,7 @@ def test_no_worker_is_waited_for_without_end(
     here, where = threads
     here.scale(0)
     monkeypatch.setattr(module, "NO_WORKERS_S", 2.0)
-    with pytest.raises(ClusterError, match=r"no worker for .* `dask worker`"):
+    with raises(ClusterError, "cluster.no-workers"):
         while True:
             list(where.outcomes(doubled, [1], Heard()))
 
@@ -232,9 +233,7 @@ def test_a_worker_of_another_version_is_refused(
     _, where = threads
     wanted = dict(cluster_run.package_versions()) | {"kinectbench": "9.9.9"}
     monkeypatch.setattr(cluster_run, "package_versions", lambda: wanted)
-    with pytest.raises(
-        ClusterError, match=r"the worker at .* has kinectbench .* and not 9\.9\.9; install"
-    ) as told:
+    with raises(ClusterError, "cluster.other-versions", match=r"9\.9\.9") as told:
         list(where.outcomes(doubled, [1], Heard()))
     assert len(told.value.lines) == 1
 
@@ -245,7 +244,7 @@ def test_a_worker_of_another_version_is_refused(
 )
 def test_what_is_no_address_is_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_S", 0.5)
-    with pytest.raises(SettingsError, match=r"--cluster .*: (no such file; )?give tcp://"), cluster(address):
+    with raises(SettingsError, "settings.wrong-value", match="--cluster"), cluster(address):
         pass
 
 
@@ -253,7 +252,7 @@ def test_what_is_no_address_is_refused(address: str, monkeypatch: pytest.MonkeyP
 def test_what_is_no_file_of_a_scheduler_is_refused(content: str, tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(content)
     file = str(tmp_path / "s.json")
-    with pytest.raises(SettingsError, match=r"s\.json: no file of a scheduler; give"), cluster(file):
+    with raises(SettingsError, "settings.wrong-value", match=r"s\.json"), cluster(file):
         pass
 
 
@@ -287,7 +286,7 @@ def test_a_port_that_takes_calls_and_is_silent(monkeypatch: pytest.MonkeyPatch) 
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with (
-            pytest.raises(ClusterError, match=r"no scheduler answers there .*said nothing for 3 s"),
+            raises(ClusterError, "cluster.no-answer", match="for 3 s"),
             cluster(address),
         ):
             pass
@@ -303,7 +302,7 @@ def test_a_scheduler_that_falls_silent_is_told(tmp_path: Path, monkeypatch: pyte
         try:
             while not file.is_file() or not file.read_text():
                 time.sleep(0.1)
-            with pytest.raises(ClusterError, match="lost the scheduler"), cluster(str(file)) as dask:
+            with raises(ClusterError, "cluster.lost", match="lost the scheduler"), cluster(str(file)) as dask:
                 dask.slots()
                 scheduler.send_signal(signal.SIGSTOP)
                 list(dask.outcomes(doubled, [1], Heard()))
@@ -376,5 +375,5 @@ class Killer:
 
 def test_a_score_whose_worker_is_killed_is_told(release: Release, tmp_path: Path) -> None:
     write_baselines(release, tmp_path / "predictions", ["partial"])
-    with pytest.raises(KinectBenchError, match=r"^killed on [a-z]+_\d+$"):
+    with raises(KinectBenchError, "run.process-killed"):
         score_methods(release, tmp_path / "predictions", tmp_path, jobs=Killer())

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.own_pixels import Masks
@@ -33,12 +34,12 @@ def test_what_lies_beside_a_mask_takes_nothing_from_it(own: str, beside: str, tm
 
 @pytest.mark.parametrize("names", [("3.png", "003.png"), ("000003.png", "000003.PNG")])
 def test_two_masks_of_one_frame_are_refused_by_name(names: tuple[str, ...], tmp_path: Path) -> None:
-    with pytest.raises(SegmentationError, match="are masks of one frame") as told:
+    with raises(SegmentationError, "segmentation.bad-mask") as told:
         masks_of(tmp_path / "masks", names)
     assert all(name in str(told.value) for name in names)
 
 
 @pytest.mark.parametrize("name", [f"{'9' * 200}.png", "000009.png", "3.jpg"])
 def test_names_of_no_frame(name: str, tmp_path: Path) -> None:
-    with pytest.raises(SegmentationError, match="holds no mask of a frame"):
+    with raises(SegmentationError, "segmentation.no-masks"):
         masks_of(tmp_path / "masks", (name,))

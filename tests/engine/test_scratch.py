@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import StorageError
 from kinectbench.engine.processes import CONTEXT
@@ -48,7 +49,7 @@ def test_what_killed_runs_left_goes_and_nothing_else(scratch: Path) -> None:
 def test_a_place_that_is_no_folder_is_told(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SCRATCH_VARIABLE, str(scratch / "none"))
     said = f"none: no such folder; make it, or correct {SCRATCH_VARIABLE}"
-    with pytest.raises(StorageError, match=said), scratch_folder():
+    with raises(StorageError, "storage.no-folder", match=said), scratch_folder():
         pass
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from raising import raises
 from small_benchmark import hashes
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import s3, s3_server
@@ -122,6 +123,6 @@ def test_an_artefact_beside_its_manifest_is_read(small: Path, tmp_path: Path, s3
     wanted = hashes(artefact.folder)
     assert hashes(tmp_path / "got") == wanted and (tmp_path / "one" / "pairs.json").is_file()
     store.put(f"{where}/pairs.json", b"{}")
-    with pytest.raises(StorageError, match=r"files are not those of its manifest\.json; remove the folder"):
+    with raises(StorageError, "storage.damaged", match=r"manifest\.json"):
         fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "cut"))
     assert not replace(artefact, folder=tmp_path / "cut").is_current()

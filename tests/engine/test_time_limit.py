@@ -11,6 +11,7 @@ from pathlib import Path, PosixPath
 from typing import Any
 
 import pytest
+from raising import raises
 from slow import slow
 from small_benchmark import Run, copied, hashes, leftovers
 from test_many_recordings import Listener
@@ -31,7 +32,7 @@ def test_what_takes_too_long_is_stopped_at_its_next_report() -> None:
     said: list[int] = []
     match = r"fuse: took longer than --time-limit 0\.3 \(seconds\)"
     with (
-        pytest.raises(TimeLimitError, match=match),
+        raises(TimeLimitError, "run.time-limit", match=match),
         time_limit(0.3, lambda stage, done, total: said.append(done)) as report,
     ):
         for done in range(100):

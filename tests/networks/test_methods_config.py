@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.networks.config import AdversarialSettings, MethodSettings, NetworkSettings
@@ -83,11 +84,9 @@ def test_what_is_no_configuration_is_told(tmp_path: Path, content: bytes) -> Non
 
 
 def test_a_configuration_that_is_not_there_is_told() -> None:
-    with pytest.raises(
-        SettingsError, match="nowhere: no such file, and no configuration of ours; valid here: 3d-epn, "
-    ):
+    with raises(SettingsError, "settings.wrong-value", match="3d-epn"):
         find_config("nowhere")
-    with pytest.raises(SettingsError, match="did you mean 'recae-small'"):
+    with raises(SettingsError, "settings.wrong-value", match="'recae-small'"):
         find_config("recae-smal")
 
 
@@ -102,7 +101,7 @@ def test_of_very_many_errors_some_are_shown(tmp_path: Path) -> None:
 def test_numbers_to_choose_from_are_told(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("name: a\nnetwork: {kind: 3d-recae, output_cells: 1.0e+99}\n")
-    with pytest.raises(SettingsError, match=r"output_cells: found 1e\+99; wanted .*64.*256"):
+    with raises(SettingsError, "settings.wrong-value", match=r"1e\+99.*.*64.*256"):
         read_config(path)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from small_benchmark import Run
 
 from kinectbench.core.errors import SettingsError
@@ -75,6 +76,6 @@ def test_it_is_trained_predicts_and_is_scored(command: Command, nets: Path, lear
     ],
 )
 def test_what_is_no_network_is_told_and_not_called(nets: Path, path: str, words: str) -> None:
-    with pytest.raises(SettingsError, match=words) as error:
+    with raises(SettingsError, "settings.wrong-value", match=words) as error:
         make_network(NetworkSettings(kind="own", class_path=path))
     assert len(error.value.lines) == 1 and "\n" not in str(error.value)

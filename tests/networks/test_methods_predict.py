@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from small_benchmark import Run
 from small_method import TINY
 from synthetic_release import Recordings, publish_synthetic
@@ -123,11 +124,11 @@ def test_what_is_there_of_another_release_is_not_mixed_with_it(
         predicting.predict(method, learning, tmp_path)
     path = tmp_path / "tiny" / "unfinished.json"
     path.write_text(path.read_text().replace(learning.benchmark_sha256, "0" * 64))
-    with pytest.raises(SettingsError, match="holds predictions for another release"):
+    with raises(SettingsError, "settings.other-content", match="predictions"):
         predicting.predict(method, learning, tmp_path)
     path.unlink()
     (tmp_path / "tiny" / "mine.npz").write_bytes(b"")
-    with pytest.raises(SettingsError, match="holds what `predict` did not write"):
+    with raises(SettingsError, "settings.other-content", match="`predict`"):
         predicting.predict(method, learning, tmp_path)
     assert (tmp_path / "tiny" / "mine.npz").exists()
 
@@ -210,7 +211,7 @@ def test_weights_that_do_not_fit_are_told(trained: Path, tmp_path: Path, name: s
         path.write_bytes(changed)
     elif changed is not None:
         write_weights(changed, path)
-    with pytest.raises(StorageError, match=words) as error:
+    with raises(StorageError, "storage.damaged", match=words) as error:
         open_trained(tmp_path / "run")
     assert str(path) in str(error.value)
 

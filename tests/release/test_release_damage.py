@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from damaged_releases import damages, try_damage
 from fuzz.releases import seal
+from raising import raises
 from synthetic_release import synthetic_settings
 from typer.testing import CliRunner
 
@@ -108,9 +109,9 @@ def test_a_file_that_is_damaged_itself_is_told_alike_in_a_folder_and_an_archive(
 def test_no_archive(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "release.zip"
     path.write_bytes(content)
-    with pytest.raises(ReleaseError, match=message):
+    with raises(ReleaseError, "release.damaged", match=message):
         verify(path)
-    with pytest.raises(ReleaseError, match="no release there"):
+    with raises(ReleaseError, "release.not-one", match="no release there"):
         verify(tmp_path / "elsewhere.zip")
 
 
@@ -118,11 +119,11 @@ def test_an_archive_of_something_else(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("one/SHA256SUMS", "")
         archive.writestr("two/SHA256SUMS", "")
-    with pytest.raises(ReleaseError, match="it holds several"):
+    with raises(ReleaseError, "release.not-one", match="several"):
         verify(tmp_path / "a.zip")
     with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
         archive.writestr("photo.jpg", "")
-    with pytest.raises(ReleaseError, match="it holds none"):
+    with raises(ReleaseError, "release.not-one", match="it holds none"):
         verify(tmp_path / "b.zip")
     assert verify(_with_neighbour(tmp_path / "c.zip")) == [
         "__MACOSX/x: beside the release's folder", "SHA256SUMS: missing; make or download it again"
@@ -154,5 +155,5 @@ def test_exports_of_a_public_part(parts: Path, tmp_path: Path) -> None:
     assert not {*TRUTH_KEYS, "occupancy_rule"} & set(np.load(io.BytesIO(sample["npz"])))
     (item,) = kinectbench.load(public.folder).split("test")
     assert set(kinectbench.decode_sample(sample)) == set(item) == {"pair_id", "partial", "meta"}
-    with pytest.raises(ReleaseError, match="the truth of the test split is held back"):
+    with raises(ReleaseError, "release.truth-held-back"):
         export_recgan(public, tmp_path / "theirs")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from small_benchmark import Run
 from synthetic_release import publish_synthetic
 from typer.testing import CliRunner
@@ -111,20 +112,20 @@ def test_their_own_files_become_a_release(tmp_path: Path):
     assert "`surface_sigma_m`, which is not known, is 0: do not use the surface Dice" in card
     assert pair.surface_sigma_m == 0
     (tmp_path / "in/P1_02828884_bench/test_125_3d_vox256/m_0_2_0.npz").unlink()
-    with pytest.raises(PairError, match=r"m_0_2_0\.npz: missing"):
+    with raises(PairError, "pair.missing-file", match=r"m_0_2_0\.npz"):
         import_recgan(tmp_path / "in", tmp_path / "out2")
     assert not (tmp_path / "out2").exists()
 
 
 def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
-    with pytest.raises(SettingsError, match="no P1_"):
+    with raises(SettingsError, "settings.no-file"):
         import_recgan(tmp_path, tmp_path / "new" / "out")
     assert not (tmp_path / "new").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("precious")
-    with pytest.raises(SettingsError, match="something else"):
+    with raises(SettingsError, "settings.other-content"):
         export_recgan(open_release(release), tmp_path / "mine")
-    with pytest.raises(SettingsError, match="something else"):
+    with raises(SettingsError, "settings.other-content"):
         import_recgan(exported, tmp_path / "mine")
     path = tmp_path / "bad.npz"
     for content in (
@@ -135,7 +136,7 @@ def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
         npz_bytes({"arr_0": np.zeros((600, 1, 1, 1), np.int8)}),
     ):
         path.write_bytes(content)
-        with pytest.raises(PairError, match=r"bad\.npz"):
+        with raises(PairError, "pair.malformed", match=r"bad\.npz"):
             read_recgan_file(path)
 
 
@@ -143,7 +144,7 @@ def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path):
     content = json.loads((exported / "export.json").read_text())
     content["pairs"][0]["recording"] = "../../up"
     (tmp_path / "export.json").write_text(json.dumps(content))
-    with pytest.raises(PairError, match="not safe"):
+    with raises(PairError, "pair.malformed", match="not safe"):
         import_recgan(tmp_path, tmp_path / "out")
 
 
@@ -162,9 +163,9 @@ def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path):
             path = tmp_path / f"in/P1_02828884_bench/{group}_{kind}_vox256/{model}_0_2_0.npz"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(recgan_file_bytes(cells))
-    with pytest.raises(SettingsError, match="test pairs of 125 and 216 views, which the paper scores apart"):
+    with raises(SettingsError, "settings.wrong-value", match="125 and 216"):
         import_recgan(tmp_path / "in", tmp_path / "both")
-    with pytest.raises(SettingsError, match="no test pairs of 50 views"):
+    with raises(SettingsError, "settings.wrong-value", match="of 50 views"):
         import_recgan(tmp_path / "in", tmp_path / "both", views=50)
     assert not (tmp_path / "both").exists()
     for views in (125, 216):

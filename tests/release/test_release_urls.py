@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from raising import raises
 from s3_server import free_port
 from small_benchmark import Run
 from stores import s3, s3_server
@@ -60,7 +61,7 @@ def test_without_obstore_one_line_says_what_to_install(
     if url.startswith("https") and words[0] == "gc":
         return  # a web server lists nothing
     assert wanted in said(command, tmp_path, *(word.format(url=url) for word in words))
-    with pytest.raises(SettingsError, match="needs obstore; run pip install"):
+    with raises(SettingsError, "settings.no-package", match="needs obstore; run pip install"):
         kinectbench.load(url)
 
 
@@ -78,10 +79,10 @@ def test_no_method_of_a_store_works_without_obstore(monkeypatch: pytest.MonkeyPa
         lambda: store.delete(["a"]),
     )
     for call in calls:
-        with pytest.raises(SettingsError, match="needs obstore; run pip install"):
+        with raises(SettingsError, "settings.no-package", match="needs obstore; run pip install"):
             call()
     # Before anything is published:
-    with pytest.raises(SettingsError, match=r"^--to s3://bucket/rel: needs obstore; run pip install"):
+    with raises(SettingsError, "settings.no-package", match="--to s3://bucket/rel"):
         store_at("s3://bucket/rel")
 
 
@@ -89,7 +90,7 @@ def test_no_method_of_a_store_works_without_obstore(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("endpoint", ["127.0.0.1:15555", "localhost", "http://", "ftp://host", "http://a b"])
 def test_an_endpoint_is_a_url(s3: str, monkeypatch: pytest.MonkeyPatch, endpoint: str, variable: str) -> None:
     monkeypatch.setenv(variable, endpoint)
-    with pytest.raises(SettingsError, match=rf"^{variable}=.*: must begin with http:// or https://"):
+    with raises(SettingsError, "settings.bad-environment", match=f"{variable}="):
         Store("s3://bucket/rel").read("a")
 
 
@@ -99,7 +100,7 @@ def test_a_panic_of_obstore_is_a_line() -> None:
     def call() -> None:
         raise panic("request valid: InvalidUri")
 
-    with pytest.raises(StorageError, match=r"^s3://b/a: obstore cannot work with it \(request valid"):
+    with raises(StorageError, "storage.bad-address", match="s3://b/a"):
         patiently("s3://b/a", call)
 
 
@@ -111,7 +112,7 @@ def test_a_store_that_does_not_answer_is_told_of_once(
     monkeypatch.setenv("KINECTBENCH_STORE_PATIENCE_S", "0.5")
     monkeypatch.setattr(attempts, "TELL_AFTER_S", after_s)
     for name in "ab":
-        with pytest.raises(StorageError, match="did not answer well"):
+        with raises(StorageError, "storage.no-answer"):
             Store(f"s3://told-{times}/rel").read(name)
     wanted = f"warning: s3://told-{times}/rel/a: the store does not answer well (Connection refused); trying"
     assert [message.startswith(wanted) for message in caplog.messages] == [True] * times
@@ -135,7 +136,7 @@ def test_a_url_without_a_bucket(command: Command, tmp_path: Path, words: tuple[s
 
 def test_loading_from_a_url_without_a_bucket() -> None:
     for url in ("s3://", "gs:///", "https://", "s3:///rel", "s3://@/rel", "http://:80/rel"):
-        with pytest.raises(SettingsError, match=r"^[a-z0-9]+://.*: no (bucket|host) in the URL"):
+        with raises(SettingsError, "settings.bad-url", match="[a-z0-9]+://"):
             kinectbench.load(url)
 
 
@@ -192,15 +193,13 @@ def test_where_a_path_is_wanted_a_url_makes_no_folder(
 
 
 def test_a_missing_bucket_is_called_so_by_load_too(s3: str) -> None:
-    with pytest.raises(
-        StorageError, match=r"^s3://nobucket/x/benchmark\.json: there is no such bucket; make"
-    ):
+    with raises(StorageError, "storage.no-bucket", match=r"s3://nobucket/x/benchmark\.json"):
         kinectbench.load("s3://nobucket/x")
 
 
 def test_places_without_a_release_keep_their_slashes(s3: str, tmp_path: Path) -> None:
     for url in (s3, f"file://{tmp_path}/none"):
-        with pytest.raises(KinectBenchError, match=f"^{url}: no release there"):
+        with raises(KinectBenchError, "release.not-one", match=f"{url}: no"):
             kinectbench.load(url)
 
 
@@ -211,7 +210,7 @@ def test_other_schemes_are_named(
 ) -> None:
     wanted = f"{scheme}:// is not supported; s3, gs, az, https, file are"
     assert wanted in said(command, tmp_path, *(word.format(url=f"{scheme}://a/b") for word in words))
-    with pytest.raises(SettingsError, match="is not supported; s3, gs"):
+    with raises(SettingsError, "settings.bad-url", match="supported; s3, gs"):
         kinectbench.load(f"{scheme}://a/b")
 
 

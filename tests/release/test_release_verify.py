@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from synthetic_release import resum, synthetic_pair
 
 from kinectbench.core.artefacts.targets import benchmark_sha256
@@ -174,7 +175,7 @@ def test_damaged_sums(copy: Path) -> None:
         assert verify(copy) == ["SHA256SUMS, line 1: longer than a file's name can be"]
     (copy / "SHA256SUMS").unlink()
     assert verify(copy) == ["SHA256SUMS: missing; make or download it again"]
-    with pytest.raises(ReleaseError, match="no release there"):
+    with raises(ReleaseError, "release.not-one"):
         verify(copy / "pairs")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from raising import raises
 from report_fake_build import parsed_tables
 from synthetic_release import RECORDINGS, ball, synthetic_settings, write_build
 
@@ -117,7 +118,7 @@ def hostile(kind: str) -> bytes:
 def test_a_strangers_file_is_one_line(tmp_path: Path, kind: str) -> None:
     (tmp_path / "scores.json").write_text("{}")
     (tmp_path / GALLERY).write_bytes(hostile(kind))
-    with pytest.raises(StorageError, match=re.escape(str(tmp_path / GALLERY))) as caught:
+    with raises(StorageError, "storage.damaged", match=re.escape(str(tmp_path / GALLERY))) as caught:
         read_gallery(tmp_path / "scores.json")
     assert "\n" not in str(caught.value)
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from analytic_scenes import health_of
 from known_builds import write_manifests
+from raising import raises
 from report_fake_build import parsed_tables, score, write_build, write_pairs, write_trajectory
 from rich.console import Console
 
@@ -194,7 +195,7 @@ def test_tables_with_nulls(settings: BenchmarkSettings, tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_score_table_is_one_line(change: dict, words: str) -> None:
-    with pytest.raises(StorageError, match=re.escape(words)) as caught:
+    with raises(StorageError, "storage.damaged", match=re.escape(words)) as caught:
         parsed_tables([score("a", 0.1) | change])
     assert "\n" not in str(caught.value)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from score_rows import row, table
 from small_benchmark import Run
 
@@ -82,9 +83,9 @@ def test_kinds_of_viewing_have_their_own_tables() -> None:
 
 def test_what_is_no_such_table_is_told() -> None:
     only_known = table("net", [row("chair", 0, 0, 0.5)])
-    with pytest.raises(SettingsError, match="net: not scored under 'paper'; score it again"):
+    with raises(SettingsError, "settings.other-scores", match="'paper'"):
         paper_tables([only_known])
-    with pytest.raises(SettingsError, match="net: some of its pairs are not scored; score it again"):
+    with raises(SettingsError, "settings.other-scores", match="scored; score"):
         paper_tables([scored("net", 0.2).model_copy(update={"complete": False})])
 
 

@@ -8,6 +8,7 @@ import analytic_release
 import numpy as np
 import pytest
 import trimesh
+from raising import raises
 from small_benchmark import Run
 
 from kinectbench.core.artefacts.method import MethodFile
@@ -234,7 +235,7 @@ def test_what_a_folder_lacks_is_said(published: Release, tmp_path: Path) -> None
 
 def test_scores_refuse_what_only_check_knows(published: Release, tmp_path: Path) -> None:
     folder = folder_of(published, tmp_path)
-    with pytest.raises(PredictionError, match="'frame' 'camera' is not supported yet"):
+    with raises(PredictionError, "prediction.malformed", match="'frame' 'camera'"):
         read_method(folder)
     (folder / "method.json").write_text(json.dumps({"name": "net"}))
     assert read_in_camera(folder) is None and read_method(folder) is not None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 from scipy import stats
 from score_rows import row, table
 
@@ -203,13 +204,13 @@ def test_refusals(name: str) -> None:
 
 def test_unknown_names_are_refused() -> None:
     tables = [method("good", 0.2, 3), method("bad", 0.1, 3)]
-    with pytest.raises(SettingsError, match="no metric 'iuo'"):
+    with raises(SettingsError, "settings.wrong-value", match="'iuo'"):
         compare(tables, metric="iuo")
-    with pytest.raises(SettingsError, match="not scored under 'paper'"):
+    with raises(SettingsError, "settings.not-scored", match="'paper'"):
         compare(tables, protocol="paper")
-    with pytest.raises(SettingsError, match="scored without 'chamfer_mm'"):
+    with raises(SettingsError, "settings.not-scored", match="'chamfer_mm'"):
         compare(tables, metric="chamfer_mm")
-    with pytest.raises(SettingsError, match="at least two"):
+    with raises(SettingsError, "settings.wrong-value", match="at least two"):
         compare(tables[:1])
 
 
@@ -231,10 +232,10 @@ def test_scores_are_read_back(tmp_path: Path) -> None:
     assert ScoreTable.read_file(tmp_path / "old.json").rows == made.rows  # older files stay readable
     for text in ("", "[]", "{}", '{"rows": 3}', json.dumps(content | {"rows": [{"iou": "1"}]})):
         (tmp_path / "wrong.json").write_text(text)
-        with pytest.raises(StorageError, match=r"wrong\.json"):
+        with raises(StorageError, "storage.damaged", match=r"wrong\.json"):
             ScoreTable.read_file(tmp_path / "wrong.json")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(SettingsError, match=r"no scores\.json there"):
+    with raises(SettingsError, "settings.no-file"):
         find_scores([tmp_path / "empty"])
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from raising import raises
 from test_scoring_believed import as_if_from_a_file, changed, older, write
 
 import kinectbench
@@ -185,7 +186,7 @@ REFUSED |= {
 def test_what_cannot_be_true_is_refused(net: Path, tmp_path: Path, name: str) -> None:
     edit, words = REFUSED[name]
     path = changed(net, tmp_path / "scores.json", lambda of: edit(of) and None)
-    with pytest.raises(StorageError, match=r"^\S*scores\.json: .*; score the predictions again$") as caught:
+    with raises(StorageError, "storage.damaged", match=r"\S*scores\.json") as caught:
         read_table(path)
     assert words in str(caught.value) and "\n" not in str(caught.value)
     assert all(character.isprintable() for character in str(caught.value))
@@ -263,7 +264,7 @@ SAID_OTHERWISE: dict[str, tuple[Edit, str]] = {
 def test_methods_agree_on_the_truth(net: Path, tmp_path: Path, name: str) -> None:
     edit, words = SAID_OTHERWISE[name]
     forged = read_table(changed(net, tmp_path / "scores.json", lambda of: edit(of) and None))
-    with pytest.raises(SettingsError, match=words):
+    with raises(SettingsError, "settings.other-scores", match=words):
         compare([read_table(net / "scores" / "scores.json"), forged])
 
 
@@ -317,7 +318,7 @@ def test_an_older_version_is_marked_and_has_its_own_page(net: Path, release: Rel
     path = changed(net, tmp_path / "scores.json", older)
     page, _ = page_of_release(release, [path], tmp_path / "page.html")
     assert "score version 3, now " in page.read_text(encoding="utf-8")
-    with pytest.raises(SettingsError, match="counted by score version"):
+    with raises(SettingsError, "settings.other-scores", match="counted"):
         page_of_release(release, [path, net / "scores" / "scores.json"], tmp_path / "page.html")
 
 

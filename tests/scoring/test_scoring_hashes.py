@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from blake3 import blake3
+from raising import raises
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.scoring import prediction_file
@@ -58,5 +59,5 @@ def test_a_file_that_changes_meanwhile_is_refused(
         return found
 
     monkeypatch.setattr(prediction_file, "_loaded", changes)
-    with pytest.raises(PredictionError, match="a/000: changed while it was read"):
+    with raises(PredictionError, "prediction.changed", match="a/000"):
         load_hashed(path, "a/000", VOXEL_M)

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from peak_memory import peak_mb
+from raising import raises
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.scoring.mesh_files import MAX_TRIANGLES, read_obj, read_ply
@@ -257,5 +258,5 @@ def test_a_mesh_is_closed_as_trimesh_says(seed: int, tmp_path: Path) -> None:
     if expected.is_watertight and expected.is_winding_consistent:
         assert load_prediction(tmp_path / "000.obj", "a", VOXEL_M).any()
         return
-    with pytest.raises(PredictionError, match="not closed"):
+    with raises(PredictionError, "prediction.open-mesh"):
         load_prediction(tmp_path / "000.obj", "a", VOXEL_M)

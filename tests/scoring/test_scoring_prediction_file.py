@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from raising import raises
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.scoring.prediction_file import load_prediction
@@ -179,7 +180,7 @@ def test_not_files(tmp_path: Path) -> None:
         ("001.npy", "not a plain file"),
         ("002.npy", "No such"),
     ):
-        with pytest.raises(PredictionError, match=message):
+        with raises(PredictionError, "prediction.unreadable", match=message):
             load_prediction(tmp_path / name)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
@@ -89,20 +90,20 @@ def test_split_methods(folder: Path, release: Release, tmp_path: Path) -> None:
     methods = split_methods(tmp_path / "all", release.targets)
     assert methods == {name: tmp_path / "all" / name for name in ("ours", "theirs")}
     (tmp_path / "all" / "linked").symlink_to(folder)
-    with pytest.raises(PredictionError, match="linked: a link out of the folder"):
+    with raises(PredictionError, "prediction.link"):
         split_methods(tmp_path / "all", release.targets)
 
 
 def test_no_predictions(release: Release, tmp_path: Path) -> None:
-    with pytest.raises(PredictionError, match="no predictions there; expected <recording>"):
+    with raises(PredictionError, "prediction.none"):
         split_methods(tmp_path, release.targets)
     (tmp_path / "chair_01").mkdir()
     (tmp_path / "chair_01" / "depth.png").touch()  # a recording
-    with pytest.raises(PredictionError, match="no predictions there; expected <recording>"):
+    with raises(PredictionError, "prediction.none"):
         split_methods(tmp_path, release.targets)
     for part in (".", "pairs"):
-        with pytest.raises(PredictionError, match="belongs to a release"):
+        with raises(PredictionError, "prediction.is-release"):
             split_methods(release.folder / part, release.targets)
     for function in (split_methods, find_predictions):
-        with pytest.raises(PredictionError, match="nowhere: no such folder"):
+        with raises(PredictionError, "prediction.no-folder"):
             function(tmp_path / "nowhere", release.targets)

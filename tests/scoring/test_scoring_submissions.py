@@ -16,6 +16,7 @@ import trimesh
 from bounds import within
 from hypothesis import given, settings
 from prediction_bytes import FILES, good_files, read_one
+from raising import raises
 
 from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import PredictionError, StorageError
@@ -111,7 +112,7 @@ def test_packed_bits(tmp_path: Path) -> None:
     np.save(tmp_path / "001.npy", np.asfortranarray(pack(grid[:16, :16, :16])))
     np.testing.assert_array_equal(load_prediction(tmp_path / "001.npy"), grid[:16, :16, :16])
     np.save(tmp_path / "002.npy", np.full((16, 16, 3), 255, np.uint8))
-    with pytest.raises(PredictionError, match=r"or bits \(n, n, n / 8\)"):
+    with raises(PredictionError, "prediction.malformed", match=r"/ 8\)"):
         load_prediction(tmp_path / "002.npy")
 
 
@@ -230,7 +231,7 @@ def test_a_folder_that_cannot_be_looked_into(
 
     monkeypatch.setattr(os, "scandir", refuse)
     for look in (split_methods, find_predictions):
-        with pytest.raises(PredictionError, match=r"_0[0-9]: cannot be looked into \(Permission denied\)"):
+        with raises(PredictionError, "prediction.unreadable", match="_0[0-9]"):
             look(folder, release.targets)
 
 
@@ -245,7 +246,7 @@ def test_what_is_no_plain_file_is_not_waited_for(kind: str, what: str, tmp_path:
     else:
         with socket.socket(socket.AF_UNIX) as bound:
             bound.bind(os.path.relpath(path))
-    with pytest.raises(PredictionError, match="not a plain file"):
+    with raises(PredictionError, "prediction.unreadable", match="plain file"):
         load_prediction(path, "a/000", VOXEL_M)
 
 
@@ -257,10 +258,10 @@ def test_names_that_are_not_for_methods(name: str, release: Release, tmp_path: P
     for method in (name, "other"):
         write_empty(release, tmp_path / "p" / method)
     if not name.startswith("."):
-        with pytest.raises(PredictionError, match=r"no name for a method: .*; rename its folder") as refused:
+        with raises(PredictionError, "prediction.bad-name", match=r"method: .*; rename") as refused:
             split_methods(tmp_path / "p", release.targets)
         assert "\x1b" not in str(refused.value)
-    with pytest.raises(PredictionError, match="no name for a method"):
+    with raises(PredictionError, "prediction.bad-name", match="no name for a method"):
         score_methods(release, tmp_path / "p" / "other", tmp_path / "s", method=name, surface=False)
     assert not (tmp_path / "s").exists()
     check_method("3D-RecGAN++")
@@ -329,7 +330,7 @@ def test_a_journal_that_is_no_plain_file_is_not_written(release: Release, tmp_pa
     {"a pipe": os.mkfifo, "a link": lambda to: to.symlink_to(outside), "a folder": Path.mkdir}[kind](path)
     result = count_job(job := Job(target, release.pair_path(target), None, None, Counting(("known",))))
     assert not isinstance(result, str)
-    with pytest.raises(StorageError, match="is no file that could be added to; remove it"):
+    with raises(StorageError, "storage.no-plain-file"):
         Journal(tmp_path).add(job, result)
     assert outside.read_text() == "mine"
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.errors import SettingsError
@@ -122,7 +123,7 @@ def test_threshold_file(tmp_path: Path) -> None:
     ],
 )
 def test_bad_threshold_files(content: object, message: str, tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match=message):
+    with raises(SettingsError, "settings.bad-thresholds", match=message):
         read_thresholds(write(tmp_path / "t.json", content), ["chair"], frozenset({"red"}))
 
 
@@ -138,9 +139,9 @@ def test_bad_threshold_files(content: object, message: str, tmp_path: Path) -> N
 )
 def test_malformed_threshold_files(text: bytes, tmp_path: Path) -> None:
     (tmp_path / "t.json").write_bytes(text)
-    with pytest.raises(SettingsError, match=r"t\.json: cannot be read as a threshold file"):
+    with raises(SettingsError, "settings.bad-thresholds", match=r"t\.json"):
         read_thresholds(tmp_path / "t.json", ["chair"], frozenset())
-    with pytest.raises(SettingsError, match=r"threshold file \(not a plain file but a folder\)"):
+    with raises(SettingsError, "settings.bad-thresholds", match=r"file \(not"):
         read_thresholds(tmp_path, ["chair"], frozenset())
-    with pytest.raises(SettingsError, match=r"none\.json: no such file$"):
+    with raises(SettingsError, "settings.no-file"):
         read_thresholds(tmp_path / "none.json", ["chair"], frozenset())

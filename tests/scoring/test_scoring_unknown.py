@@ -8,6 +8,7 @@ import jsonschema
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from raising import raises
 from rich.console import Console
 from synthetic_release import Recordings, shell_of, synthetic_pair, synthetic_settings, write_build
 
@@ -227,6 +228,6 @@ def test_where_nothing_is_left(tmp_path: Path) -> None:
     assert table.overall["known"].truth_unknown_share == 1 and table.overall["paper"].iou == 0.125
     jsonschema.validate(json.loads(table.text()), scores_schema())
     line = "known: 1 of 1 pairs is left out: nothing of the true shape is known there; there is nothing to"
-    with pytest.raises(SettingsError, match=line):
+    with raises(SettingsError, "settings.not-scored", match=line):
         compare([table, table])
     assert write_report(synthetic_settings(), None, [table], tmp_path / "page.html").is_file()

@@ -64,7 +64,7 @@ def track(
     T_given = poses_at(given, sequence.stamps_ns, settings.max_stamp_gap_s)
     posed = int(np.isfinite(T_given[:, 0, 0]).sum())
     if posed < MIN_GOOD_FRAMES:
-        raise TrackingError(_too_few_poses(sequence, posed))
+        raise TrackingError(_too_few_poses(sequence, posed), what="no-match")
     n = len(sequence)
     # Progress: the tracker counts every frame twice.
     rounds = 3 if mode == "refine" else 1

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_builds import CHAIR, FRAMES, T_WORLD_OBJECT, Known, chair, known_build, noisy
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import (
@@ -186,5 +187,5 @@ def test_unknown_labels(truth: Truth):
 
 def test_the_truth_of_another_recording(perfect: Known, truth: Truth):
     other = replace(truth, stamps_ns=truth.stamps_ns + 10**12)
-    with pytest.raises(RecordingError, match="truth of this recording"):
+    with raises(RecordingError, "recording.other-truth"):
         evaluate(perfect.build, other)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import every_frame
+from raising import raises
 from written_frames import BAGS, FOLDERS, SCALE, START_NS, STEP_NS, digests, frame, pose, read, write
 
 from kinectbench.core.errors import RecordingError
@@ -45,7 +46,7 @@ def test_a_cut_folder_has_a_damaged_last_depth_image(tmp_path: Path, name: str, 
 def test_a_short_recording_that_is_cut_gives_one_line(tmp_path: Path, name: str) -> None:
     out = write(tmp_path / "r", name, [frame(i) for i in range(5)])
     cut(out, 0.5)
-    with pytest.raises(RecordingError, match=r"\.png: the PNG .*\(1 of 5 frames cannot be used") as caught:
+    with raises(RecordingError, "recording.too-many-damaged", match=r"\(1.*5") as caught:
         write_sequence(open_recording(out), tmp_path / "s")
     assert "\n" not in str(caught.value)
 
@@ -78,11 +79,11 @@ def test_the_whole_chunks_of_a_cut_bag_are_saved(tmp_path: Path, name: str) -> N
         assert raw.stamp_ns == one.stamp_ns
         np.testing.assert_array_equal(raw.depth, one.depth_native(1000))
     cut(out, 0.9999)
-    with pytest.raises(RecordingError, match="nothing in it can be saved") as caught:
+    with raises(RecordingError, "recording.malformed", match="nothing") as caught:
         open_recording(out)
     assert "\n" not in str(caught.value)
 
 
 def test_what_has_no_depth_image_is_not_cut(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="has no depth image to cut off"):
+    with raises(RecordingError, "recording.no-depth"):
         cut(write(tmp_path / "r", "tum", []), 0.5)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from object_checks import check_closed, closed
+from raising import raises
 from scipy.spatial import ConvexHull
 from slow import first
 
@@ -250,7 +251,7 @@ def test_parse_object():
     ],
 )
 def test_parse_object_refuses(text, says):
-    with pytest.raises(SettingsError, match=says):
+    with raises(SettingsError, "settings.wrong-value", match=says):
         parse_object(text)
 
 
@@ -269,5 +270,5 @@ def test_contact_sheets_are_written(tmp_path):
     assert [path.name for path in paths] == [f"{family}.png" for family in families()]
     assert cv2.imread(str(paths[0])).shape == (62, 160, 3)
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="choose another folder"):
+    with raises(StorageError, "storage.not-writable"):
         write_contact_sheets(tmp_path / "file", count=1, size_px=20)

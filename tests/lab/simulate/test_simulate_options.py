@@ -1,6 +1,7 @@
 """Presets and `--set` to a spec, and one line for every wrong word."""
 
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
@@ -54,5 +55,5 @@ def test_wrong_overrides_get_one_line(override, says):
 
 
 def test_an_unknown_preset_gets_the_nearest():
-    with pytest.raises(SettingsError, match="did you mean 'orbit-v1'"):
+    with raises(SettingsError, "settings.wrong-value", match="'orbit-v1'"):
         preset_spec("orbit", {}, [])

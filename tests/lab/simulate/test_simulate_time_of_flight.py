@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Camera
@@ -207,9 +208,9 @@ def test_images_have_the_sensors_own_size_unless_it_is_said():
     assert camera(model="phone_lidar", width=512).height == 192
     spec = SimulationSpec.model_validate({"sensor": {"model": "phone_lidar"}})
     assert SimulationSpec.model_validate_json(spec.model_dump_json()) == spec
-    with pytest.raises(SettingsError, match="one of kinect_v1, ideal, azure_kinect, phone_lidar"):
+    with raises(SettingsError, "settings.wrong-value", match="kinect_v1, ideal, azure_kinect, phone_lidar"):
         preset_spec("orbit-v1", {}, ["sensor.model=azure"])
-    with pytest.raises(SettingsError, match=r"sensor\.model"):
+    with raises(SettingsError, "settings.wrong-value", match=r"sensor\.model"):
         preset_spec("orbit-v1", {}, ["sensor.model=[1]"])
     assert {name: sensor.min_range_m for name, sensor in SENSORS.items()} == {
         name: MIN_RANGE_M[name] for name in SENSORS

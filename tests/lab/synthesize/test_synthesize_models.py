@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from raising import raises
 from synthesis_shapes import asymmetric, mesh_of, open_box, write_shapenet
 
 from kinectbench.core.errors import SettingsError, ShapeError
@@ -63,11 +64,11 @@ def test_what_is_left_out_at_first_sight(tmp_path: Path):
 
 
 def test_no_models(tmp_path: Path):
-    with pytest.raises(SettingsError, match="no folder of models there"):
+    with raises(SettingsError, "settings.no-file", match="no folder"):
         folder_models(tmp_path / "none", ())
-    with pytest.raises(SettingsError, match="no models there"):
+    with raises(SettingsError, "settings.no-file", match="no models"):
         folder_models(tmp_path, ())
-    with pytest.raises(SettingsError, match="no sofa there; it holds chair, table"):
+    with raises(SettingsError, "settings.no-file", match="chair, table"):
         folder_models(write_shapenet(tmp_path), ["sofa"])
 
 
@@ -78,7 +79,7 @@ def test_families_and_synsets():
     ]  # fmt: skip
     # Without a word, furniture only, whatever else the simulator can draw.
     assert [model.category for model in family_models([], 1)] == ["bench", "chair", "couch", "table"]
-    with pytest.raises(SettingsError, match="did you mean 'chair'"):
+    with raises(SettingsError, "settings.wrong-value", match="'chair'"):
         family_models(["chari"], 1)
     assert (synset_of("couch"), synset_of("stool")) == ("04256520", "00000000")
 
@@ -122,7 +123,7 @@ def test_other_meshes_are_filled_by_the_authors_rule():
     ],
 )
 def test_bad_meshes(mesh: TriangleMesh, reason: str):
-    with pytest.raises(ShapeError, match=reason):
+    with raises(ShapeError, "shape.bad-mesh", match=reason):
         check_mesh(mesh, 100)
 
 

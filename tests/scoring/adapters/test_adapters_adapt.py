@@ -17,6 +17,7 @@ from analytic_release import (
     is_ball,
     surface_distance_m,
 )
+from raising import raises
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError, SettingsError
@@ -155,14 +156,14 @@ def test_what_cannot_be_used_is_said_and_the_rest_is_adapted(published: Release,
 
 
 def test_nothing_that_can_be_used(published: Release, tmp_path: Path) -> None:
-    with pytest.raises(PredictionError, match="no such folder"):
+    with raises(PredictionError, "prediction.no-folder"):
         adapt(published, "octmae", tmp_path / "nowhere", tmp_path / "out")
-    with pytest.raises(PredictionError, match=r"no <recording>/<view>/output\.pts of the benchmark's views"):
+    with raises(PredictionError, "prediction.none", match=r"<view>/output\.pts"):
         adapt(published, "octmae", tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("dear")
-    with pytest.raises(SettingsError, match="holds something else"):
+    with raises(SettingsError, "settings.other-content"):
         adapt(published, "octmae", tmp_path, tmp_path / "mine")
 
 
@@ -173,10 +174,10 @@ def test_outputs_of_another_release_or_method_are_refused(
     target = published.targets[0]
     folder = tmp_path / "in" / target.recording / target.view
     fake("rayst3r", target, folder)
-    with pytest.raises(PredictionError, match=r"camera\.json: of another release; export this one"):
+    with raises(PredictionError, "prediction.none", match=r"camera\.json"):
         adapt(release, "rayst3r", tmp_path / "in", tmp_path / "out")
     shutil.copy(folder / "inference_points.ply", folder / "output.pts")
-    with pytest.raises(PredictionError, match=r"not of `export --layout rgbd --for octmae`; export again"):
+    with raises(PredictionError, "prediction.none", match="`export --layout rgbd --for octmae`"):
         adapt(published, "octmae", tmp_path / "in", tmp_path / "out")
 
 

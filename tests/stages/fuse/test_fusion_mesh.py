@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from object_checks import closed
+from raising import raises
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import (
@@ -124,5 +125,5 @@ def test_damaged_ply(tmp_path: Path, damage: str):
         path.unlink()
     else:
         path.write_bytes({"empty": b"", "text": b"hello", "cut": whole[: len(whole) // 2]}[damage])
-    with pytest.raises(StorageError, match=r"mesh\.ply.*--force"):
+    with raises(StorageError, "storage.damaged", match=r"mesh\.ply.*--force"):
         read_own_ply(path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from raising import raises
 from test_ingest_untrusted_bags import A_TOPIC, MESSAGES, TOPICS, database
 
 from kinectbench.core import untrusted
@@ -51,7 +52,7 @@ def test_a_folder_of_bombs_has_the_budget_of_one(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(
         rosbag2, "copy_bounded", lambda s, t, most: (usual(s, t, most), written.append(t.tell()))
     )
-    with pytest.raises(RecordingError, match=r"which no bag of its size does|nothing in it can be saved"):
+    with raises(RecordingError, "recording.malformed", match=r"bag of its size|can be saved"):
         open_recording(tmp_path / "r")
     assert sum(written) <= (2 << 20) + 100 * 24 * len(bomb) and written
     assert not any((tmp_path / "t").iterdir())
@@ -60,7 +61,7 @@ def test_a_folder_of_bombs_has_the_budget_of_one(tmp_path: Path, monkeypatch: py
 def test_a_bag_has_a_thousand_files_at_most(tmp_path: Path) -> None:
     for number in range(rosbag2.MOST_FILES + 1):
         (tmp_path / f"a_{number}.mcap").write_bytes(rosbag2_mcap.MAGIC)
-    with pytest.raises(RecordingError, match="more than the 1000 files that a bag may have"):
+    with raises(RecordingError, "recording.too-large", match="1000"):
         open_recording(tmp_path)
 
 
@@ -79,7 +80,7 @@ def test_chunks_are_not_unpacked_for_each_message(tmp_path: Path, monkeypatch: p
         assert all(reader(place) == b"\0" for place in in_order)
     assert len(unpacked) <= 10
     unpacked.clear()
-    with pytest.raises(RecordingError, match="messages of one time lie in chunks far apart"):
+    with raises(RecordingError, "recording.malformed", match="messages"):
         for _ in range(5):
             for place in (in_order[index // 2 + 50 * (index % 2)] for index in range(100)):
                 reader(place)

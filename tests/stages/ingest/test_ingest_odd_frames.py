@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from ingest_writers import HEIGHT, WIDTH, depth_image, jpeg, png, write_folder
 from numpy.typing import NDArray
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Diagnosis, inspect
@@ -71,7 +72,7 @@ def test_npz_without_one_image_is_named_with_its_keys(
     tmp_path: Path, arrays: dict[str, Image], words: str
 ) -> None:
     folder = recorded(tmp_path / "r", ".npz", [npz(**arrays)] * 4)
-    with pytest.raises(RecordingError, match=words):
+    with raises(RecordingError, "recording.no-frame", match=words):
         open_recording(folder)
     assert "unreadable" in {found.name for found in inspect(folder)[0].findings}
 
@@ -112,7 +113,7 @@ def test_several_frames_of_another_kind_stop_build_and_inspect(tmp_path: Path, n
     suffix, odd, words = ODD[name]
     right = [npy(metres(i)) if suffix == ".npy" else png(depth_image(i, 1000.0)) for i in range(24)]
     folder = recorded(tmp_path / "r", suffix, [*right[:7], odd, odd, *right[9:]])
-    with pytest.raises(RecordingError, match=rf"{words}.*2 of 24 frames cannot be used"):
+    with raises(RecordingError, "recording.too-many-damaged", match=rf"{words}.*2 of 24"):
         write_sequence(open_recording(folder), tmp_path / "out")
     diagnosis, severities = looked_over(folder)
     assert severities == ["stops"] and diagnosis.stops
@@ -123,7 +124,7 @@ def test_colour_of_another_size_stops_build_and_inspect(tmp_path: Path) -> None:
     small = np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.uint8)
     for number in range(7, 12):
         (tmp_path / f"r/color/{number}.jpg").write_bytes(jpeg(small))
-    with pytest.raises(RecordingError, match=r"its colour is .*5 of 24 frames cannot be used"):
+    with raises(RecordingError, "recording.too-many-damaged", match="5 of 24"):
         write_sequence(open_recording(tmp_path / "r"), tmp_path / "out")
     diagnosis, _ = inspect(tmp_path / "r")
     assert diagnosis.stops and any("its colour is" in found.what for found in diagnosis.findings)

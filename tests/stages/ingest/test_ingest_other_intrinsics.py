@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import CX, CY, FX, FY, color_image, jpeg, png, write_seven_scenes
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
@@ -149,7 +150,7 @@ def test_the_info_of_scannets_tools_is_read(tmp_path: Path, name: str) -> None:
     assert recording.color_calibration is not None and not recording.color_registered
     assert recording.color_calibration.camera == Camera(128, 96, 120.0, 122.0, 63.0, 47.0)
     (folder / name).write_text(info(width=640))
-    with pytest.raises(RecordingError, match="are for 640x48 images"):
+    with raises(RecordingError, "recording.bad-intrinsics", match="640x48"):
         open_recording(folder)
     for wrong in (info("0"), info("many"), info().replace("m_depthShift = 1000", "m_depthShift = -1")):
         (folder / name).write_text(wrong)
@@ -160,7 +161,7 @@ def test_the_info_of_scannets_tools_is_read(tmp_path: Path, name: str) -> None:
 def test_another_info_is_none(tmp_path: Path) -> None:
     folder = bare(tmp_path)
     (folder / "info.txt").write_text("recorded in the kitchen")
-    with pytest.raises(RecordingError, match="does not say its intrinsics"):
+    with raises(RecordingError, "recording.no-intrinsics"):
         open_recording(folder)
 
 

@@ -3,10 +3,10 @@
 import struct
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from raising import raises
 
 from kinectbench.stages.ingest.bags.rvl import decode_rvl, encode_rvl
 from kinectbench.stages.ingest.images import DamagedImageError
@@ -70,7 +70,7 @@ def test_what_is_damaged_is_said_or_has_the_right_size(
 
 
 def test_an_impossible_size_allocates_nothing() -> None:
-    with pytest.raises(DamagedImageError, match="4294967295x4294967295"):
+    with raises(DamagedImageError, "recording.damaged-image", match="4294967295x4294967295"):
         decode_rvl(b"\xff" * 8 + bytes(40), "r")
-    with pytest.raises(DamagedImageError, match="cut off after 3 bytes"):
+    with raises(DamagedImageError, "recording.damaged-image", match="after 3 bytes"):
         decode_rvl(b"abc", "r")

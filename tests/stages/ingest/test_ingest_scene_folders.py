@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, color_image, depth_image, jpeg, png, write_folder
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -166,7 +167,7 @@ def test_a_plain_folder_with_a_file_of_each_pose(tmp_path: Path, name: str) -> N
 def test_a_plain_folder_with_a_matrix_by_any_usual_name(tmp_path: Path, name: str) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "camera_intrinsic.json").unlink()
-    with pytest.raises(RecordingError, match="does not say its intrinsics"):
+    with raises(RecordingError, "recording.no-intrinsics"):
         open_recording(folder)
     np.savetxt(folder / name, K)
     assert open_recording(folder).camera.fx == FX

@@ -24,6 +24,7 @@ from ingest_writers import (
     write_seven_scenes,
     write_tum,
 )
+from raising import raises
 
 from kinectbench.core.errors import RecordingError, StorageError, TrackingError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
@@ -113,7 +114,7 @@ def test_cleaned_depth_is_what_is_stored(tmp_path: Path) -> None:
 def test_damaged_sequence_folder(tmp_path: Path, file: str, damage: str, message: str) -> None:
     ingest(write_tum(tmp_path / "r"))
     (tmp_path / "sequence" / file).write_text(damage)
-    with pytest.raises(StorageError, match=f"(?s){message}.*run `kinectbench ingest` again"):
+    with raises(StorageError, "storage.damaged", match=f"(?s){message}.*run `kinectbench ingest`"):
         read_sequence(tmp_path / "sequence")
 
 
@@ -122,9 +123,9 @@ def test_damaged_images_in_a_sequence_folder(tmp_path: Path) -> None:
     sequence = read_sequence(tmp_path / "sequence")
     (tmp_path / "sequence/depth/000000.kbd").write_bytes(b"")
     (tmp_path / "sequence/depth/000001.kbd").unlink()
-    with pytest.raises(StorageError, match=r"000000\.kbd: is damaged"):
+    with raises(StorageError, "storage.damaged", match=r"000000\.kbd"):
         sequence.frames.depth_native(0)
-    with pytest.raises(StorageError, match=r"000001\.kbd: cannot be read"):
+    with raises(StorageError, "storage.damaged", match=r"000001\.kbd"):
         sequence.frames.depth_native(1)
 
 
@@ -212,14 +213,14 @@ def test_the_first_error_is_told(tmp_path: Path, threads: int) -> None:
     folder = write_tum(tmp_path / "r", frames=12)
     (folder / "rgb/3.jpg").write_bytes(jpeg(color_image(3)[::2, ::2]))
     (folder / "depth/5.png").write_bytes(png(depth_image(5)[:, :32]))
-    with using_threads(threads), pytest.raises(RecordingError, match="its colour is 32x24"):
+    with using_threads(threads), raises(RecordingError, "recording.malformed", match="32x24"):
         write_sequence(beside(open_recording(folder)), tmp_path / "s")
 
 
 def test_many_damaged_frames_are_refused(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r", frames=20)
     cut_in_half(folder / "depth/7.png")
-    with pytest.raises(RecordingError, match=r"depth/7\.png: the PNG is cut off .*\(1 of 20 frames"):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/7\.png.*.*\(1.*20"):
         ingest(folder)
 
 
@@ -231,27 +232,23 @@ def replace(folder: Path, index: int, data: bytes) -> Path:
 def test_depth_that_is_not_16_bit_grey(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r")
     picture = (depth_image(0) // 256).astype(np.uint8)
-    with pytest.raises(RecordingError, match=r"depth/2\.png: depth is 8-bit \(uint8\) with 1 channel"):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/2\.png.*8-bit.*1"):
         ingest(replace(folder, 2, png(picture)))
-    with pytest.raises(
-        RecordingError, match=r"depth/2\.png: depth is 16-bit \(uint16\) with several channels"
-    ):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/2\.png.*16-bit.*\(uint16\)"):
         ingest(replace(folder, 2, png(np.dstack([depth_image(0)] * 3))))
     for i in range(5):
         replace(folder, i, jpeg(picture))
-    with pytest.raises(
-        RecordingError, match=r"depth/0\.png: is not a PNG image; depth must be a 16-bit grey PNG"
-    ):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/0\.png.*16-bit"):
         ingest(folder)
 
 
 def test_sizes_that_do_not_agree(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r")
-    with pytest.raises(RecordingError, match=r"3\.png: depth is 32x48, but the first frame's is 64x48"):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"3\.png.*32x48.*64x48"):
         ingest(replace(folder, 3, png(depth_image(3)[:, :32])))
     replace(folder, 3, png(depth_image(3)))
     (folder / "rgb/1.jpg").write_bytes(jpeg(np.zeros((96, 128, 3), np.uint8)))
-    with pytest.raises(RecordingError, match=r"colour is 128x96, but its depth is 64x48.*registered"):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"128x96.*64x48.*registered"):
         ingest(folder)
 
 
@@ -272,7 +269,7 @@ def test_absurd_depth_scale(tmp_path: Path, wrong: float, median: str) -> None:
     message = (
         rf"r: the median depth is {median} m at {wrong:g} native .*units a metre; at 5000 it would be 1\.17 m"
     )
-    with pytest.raises(RecordingError, match=message):
+    with raises(RecordingError, "recording.bad-depth-scale", match=message):
         ingest(folder, CameraSettings(depth_scale=wrong))
 
 
@@ -284,12 +281,12 @@ def test_empty_depth(tmp_path: Path) -> None:
     ]
     for i in range(5):
         replace(folder, i, empty)
-    with pytest.raises(RecordingError, match=r"depth/0\.png: this and all 5 depth images are empty"):
+    with raises(RecordingError, "recording.empty-depth", match=r"depth/0\.png.*5"):
         ingest(folder)
 
 
 def test_too_few_frames(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="r: usable frames: 2; at least 3 are needed"):
+    with raises(RecordingError, "recording.too-few-frames", match="2; at least 3"):
         ingest(write_tum(tmp_path / "r", frames=2))
 
 
@@ -298,7 +295,7 @@ def test_trajectory_of_another_time(tmp_path: Path) -> None:
     (folder / "groundtruth.txt").write_text("10 0 0 0 0 0 0 1\n12.5 0 0 0 0 0 0 1\n")
     first, last = seconds(START_NS), seconds(START_NS + 4 * STEP_NS)
     message = rf"\(10\.000000000 to 12\.500000000 s\) shares no time with the frames \({first} to {last} s\)"
-    with pytest.raises(RecordingError, match=message):
+    with raises(RecordingError, "recording.bad-poses", match=message):
         ingest(folder)
 
 
@@ -307,7 +304,7 @@ def test_a_broken_trajectory_can_be_ignored(tmp_path: Path, row: str) -> None:
     folder = write_tum(tmp_path / "r")
     (folder / "groundtruth.txt").write_text(row + "\n")
     recording = open_recording(folder)
-    with pytest.raises(RecordingError, match="`trajectory: ignore` does without it"):
+    with raises(RecordingError, "recording.bad-poses", match="`trajectory: ignore`"):
         write_sequence(recording, tmp_path / "strict")
     (warning,) = write_sequence(recording, tmp_path / "s", needs_trajectory=False)
     assert (warning.endswith("it is ignored") and "trajectory" in warning) or "groundtruth" in warning
@@ -315,7 +312,7 @@ def test_a_broken_trajectory_can_be_ignored(tmp_path: Path, row: str) -> None:
     assert sequence.given_trajectory is None
     # It was ignored because that was asked for; whoever now asks for it is told.
     for mode in (None, "trust", "refine"):
-        with pytest.raises(TrackingError, match=re.escape(sequence.trajectory_error)):
+        with raises(TrackingError, "tracking.bad-given", match=re.escape(sequence.trajectory_error)):
             track(sequence, mode, TrackingSettings())
 
 

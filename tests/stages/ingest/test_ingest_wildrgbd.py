@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, color_image, depth_image, png
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -70,7 +71,7 @@ def test_parts_that_are_missing_or_too_many(tmp_path: Path) -> None:
     assert open_recording(folder).given_trajectory is None
     for file in (folder / "depth").iterdir():
         file.unlink()
-    with pytest.raises(RecordingError, match=r"holds no image 00000\.png"):
+    with raises(RecordingError, "recording.no-depth", match=r"00000\.png"):
         open_recording(folder)
 
 
@@ -81,7 +82,7 @@ def test_a_mask_of_another_size_or_none_damages_its_frame_only(
     folder = wildrgbd(tmp_path / "r")
     (folder / "masks/00001.png").write_bytes(b"no image" if mask is None else png(mask))
     recording = open_recording(folder)
-    with pytest.raises(DamagedImageError, match=r"masks/00001\.png: "):
+    with raises(DamagedImageError, "recording.damaged-image", match=r"masks/00001\.png: "):
         recording.frame(1)
     assert recording.frame(2).mask is not None
 
@@ -125,7 +126,7 @@ def test_a_wrong_metadata(tmp_path: Path, change: dict[str, object], why: str) -
     with pytest.raises(RecordingError, match=why):
         open_recording(folder)
     (folder / "metadata").write_text("{")
-    with pytest.raises(RecordingError, match="is not valid JSON"):
+    with raises(RecordingError, "recording.malformed", match="valid JSON"):
         open_recording(folder)
 
 

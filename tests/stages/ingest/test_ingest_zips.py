@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ingest_writers import CAMERA, color_image, depth_image, every_frame, jpeg, png
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -63,7 +64,7 @@ def test_the_size_of_a_primesense_tells_its_intrinsics(tmp_path: Path) -> None:
         archive.writestr("rgb/0000001-000000000000.jpg", jpeg(np.zeros((480, 640, 3), np.uint8)))
     camera = open_recording(tmp_path / "r.zip").camera
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (525.0, 525.0, 319.5, 239.5)
-    with pytest.raises(RecordingError, match="does not say its intrinsics"):
+    with raises(RecordingError, "recording.no-intrinsics"):
         open_recording(redwood(tmp_path / "s.zip"))
 
 
@@ -74,7 +75,7 @@ def test_of_very_many_damaged_images_the_first_are_tried(
     with zipfile.ZipFile(tmp_path / "r.zip", "w") as archive:
         for i in range(5):
             archive.writestr(f"depth/{i + 1:07d}-{i * STEP_US:012d}.png", b"")
-    with pytest.raises(RecordingError, match="none of the first 3 depth images is usable"):
+    with raises(RecordingError, "recording.no-frame", match="first 3 depth"):
         open_recording(tmp_path / "r.zip", SMALL)
 
 
@@ -84,14 +85,14 @@ def test_members_that_are_missing_or_wrong(tmp_path: Path) -> None:
         None,
         (f"{tmp_path / 'a.zip'}: 1 of 4 depth frames have no colour frame within 20 ms",),
     )
-    with pytest.raises(RecordingError, match="holds no depth/ images, only colour"):
+    with raises(RecordingError, "recording.no-depth"):
         open_recording(redwood(tmp_path / "b.zip", without="depth/"))
     with zipfile.ZipFile(redwood(tmp_path / "c.zip", without="depth/0000001"), "a") as archive:
         archive.writestr("depth/0000001-000000000000.png", b"no image")
         archive.writestr("depth/notes.txt", b"x")
     recording = open_recording(tmp_path / "c.zip", SMALL)
     assert len(recording) == 4
-    with pytest.raises(DamagedImageError, match="is not a PNG image"):
+    with raises(DamagedImageError, "recording.damaged-image", match="PNG image"):
         recording.frame(0)
     with zipfile.ZipFile(tmp_path / "d.zip", "w") as archive:
         archive.writestr("readme.txt", b"x")
@@ -104,7 +105,7 @@ def test_an_archive_cut_off_at_every_tenth_is_refused_in_one_line(tmp_path: Path
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * tenth // 10])
     assert format_of(path) == "redwood_zip"
-    with pytest.raises(RecordingError, match="the archive is cut off or damaged") as error:
+    with raises(RecordingError, "recording.malformed", match="archive") as error:
         open_recording(path, SMALL)
     assert "\n" not in str(error.value)
 

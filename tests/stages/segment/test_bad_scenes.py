@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from analytic_scenes import box, health_of, ring
 from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, table_of
+from raising import raises
 
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
@@ -151,7 +152,7 @@ def test_a_person_walking_through():
 @pytest.mark.parametrize("beside", [[], [box((0.9, 0.5, 0), (1.2, 0.8, 0.4))]])
 def test_an_object_without_depth(beside):
     """Nothing where the cameras look; with clutter, that is not taken for the object."""
-    with pytest.raises(SegmentationError, match=r"no object found.*gives no depth"):
+    with raises(SegmentationError, "segmentation.no-object", match=r"object found.*gives"):
         recorded([FLOOR, *beside]).segment()
     with pytest.raises(SegmentationError, match=r"holds nothing|nothing stands"):
         recorded([FLOOR, *beside]).segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.5)))
@@ -165,7 +166,7 @@ def test_an_object_cut_by_the_image_border():
 
 def test_no_floor():
     hovering = recorded([OBJECT])
-    with pytest.raises(SegmentationError, match=r"no floor found.*or a box.*--suggest"):
+    with raises(SegmentationError, "segmentation.no-floor", match=r"box.*--suggest"):
         hovering.segment()
     chosen = hovering.segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.6)))
     assert not chosen.floor.found
@@ -179,7 +180,7 @@ def test_a_slope_is_no_floor():
     from analytic_scenes import plane
 
     steep = recorded([plane((0.0, -np.sin(np.pi / 3), np.cos(np.pi / 3)), 0.0)])
-    with pytest.raises(SegmentationError, match=r"no floor found.*or a box"):
+    with raises(SegmentationError, "segmentation.no-floor", match=r"no floor found.*or a box"):
         steep.segment()
 
 
@@ -216,7 +217,7 @@ def test_of_a_table_and_its_floor_a_person_says_which():
 
 def test_what_fails_on_a_persons_plane_names_the_plane_beside_it():
     fine = FUSION.model_copy(update={"voxel_size_m": 0.003})
-    with pytest.raises(SegmentationError, match=r"as `floor` is not one .* 60 mm above it"):
+    with raises(SegmentationError, "segmentation.too-large", match="60"):
         plain().model(floor=(0, 0, 1, 0.06), fusion=fine)
 
 
@@ -275,7 +276,7 @@ def test_few_good_frames(frames):
 
 
 def test_a_box_outside_the_volume():
-    with pytest.raises(SegmentationError, match=r"holds nothing.*reaches from.*--suggest"):
+    with raises(SegmentationError, "segmentation.empty-box"):
         plain().segment(OrientedBox((4.0, 0, 0.25), (0.5, 0.4, 0.5)))
 
 

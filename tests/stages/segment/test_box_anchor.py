@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from raising import raises
 
 from kinectbench.core.artefacts.object import AnchoredBoxPart
 from kinectbench.core.errors import SegmentationError
@@ -62,7 +63,7 @@ def test_a_box_is_taken_where_it_was_chosen() -> None:
 )
 def test_in_another_world_it_is_refused_with_the_same_place_there(T_new_world: Float64) -> None:
     floor, trajectory = scene(T_new_world)
-    with pytest.raises(SegmentationError, match="chosen in another floor frame") as told:
+    with raises(SegmentationError, "segmentation.box-moved", match="chosen in another floor frame") as told:
         check_anchor(chosen(), floor, trajectory)
     line = str(told.value).split("`")[1]
     carried = BoxSettings.model_validate(yaml.safe_load(line)["box"]).box()
@@ -75,12 +76,12 @@ def test_in_another_world_it_is_refused_with_the_same_place_there(T_new_world: F
 def test_on_another_plane_it_is_refused() -> None:
     """A table in the place of the floor: the same place lies lower above it."""
     floor, trajectory = scene(plane_world=(0, 0, 1, -0.7))
-    with pytest.raises(SegmentationError, match=r"0\.70 m off; for the same place now write") as told:
+    with raises(SegmentationError, "segmentation.box-moved", match=r"0\.70") as told:
         check_anchor(chosen(), floor, trajectory)
     box = yaml.safe_load(str(told.value).split("`")[1])["box"]
     assert box["center_m"] == [0.4, 1.5, -0.25]
     # A wall: no upright box is the same place.
-    with pytest.raises(SegmentationError, match=r"m off; choose it again by"):
+    with raises(SegmentationError, "segmentation.box-moved", match="off; choose"):
         check_anchor(chosen(), *scene(plane_world=(1, 0, 0, 2)))
 
 
@@ -89,7 +90,7 @@ def test_a_frame_without_a_pose_says_nothing() -> None:
     poses = trajectory.T_world_camera.copy()
     poses[2] = np.nan
     for gone in (replace(trajectory, T_world_camera=poses), replace(trajectory, T_world_camera=poses[:2])):
-        with pytest.raises(SegmentationError, match="tied to frame 2, which has no pose now"):
+        with raises(SegmentationError, "segmentation.box-moved", match="frame 2, which"):
             check_anchor(chosen(), floor, gone)
 
 
@@ -100,7 +101,7 @@ def test_a_frame_is_found_where_the_recording_was_cut(kept: range, now: int) -> 
 
 
 def test_a_frame_that_was_cut_away_is_refused() -> None:
-    with pytest.raises(SegmentationError, match="then number 2, whose depth is not in the recording"):
+    with raises(SegmentationError, "segmentation.box-moved", match="number 2, whose"):
         reanchored(chosen(), recording(range(3, 5)))
     by_hand = replace(chosen(), anchor=None)
     earlier = replace(chosen(), anchor=chosen().anchor._replace(depth_sha256=None))

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from analytic_scenes import CAMERA, box, depth_of, health_of, ring, sequence_of, trajectory_of
 from bad_scenes import FINE, FLOOR, OBJECT, SEGMENTATION, recorded, table_of
+from raising import raises
 
 from kinectbench.core.artefacts.object import CandidatesFile
 from kinectbench.core.artefacts.trajectory import FrameHealth
@@ -99,7 +100,7 @@ def test_a_thing_counts_once_though_its_feet_turn_its_box():
 
 def test_nothing_to_choose():
     bare = recorded([FLOOR])
-    with pytest.raises(SegmentationError, match="no candidates"):
+    with raises(SegmentationError, "segmentation.no-candidates"):
         find_candidates(bare.scene, bare.trajectory, SEGMENTATION)
 
 

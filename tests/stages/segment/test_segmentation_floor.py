@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from analytic_scenes import ring
 from bounds import within
+from raising import raises
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
@@ -88,9 +89,7 @@ def test_a_point_kilometres_away_costs_no_memory():
 def test_no_floor():
     points, normals = room(floor=False)
     wall = normals[:, 1] > 0.5
-    with pytest.raises(
-        SegmentationError, match=r"no floor found.*more of what the object stands on.*plane_world"
-    ):
+    with raises(SegmentationError, "segmentation.no-floor", match=r"on.*plane_world"):
         found_in("upright", points[wall], normals[wall])
 
 
@@ -100,7 +99,7 @@ def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_camer
     low = CAMERAS.copy()
     low[:low_cameras, 2, 3] = 0.05  # less than 0.1 m above the floor, as one whose pose is off
     if low_cameras == 3:
-        with pytest.raises(SegmentationError, match="too few of the cameras look down on it"):
+        with raises(SegmentationError, "segmentation.no-floor", match="cameras look"):
             found_in("upright", points, normals, low)
         return
     floor = found_in("upright", points, normals, low)
@@ -143,7 +142,7 @@ def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
     seat = patch((-0.2, 0.2), (-0.2, 0.2), 0.45, 2, 0.002, rng)
     legs = [patch((x, x + 0.06), (0.0, 0.42), y, 1, 0.002, rng) for x in (-0.2, 0.14) for y in (-0.19, 0.19)]
     points, normals = (np.concatenate([seat[k], *(leg[k] for leg in legs)]) for k in (0, 1))
-    with pytest.raises(SegmentationError, match=r"on the likeliest plane, but much is seen right below it"):
+    with raises(SegmentationError, "segmentation.no-floor", match="right below"):
         found_in("upright", points, normals)
 
 

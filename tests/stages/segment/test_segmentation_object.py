@@ -8,6 +8,7 @@ import pytest
 from analytic_scenes import CAMERA, depth_of, look_at, ring, scene_of, sphere
 from analytic_scenes import box as box_surface
 from analytic_scenes import plane as plane_surface
+from raising import raises
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, rigid, transform_points
@@ -68,10 +69,10 @@ def test_specks_are_not_chosen():
 
 def test_nothing_on_the_floor():
     floor = np.column_stack([np.random.default_rng(0).uniform(-1, 1, (3000, 2)), np.full(3000, 0.01)])
-    with pytest.raises(SegmentationError, match="nothing stands on the floor"):
+    with raises(SegmentationError, "segmentation.no-object", match="nothing"):
         select_object(floor, 0.02, np.zeros(3))
     specks = np.column_stack([np.arange(100) * 0.2, np.zeros(100), np.full(100, 0.5)])
-    with pytest.raises(SegmentationError, match="only specks"):
+    with raises(SegmentationError, "segmentation.no-object", match="only specks"):
         select_object(np.concatenate([floor, specks]), 0.02, np.zeros(3))
 
 
@@ -163,7 +164,7 @@ def test_a_given_box_wins(two_things):
     assert found.how == "box" and found.box == given
     assert ((found.object_cells + 0.5) * 0.03)[:, 0].min() > 0.24
     elsewhere = OrientedBox((5.0, 0.0, 0.15), (0.24, 0.24, 0.3), 0.1)
-    with pytest.raises(SegmentationError, match=r"holds nothing.*reaches from .*center_m"):
+    with raises(SegmentationError, "segmentation.empty-box"):
         find_floor_and_object(mesh, trajectory, elsewhere, SegmentationSettings())
 
 
@@ -289,7 +290,7 @@ def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path):
 def test_two_masks_of_one_image_are_refused(tmp_path: Path):
     for name in ("003.exclude.png", "frame_24.exclude.png"):
         save(tmp_path / name, np.ones((12, 16), bool))
-    with pytest.raises(SegmentationError, match=r"frame_24.exclude.png and 003.exclude.png are masks of one"):
+    with raises(SegmentationError, "segmentation.bad-mask", match="frame_24.exclude.png and 003.exclude.png"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "003", 24)
 
 
@@ -307,14 +308,14 @@ def test_files_that_are_no_views_mask(tmp_path: Path):
 
 def test_override_of_another_size(tmp_path: Path):
     save(tmp_path / "000.png", np.ones((24, 32), bool))
-    with pytest.raises(SegmentationError, match=r"000\.png.*32x24.*16x12.*depth pixels"):
+    with raises(SegmentationError, "segmentation.mask-size", match=r"000\.png.*32x24.*16x12.*depth"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89PNG\r\n\x1a\n\x00\x00\x00\x0dIHDR"])
 def test_damaged_override(tmp_path: Path, content: bytes):
     (tmp_path / "000.exclude.png").write_bytes(content)
-    with pytest.raises(SegmentationError, match=r"000\.exclude\.png.*not a readable PNG"):
+    with raises(SegmentationError, "segmentation.bad-mask", match=r"000\.exclude\.png.*not"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from chair_model import FUSION, Chair
 from chair_model import chair as make_chair
+from raising import raises
 from same_fields import assert_same_fields
 
 from kinectbench.core.artefacts.object import FloorFile
@@ -102,18 +103,18 @@ def test_object_grid_is_upright_and_holds_the_box():
 
 
 def test_too_large_an_object():
-    with pytest.raises(SegmentationError, match=r"too large for voxels of 1 mm.*box"):
+    with raises(SegmentationError, "segmentation.too-large", match=r"of 1 mm.*box"):
         object_grid(OrientedBox((0, 0, 1), (3, 3, 2)), FLOOR, 0.001)
     said = r"the given box is 60\.1 x 60\.1 x .* too large for voxels of 5 mm; give a smaller one"
-    with pytest.raises(SegmentationError, match=said):
+    with raises(SegmentationError, "segmentation.too-large", match=said):
         object_grid(OrientedBox((0, 0, 45), (60, 60, 90)), FLOOR, 0.005, given=True)
     for size_m in (1e5, 1e6, 1e7):  # the voxels of the second are more than 2^63
-        with pytest.raises(SegmentationError, match="too large for voxels of 5 mm"):
+        with raises(SegmentationError, "segmentation.too-large", match="of 5 mm"):
             object_grid(OrientedBox((0, 0, 1), (size_m, size_m, size_m)), FLOOR, 0.005, given=True)
 
 
 def test_an_object_as_large_as_a_room_is_refused_at_the_usual_voxels():
-    with pytest.raises(SegmentationError, match=r"4.9 x 1.1 m: too large for voxels of 5 mm"):
+    with raises(SegmentationError, "segmentation.too-large", match=r"4.9.*1.1.*5"):
         object_grid(OrientedBox((0, 0, 0.53), (4.8, 4.8, 1.06)), FLOOR, 0.005)
 
 
@@ -187,6 +188,6 @@ def test_damaged_folder(chair, tmp_path: Path, name: str, damage: str):
         np.savez(path, x=np.zeros(3))
     else:
         path.write_text("{}")
-    with pytest.raises(StorageError, match=r"--force") as caught:
+    with raises(StorageError, "storage.damaged", match=r"--force") as caught:
         read_object(tmp_path)
     assert str(tmp_path) in str(caught.value)

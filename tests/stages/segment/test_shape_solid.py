@@ -17,6 +17,7 @@ from observed_boxes import (
     centers,
     observation,
 )
+from raising import raises
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
@@ -272,10 +273,10 @@ def test_seen_through_beats_a_wrong_surface():
 
 def test_nothing_at_all():
     none = observation(np.full(SHAPE, 1.0), floor=False)
-    with pytest.raises(ShapeError, match="no solid shape"):
+    with raises(ShapeError, "shape.no-solid", match="no solid shape"):
         solidify(none, np.zeros(SHAPE, bool), Rules(LAYERS))
     whole = observation(box_distance(*BOX))
-    with pytest.raises(ShapeError, match="no solid shape"):
+    with raises(ShapeError, "shape.no-solid", match="no solid shape"):
         solidify(whole, np.ones(SHAPE, bool), Rules(LAYERS))
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from analytic_scenes import displaced, look_at
+from raising import raises
 from tracking_scenes import (
     CORNER_VIEW,
     FLOOR,
@@ -207,7 +208,7 @@ def test_poses_so_far_apart_that_nothing_can_be_checked() -> None:
     assert health.unchecked == N and "could not be checked" in health.verdict
     assert health.recommended == "ignore"
     # Nobody says that such poses are to be trusted: what follows would take minutes for nothing.
-    with pytest.raises(TrackingError, match=r"agrees with 0 of the 16 .*`trajectory: trust` goes on"):
+    with raises(TrackingError, "tracking.given-unchecked", match=r"0.*16"):
         track(recording(poses), None, SETTINGS)
 
 
@@ -247,7 +248,7 @@ def test_the_same_bytes_again() -> None:
 
 def test_a_depth_scale_that_is_wrong_is_told() -> None:
     sequence = replace(circle(truth_of_circle()), depth_scale=circle(truth_of_circle()).depth_scale / 1.3)
-    with pytest.raises(TrackingError, match="depth_scale"):
+    with raises(TrackingError, "tracking.given-disagrees"):
         track(sequence, "trust", SETTINGS)
 
 
