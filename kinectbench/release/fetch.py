@@ -89,7 +89,7 @@ def release_url(name: str | Path) -> str:
         raise SettingsError(
             f"{printable(shown(name))}: no such folder and no URL; name a release's URL or folder, or set "
             f"{RELEASES_VARIABLE} to the URL of a place that holds releases by their names",
-            what="no-release",
+            what="no-file",
         )
     return joined(base, str(name))
 

@@ -75,9 +75,7 @@ def load_camera_shape(file: CameraFile, method: MethodFile) -> CameraShape:
     # Closed or not, a mesh without faces is a cloud.
     if "form" in method.model_fields_set and shape.form != method.form:
         raise PredictionError(
-            f"{where}: {MethodFile.FILE} says 'form': '{method.form}', and it holds {shape.form}; "
-            "correct one",
-            what="other-form",
+            f"{where}: {MethodFile.FILE} says 'form': '{method.form}', and it holds {shape.form}; correct one"
         )
     return shape.transformed(similarity_to_camera(method, file.name, file.target.name))
 

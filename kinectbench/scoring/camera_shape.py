@@ -124,7 +124,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
     elif suffix in (".obj", ".glb"):
         points, faces = (read_obj if suffix == ".obj" else read_glb)(content)
     else:
-        raise PredictionError(f"save it as {', '.join(SUFFIXES)}", what="unknown-suffix")
+        raise PredictionError(f"save it as {', '.join(SUFFIXES)}")
     return CameraShape("mesh" if len(faces) else "points", _checked_points(points), faces, normals)
 
 

@@ -207,7 +207,7 @@ def check_folder(folder: Path) -> None:
         raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
     if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
         raise PredictionError(
-            f"{folder}: belongs to a release; give the folder of your predictions", what="is-release"
+            f"{folder}: belongs to a release; give the folder of your predictions", what="no-folder"
         )
 
 

@@ -82,7 +82,7 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
     if root.tag == yaml_nodes.NULL_TAG:
         raise SettingsError(
             f"{source}: holds no settings; `kinectbench init FOLDER` writes a file to start from",
-            what="empty",
+            what="bad-yaml",
         )
     if not isinstance(root, yaml.MappingNode):
         raise SettingsError(

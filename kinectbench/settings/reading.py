@@ -60,7 +60,7 @@ def as_text(content: bytes, source: str) -> str:
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise SettingsError(
-            f"{source}:{line}: not UTF-8 text; save the file as UTF-8", what="not-utf-8"
+            f"{source}:{line}: not UTF-8 text; save the file as UTF-8", what="bad-yaml"
         ) from None
     except OSError as error:
         raise SettingsError(

@@ -33,12 +33,12 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
     try:
         text = read_plain_text(path, MOST_BYTES)
     except UnicodeDecodeError:
-        raise SettingsError(f"{path}: not UTF-8 text; save the file as UTF-8", what="not-utf-8") from None
+        raise SettingsError(f"{path}: not UTF-8 text; save the file as UTF-8", what="bad-yaml") from None
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}", what="unreadable") from None
     root = yaml_nodes.compose(text, str(path))
     if not isinstance(root, yaml.MappingNode):
-        raise SettingsError(f"{path}: holds no settings; wanted lines like '{example}'", what="empty")
+        raise SettingsError(f"{path}: holds no settings; wanted lines like '{example}'", what="bad-yaml")
     values = yaml_nodes.plain(root)
     try:
         return model.model_validate(values)

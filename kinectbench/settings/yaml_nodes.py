@@ -252,7 +252,7 @@ def _checked_items(node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
             raise SettingsError(
                 f"{place(key)}: '{printable(key.value)}' stands twice, first at {place(first[key.value])}; "
                 "keep one",
-                what="repeated-key",
+                what="bad-yaml",
             )
         first[key.value] = key
         yield key.value, child

@@ -112,7 +112,7 @@ def test_their_own_files_become_a_release(tmp_path: Path):
     assert "`surface_sigma_m`, which is not known, is 0: do not use the surface Dice" in card
     assert pair.surface_sigma_m == 0
     (tmp_path / "in/P1_02828884_bench/test_125_3d_vox256/m_0_2_0.npz").unlink()
-    with raises(PairError, "pair.missing-file", match=r"m_0_2_0\.npz"):
+    with raises(PairError, "pair.malformed", match=r"m_0_2_0\.npz"):
         import_recgan(tmp_path / "in", tmp_path / "out2")
     assert not (tmp_path / "out2").exists()
 

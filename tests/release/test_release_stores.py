@@ -150,13 +150,13 @@ def test_releases_by_name(release: Release, monkeypatch: pytest.MonkeyPatch, tmp
     assert release_url("s3://bucket/chairs/") == "s3://bucket/chairs"
     assert release_url(str(release.folder)) == f"file://{release.folder}"
     for name in ("../chairs", "a/b"):
-        with raises(SettingsError, "settings.no-release", match="no such folder and no URL"):
+        with raises(SettingsError, "settings.no-file", match="no such folder and no URL"):
             release_url(name)
     odd = tmp_path / "100%25 chairs"
     shutil.copytree(release.folder, odd)
     assert fetch_release(release_url(str(odd)), tmp_path / "got").kept == 0
     monkeypatch.delenv("KINECTBENCH_RELEASES")
-    with raises(SettingsError, "settings.no-release", match="set KINECTBENCH_RELEASES"):
+    with raises(SettingsError, "settings.no-file", match="set KINECTBENCH_RELEASES"):
         release_url("chairs")
 
 

@@ -163,7 +163,7 @@ def test_dots_in_names(release: Release, tmp_path: Path) -> None:
     same = replace(
         release, targets=(replace(first, recording="a.b"), replace(second, recording="a-b", view="000"))
     )
-    with raises(SettingsError, "settings.name-clash"):
+    with raises(SettingsError, "settings.wrong-value"):
         export_webdataset(same, tmp_path / "out2")
 
 

@@ -102,7 +102,7 @@ def test_no_predictions(release: Release, tmp_path: Path) -> None:
     with raises(PredictionError, "prediction.none"):
         split_methods(tmp_path, release.targets)
     for part in (".", "pairs"):
-        with raises(PredictionError, "prediction.is-release"):
+        with raises(PredictionError, "prediction.no-folder"):
             split_methods(release.folder / part, release.targets)
     for function in (split_methods, find_predictions):
         with raises(PredictionError, "prediction.no-folder"):

@@ -273,11 +273,11 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
         ) from None
     if not known and any(word in text for word in _NO_SUCH_HOST):
         raise StorageError(
-            f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL", what="no-host"
+            f"{place}: no such host is known; correct the URL, or AWS_ENDPOINT_URL", what="bad-address"
         ) from None
     if "Received redirect without LOCATION" in text:
         raise StorageError(
-            f"{place}: the bucket is in another region; set AWS_REGION to it", what="wrong-region"
+            f"{place}: the bucket is in another region; set AWS_REGION to it", what="bad-address"
         ) from None
     if "Error parsing Path" in text:
         raise StorageError(

@@ -115,8 +115,7 @@ def read_trajectory(folder: Path, stamps_ns: Int64) -> Trajectory:
     others = rows.max() >= len(stamps_ns) or (stamps_ns[rows] != posed.stamps_ns).any()
     if others or health.frames != len(stamps_ns):
         raise StorageError(
-            f"{folder}: the stored trajectory is of other frames; `kinectbench build --force` makes it again",
-            what="other-frames",
+            f"{folder}: the stored trajectory is of other frames; `kinectbench build --force` makes it again"
         )
     T_world_camera = np.full((len(stamps_ns), 4, 4), np.nan)
     T_world_camera[rows] = posed.T_world_camera

@@ -87,7 +87,7 @@ def reduce_blocks(occupancy: Bools, rule: str) -> Bools:
         PairError: there is no such rule.
     """
     if rule not in ("any", "majority"):
-        raise PairError(f"no partial rule '{rule}': it is any or majority", what="unknown-rule")
+        raise PairError(f"no partial rule '{rule}': it is any or majority")
     counts = occupancy.view(np.uint8)  # up to 64 a block: fits
     # x first: its slices are whole planes; z, whose slices stride over bytes, when least is left
     counts = counts[0::4] + counts[1::4] + counts[2::4] + counts[3::4]

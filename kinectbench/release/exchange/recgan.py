@@ -250,10 +250,7 @@ def _theirs(folder: Path) -> list[Found]:
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
         match = PATH.fullmatch(path.relative_to(folder).as_posix())
         if not match or not NAME.fullmatch(f"{match[5]}-{match[4]}"):
-            raise PairError(
-                f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout",
-                what="bad-name",
-            )
+            raise PairError(f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout")
         rows.append((match[2], match[3], match[5], match[4], tuple(map(int, match.group(6, 7, 8))), path))
     counts: dict[str, int] = {}
     found = []
@@ -273,7 +270,7 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
 def _refuse_link_out(path: Path, root: Path) -> None:
     """What is read is published, and a link could lead to any file of whoever imports the folder."""
     if not lies_below(path, root):
-        raise PairError(f"{path}: a link out of the folder; put the file itself there", what="link")
+        raise PairError(f"{path}: a link out of the folder; put the file itself there")
 
 
 def _pair(found: Found, root: Path) -> Pair:
@@ -281,9 +278,7 @@ def _pair(found: Found, root: Path) -> Pair:
     for path in (found.file_25d, found.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():
-            raise PairError(
-                f"{path}: missing; every file of 25d needs its counterpart of 3d", what="missing-file"
-            )
+            raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
     seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))
     unknown: dict[str, Any] = {
         "T_world_grid": np.eye(4),

@@ -77,8 +77,7 @@ def _check_keys(targets: Sequence[Target]) -> None:
         first = recordings.setdefault(sample_key(target), target.recording)
         if first != target.recording:
             raise SettingsError(
-                f"'{first}' and '{target.recording}' would have the same keys in WebDataset; rename one",
-                what="name-clash",
+                f"'{first}' and '{target.recording}' would have the same keys in WebDataset; rename one"
             )
 
 

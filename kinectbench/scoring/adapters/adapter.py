@@ -48,7 +48,7 @@ def find_output(folder: Path, pattern: str) -> Path | None:
         return None
     found = sorted(path for path in listed(folder, MOST_FILES) if path.match(pattern))
     if len(found) > 1:
-        raise PredictionError(f"{found[0].name} and {found[1].name} are there; keep one", what="several")
+        raise PredictionError(f"{found[0].name} and {found[1].name} are there; keep one")
     return found[0] if found else None
 
 

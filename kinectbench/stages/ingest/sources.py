@@ -133,6 +133,5 @@ def _entries(
         else:
             what = "a link that leads nowhere" if entry.is_symlink() else "a pipe, a socket or a device"
             raise RecordingError(
-                f"{path}: is no plain file but {what}; a recording cannot hold it: remove it",
-                what="no-plain-file",
+                f"{path}: is no plain file but {what}; a recording cannot hold it: remove it", what="link"
             )

@@ -81,5 +81,5 @@ def test_reduce_blocks_at_full_size() -> None:
 
 
 def test_unknown_rule() -> None:
-    with raises(PairError, "pair.unknown-rule"):
+    with raises(PairError, "pair.malformed"):
         reduce_blocks(np.zeros((8, 8, 8), bool), "most")

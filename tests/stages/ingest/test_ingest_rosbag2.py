@@ -234,7 +234,7 @@ def test_named_topics(tmp_path: Path) -> None:
     for key in ("depth_topic", "color_topic", "pose_topic"):
         with pytest.raises(RecordingError, match=f"`{key}: /no`"):
             open_recording(bag, CameraSettings(**{key: "/no"}))
-    with raises(RecordingError, "recording.no-poses"):
+    with raises(RecordingError, "recording.bad-topic"):
         open_recording(bag, CameraSettings(pose_topic="tf"))
 
 

@@ -154,7 +154,7 @@ def read_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str |
             names = ", ".join([*(topic.name for topic in found), "tf"])
             raise RecordingError(
                 f"{bag.path}: `pose_topic: {named}` holds no poses; those that fit are: {names}",
-                what="no-poses",
+                what="bad-topic",
             )
         found = chosen
     if named == "tf" or not found:
@@ -197,6 +197,6 @@ def _from_tree(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str |
         raise RecordingError(
             f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "
             f"{depth.name} moves; its frames are {', '.join(sorted(tree.edges)) or 'none'}",
-            what="no-poses",
+            what="bad-topic",
         )
     return moving, []
