@@ -101,7 +101,7 @@ def prepare(folder: Path, config: MethodSettings) -> None:
         trained, where = course.config_sha256 if course else config.sha256, ""
     if trained != config.sha256:
         raise SettingsError(
-            f"{folder}: trained with other settings{where}; choose another folder", what="other-training"
+            f"{folder}: trained with other settings{where}; choose another folder", what="other-content"
         )
     with replaced_file(path) as temporary:
         write_config(config, temporary)
@@ -179,12 +179,11 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
     if content.benchmarks_sha256 != benchmarks(facts):
         named = ", ".join(f"{sha256[:8]}…" for sha256 in content.benchmarks_sha256[:20])
         raise SettingsError(
-            f"{folder}: was trained on another release ({named}); choose another folder",
-            what="other-training",
+            f"{folder}: was trained on another release ({named}); choose another folder", what="other-content"
         )
     if content.config_sha256 not in (None, config.sha256):
         raise SettingsError(
-            f"{folder}: trained with other settings; choose another folder", what="other-training"
+            f"{folder}: trained with other settings; choose another folder", what="other-content"
         )
     try:
         state = checked_state(content, steps)

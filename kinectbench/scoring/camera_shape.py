@@ -209,7 +209,7 @@ def _of_cells(
 ) -> CameraShape:
     if int(shown.sum()) > MOST_SHOWN:
         raise PredictionError(
-            f"more than {MOST_SHOWN} cells at a surface: noise? reduce the grid", what="too-complex"
+            f"more than {MOST_SHOWN} cells at a surface: noise? reduce the grid", what="too-large"
         )
     if not shown.any():
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")

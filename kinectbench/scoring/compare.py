@@ -206,7 +206,7 @@ def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
             )
         if not table.complete:
             raise SettingsError(
-                f"{table.method}: some of its pairs are not scored; complete it first", what="not-scored"
+                f"{table.method}: some of its pairs are not scored; complete it first", what="other-scores"
             )
 
 
@@ -215,16 +215,16 @@ def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMea
     means = object_means(table.rows).get(protocol)
     if means is None:
         raise SettingsError(
-            f"{table.method}: not scored under '{protocol}'; score it again with it", what="not-scored"
+            f"{table.method}: not scored under '{protocol}'; score it again with it", what="other-scores"
         )
     if not means:
         raise SettingsError(
-            f"{table.left_out_line(protocol)}; there is nothing to compare by", what="not-scored"
+            f"{table.left_out_line(protocol)}; there is nothing to compare by", what="other-scores"
         )
     column = AVERAGED.index(metric)
     if any(np.isnan(here.values[:, column]).any() for here in means.values()):
         raise SettingsError(
-            f"{table.method}: scored without '{metric}'; score it again with it", what="not-scored"
+            f"{table.method}: scored without '{metric}'; score it again with it", what="other-scores"
         )
     return means
 

@@ -46,7 +46,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
     vertices, faces = joined(vertices, faces)
     if costs_too_much(vertices[:, :2] / voxel_size_m, faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(
-            f"{len(faces)} faces across each other; simplify the mesh, or submit a grid", what="too-complex"
+            f"{len(faces)} faces across each other; simplify the mesh, or submit a grid", what="too-large"
         )
     if not is_closed(faces):
         raise PredictionError(

@@ -170,7 +170,7 @@ def test_other_settings_do_not_go_on_where_the_configuration_is_gone(
     (tmp_path / "other.yaml").write_text(TINY.replace("batch: 2", "batch: 2, seed: 1"))
     for name in gone:
         (tmp_path / "run" / name).unlink()
-    with raises(SettingsError, "settings.other-training"):
+    with raises(SettingsError, "settings.other-content"):
         train(read_config(tmp_path / "other.yaml"), [learning], tmp_path / "run", device="cpu")
     assert (tmp_path / "run" / CHECKPOINT).read_bytes() == (stopped / CHECKPOINT).read_bytes()
 

@@ -177,7 +177,7 @@ def test_a_folder_of_other_settings_is_refused(
     whole: Path, learning: Release, tiny: Tiny, tmp_path: Path
 ) -> None:
     shutil.copytree(whole, tmp_path / "run")
-    with raises(SettingsError, "settings.other-training", match=r"training\.seed 0 there, 1"):
+    with raises(SettingsError, "settings.other-content", match=r"training\.seed 0 there, 1"):
         run(tiny(("batch: 2", "batch: 2, seed: 1")), learning, tmp_path / "run")
     assert made(tmp_path / "run") == made(whole)
 
@@ -189,7 +189,7 @@ def test_a_folder_of_another_release_is_refused(
 
     shutil.copytree(whole, tmp_path / "run")
     other = replace(learning, metadata=release.metadata)
-    with raises(SettingsError, "settings.other-training", match="was trained on another release"):
+    with raises(SettingsError, "settings.other-content", match="was trained on another release"):
         training.train(read_config(whole / "config.yaml"), [other], tmp_path / "run", device="cpu")
 
 
@@ -244,7 +244,7 @@ def test_several_releases_are_learnt_from(
     told = TrainingFile.read(tmp_path / "run")
     assert (told.pairs, told.objects) == (4, ("table_a", "table_i"))
     assert told.further_benchmarks_sha256 == (more.benchmark_sha256,)
-    with raises(SettingsError, "settings.other-training", match="trained on another release"):
+    with raises(SettingsError, "settings.other-content", match="trained on another release"):
         training.train(config, [learning], tmp_path / "run", device="cpu")
 
 

@@ -108,7 +108,7 @@ def test_a_release_with_color(tmp_path: Path) -> None:
 def test_a_damaged_photo_is_not_published(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
     (tmp_path / "build/chair_02/views/000.color.jpg").write_bytes(photo()[:30])
-    with raises(ReleaseError, "release.stale-build", match=r"000\.color\.jpg"):
+    with raises(ReleaseError, "release.not-built", match=r"000\.color\.jpg"):
         publish(synthetic_settings(publish={"color": True}), tmp_path / "build", tmp_path / "b", ["chair_02"])
 
 

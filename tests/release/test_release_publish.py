@@ -201,7 +201,7 @@ def test_a_failed_publish_leaves_the_old_release(build: Path, tmp_path: Path) ->
     publish(synthetic_settings(), tmp_path / "build", out, ["chair_01"])
     before = (out / "SHA256SUMS").read_text()
     (tmp_path / "build" / "chair_02" / "views" / "000.mask.png").unlink()
-    with raises(ReleaseError, "release.stale-build", match=r"chair_02/views/000\.mask\.png"):
+    with raises(ReleaseError, "release.not-built", match=r"chair_02/views/000\.mask\.png"):
         publish(synthetic_settings(), tmp_path / "build", out, NAMES)
     assert (out / "SHA256SUMS").read_text() == before
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
@@ -251,7 +251,7 @@ def test_recordings_without_pairs(build: Path, tmp_path: Path) -> None:
 def test_one_benchmark_has_one_framing(build: Path, tmp_path: Path) -> None:
     settings = synthetic_settings()
     settings = settings.model_copy(update={"pairs": settings.pairs.model_copy(update={"framing": "view"})})
-    with raises(ReleaseError, "release.stale-build", match=r"000\.npz"):
+    with raises(ReleaseError, "release.not-built", match=r"000\.npz"):
         publish(settings, build, tmp_path / "benchmark", NAMES)
 
 

@@ -206,9 +206,9 @@ def test_unknown_names_are_refused() -> None:
     tables = [method("good", 0.2, 3), method("bad", 0.1, 3)]
     with raises(SettingsError, "settings.wrong-value", match="'iuo'"):
         compare(tables, metric="iuo")
-    with raises(SettingsError, "settings.not-scored", match="'paper'"):
+    with raises(SettingsError, "settings.other-scores", match="'paper'"):
         compare(tables, protocol="paper")
-    with raises(SettingsError, "settings.not-scored", match="'chamfer_mm'"):
+    with raises(SettingsError, "settings.other-scores", match="'chamfer_mm'"):
         compare(tables, metric="chamfer_mm")
     with raises(SettingsError, "settings.wrong-value", match="at least two"):
         compare(tables[:1])

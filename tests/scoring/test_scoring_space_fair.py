@@ -97,10 +97,10 @@ def test_noise_in_cells_is_refused_before_it_takes_memory(monkeypatch: pytest.Mo
     noise = np.indices((32,) * 3).sum(axis=0) % 2 == 0
     shape = occupancy_shape(noise, np.eye(4), 0.01)
     monkeypatch.setattr(surface, "MOST_SAMPLES", 1000)
-    with raises(PredictionError, "prediction.too-complex"):
+    with raises(PredictionError, "prediction.too-large"):
         surface.surface_of(shape)
     monkeypatch.setattr(camera_shape, "MOST_SHOWN", 1000)
-    with raises(PredictionError, "prediction.too-complex"):
+    with raises(PredictionError, "prediction.too-large"):
         occupancy_shape(noise, np.eye(4), 0.01)
 
 

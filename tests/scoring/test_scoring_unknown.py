@@ -228,6 +228,6 @@ def test_where_nothing_is_left(tmp_path: Path) -> None:
     assert table.overall["known"].truth_unknown_share == 1 and table.overall["paper"].iou == 0.125
     jsonschema.validate(json.loads(table.text()), scores_schema())
     line = "known: 1 of 1 pairs is left out: nothing of the true shape is known there; there is nothing to"
-    with raises(SettingsError, "settings.not-scored", match=line):
+    with raises(SettingsError, "settings.other-scores", match=line):
         compare([table, table])
     assert write_report(synthetic_settings(), None, [table], tmp_path / "page.html").is_file()

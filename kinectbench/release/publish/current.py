@@ -44,7 +44,7 @@ def publish_if_stale(
     build, out = root / "build", root / "benchmark"
     if not recordings:
         raise ReleaseError(
-            f"{build}: no recording was built, so there is nothing to publish", what="nothing-built"
+            f"{build}: no recording was built, so there is nothing to publish", what="not-built"
         )
     with contextlib.ExitStack() as locks:
         # No other run may change a pair between its checks and its copy.

@@ -90,7 +90,7 @@ def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:
         clean, removed = without_metadata(data)
     except ValueError as error:
         raise ReleaseError(
-            f"{file}: {error}; build this recording's views again", what="stale-build"
+            f"{file}: {error}; build this recording's views again", what="not-built"
         ) from error
     found += _rows(file, removed)
     return clean

@@ -106,7 +106,7 @@ class Built:
     def _posed(self, row: ViewRow) -> PosedView:
         if row.T_world_camera is None:
             raise ReleaseError(
-                f"view {row.view}: views.json does not say its pose; build it again", what="stale-build"
+                f"view {row.view}: views.json does not say its pose; build it again", what="not-built"
             )
         name = self.built_name(row.view)
         view = read_posed_view(self.folder / "views", name, self.camera, row.T_world_camera)
@@ -173,8 +173,7 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
         found, wanted = getattr(pair, key), getattr(built.settings.pairs, key)
         if found != wanted:
             raise ReleaseError(
-                f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again",
-                what="stale-build",
+                f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again", what="not-built"
             )
     return content, pair
 
@@ -328,8 +327,7 @@ def _frame(row: ViewRow) -> LineageView:
     """The frame of a view that was recorded."""
     if row.frame is None or row.stamp_ns is None:
         raise ReleaseError(
-            f"view {row.view}: views.json does not say of which frame it is; build it again",
-            what="stale-build",
+            f"view {row.view}: views.json does not say of which frame it is; build it again", what="not-built"
         )
     return LineageView(view=row.view, frame=row.frame, stamp_ns=row.stamp_ns)
 
@@ -354,6 +352,6 @@ def _copy_built(source: Path, target: Path) -> None:
         ReleaseError: it is missing.
     """
     if not source.is_file():
-        raise ReleaseError(f"{source}: missing; run the build again", what="stale-build")
+        raise ReleaseError(f"{source}: missing; run the build again", what="not-built")
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, target)

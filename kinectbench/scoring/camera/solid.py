@@ -93,7 +93,7 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
             what="far-off",
         )
     if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
-        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-complex")
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)

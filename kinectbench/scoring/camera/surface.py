@@ -240,7 +240,7 @@ def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
 def _refuse_many(samples: int) -> None:
     if samples > MOST_SAMPLES:
         raise PredictionError(
-            f"{samples} faces of cells at its surface: noise? reduce the grid", what="too-complex"
+            f"{samples} faces of cells at its surface: noise? reduce the grid", what="too-large"
         )
 
 

@@ -152,9 +152,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
     if values.get("depth_scale", 1.0) <= 0:
-        raise RecordingError(
-            f"{path}: 'depth_scale' must be above 0 (native units per metre)", what="bad-depth-scale"
-        )
+        raise IntrinsicsError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
     if "color_registered" in known:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")

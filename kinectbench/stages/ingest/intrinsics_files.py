@@ -119,10 +119,9 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
         if said is None:
             continue
         if found is not None and said != found[1]:
-            raise RecordingError(
+            raise IntrinsicsError(
                 f"{file}: has another camera than {found[0]}; a recording must keep one: correct them, or "
-                "give fx, fy, cx, cy under `camera:`",
-                what="two-cameras",
+                "give fx, fy, cx, cy under `camera:`"
             )
         found = found or (file, said)
     return Intrinsics() if found is None else found[1]
@@ -175,10 +174,9 @@ def _number(word: str) -> float | None:
 
 
 def _two_cameras(file: Path, key: str) -> RecordingError:
-    return RecordingError(
+    return IntrinsicsError(
         f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? Keep it "
-        "alone, or give fx, fy, cx, cy under `camera:`",
-        what="two-cameras",
+        "alone, or give fx, fy, cx, cy under `camera:`"
     )
 
 

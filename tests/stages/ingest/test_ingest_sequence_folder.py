@@ -220,7 +220,7 @@ def test_the_first_error_is_told(tmp_path: Path, threads: int) -> None:
 def test_many_damaged_frames_are_refused(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r", frames=20)
     cut_in_half(folder / "depth/7.png")
-    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/7\.png.*.*\(1.*20"):
+    with raises(RecordingError, "recording.too-many-damaged", match=r"depth/7\.png.*\(1.*20"):
         ingest(folder)
 
 

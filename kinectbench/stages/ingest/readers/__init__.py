@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
@@ -176,10 +176,9 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
 def _check_scale(path: Path, scale: float) -> None:
     """Refuse a depth scale that no recording has, whatever format or setting says so."""
     if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # which NaN is not
-        raise RecordingError(
+        raise IntrinsicsError(
             f"{path}: 1 m cannot be {scale:g} units of 16-bit depth; correct the recording's depth scale, or "
-            "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)",
-            what="bad-depth-scale",
+            "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)"
         )
 
 

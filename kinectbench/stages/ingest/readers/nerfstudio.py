@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import GivenPosesError, RecordingError
+from kinectbench.core.errors import GivenPosesError, IntrinsicsError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
@@ -89,9 +89,7 @@ class NerfstudioRecording(PhoneRecording):
         intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
         unit_m = number_of(_first(said, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
-            raise RecordingError(
-                f"{path / FILE}: its depth scale must be above 0 (metres a unit)", what="bad-depth-scale"
-            )
+            raise IntrinsicsError(f"{path / FILE}: its depth scale must be above 0 (metres a unit)")
         trajectory, lost, error = read_given(lambda: _trajectory(path, said, files, whole))
         camera = intrinsics.overridden_by(settings).camera(size_px, path)
         coefficients = _distortion(path, whole)

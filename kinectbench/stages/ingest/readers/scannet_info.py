@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core.errors import IntrinsicsError
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import read_head
@@ -59,9 +59,7 @@ def read_info(file: Path, color_px: tuple[int, int]) -> Rig:
         )
     width, height, scale = (_number(rows, key) for key in ("depthWidth", "depthHeight", "depthShift"))
     if scale is not None and not scale > 0:
-        raise RecordingError(
-            f"{file}: 'm_depthShift' must be above 0 (native units per metre)", what="bad-depth-scale"
-        )
+        raise IntrinsicsError(f"{file}: 'm_depthShift' must be above 0 (native units per metre)")
     depth = Intrinsics.of_matrix(K, scale)
     if width and height:
         depth = replace(depth, width=int(width), height=int(height))

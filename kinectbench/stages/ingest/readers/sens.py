@@ -15,7 +15,7 @@ from typing import BinaryIO, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
@@ -166,9 +166,7 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
             f"{path}: depth compression {depth} cannot be read; only raw (0) and zlib (1)", what="unsupported"
         )
     if not (np.isfinite(shift) and shift > 0):
-        raise RecordingError(
-            f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged", what="bad-depth-scale"
-        )
+        raise IntrinsicsError(f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged")
     color_intrinsic, color_extrinsic, depth_intrinsic, depth_extrinsic = matrices
     return SensHead(
         color_intrinsic=color_intrinsic,
