@@ -124,7 +124,7 @@ def _compare(
     except KinectBenchError as error:
         why = f"{name}: {error}"
         console.recording_lines(row.recording, "error", [why], "red")
-        return row.model_copy(update={"error": why, "status": "failed"}), None
+        return row.model_copy(update={"error": why, "code": error.code, "status": "failed"}), None
     given = sequence.given_trajectory
     # With stamps between those of the frames the errors are not quite 0, though the poses are the same.
     same = comparison.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))

@@ -117,7 +117,7 @@ def _read(path: Path, limit: int) -> bytes:
         try:
             return opened.contents.read(_name_in(path, archive), limit)
         except ReleaseError as error:
-            raise ReleaseError(f"{archive}: {error}") from error
+            raise ReleaseError(f"{archive}: {error}", what=error.what) from error
 
 
 def _store_of(url: str) -> tuple[Store, str]:
