@@ -144,6 +144,7 @@ def test_stamps_of_another_clock_and_too_few(command: Command, here: Path, given
     assert run.status == 1 and "only 2 poses of the two trajectories match" in run.err
     (row,) = json.loads(run.out)
     assert row["comparison"] is None and "only 2 poses" in row["error"] and row["status"] == "failed"
+    assert row["code"] == "tracking.no-match"
     assert not (here / "build/chair/compare.png").exists()
 
 

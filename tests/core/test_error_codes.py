@@ -4,6 +4,9 @@ import ast
 import pickle
 from pathlib import Path
 
+import pytest
+from raising import raises
+
 from kinectbench.core.error_codes import ERROR_CODES, KINDS
 from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError, error_code
 
@@ -77,6 +80,14 @@ def test_an_error_keeps_its_code_where_it_is_pickled() -> None:
     for error in (SettingsError("a", "b", what="bad-url"), RecordingError("c")):
         again = pickle.loads(pickle.dumps(error))
         assert (type(again), again.lines, again.code) == (type(error), error.lines, error.code)
+
+
+def test_another_code_is_not_taken_for_it() -> None:
+    with (
+        pytest.raises(AssertionError, match="settings.bad-url: a"),
+        raises(SettingsError, "settings.no-file"),
+    ):
+        raise SettingsError("a", what="bad-url")
 
 
 def test_any_error_has_a_code() -> None:

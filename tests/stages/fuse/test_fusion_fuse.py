@@ -140,7 +140,7 @@ def test_depth_out_of_range_is_not_fused(ball):
 def test_no_poses():
     sequence = sequence_of([np.ones((240, 320), np.float32)] * 2)
     nowhere = Trajectory(sequence.stamps_ns, np.full((2, 4, 4), np.nan), "trust")
-    with raises(TrackingError, "tracking.no-match"):
+    with raises(TrackingError, "tracking.no-trajectory"):
         fuse(sequence, nowhere, SETTINGS)
 
 
