@@ -240,7 +240,7 @@ def build_jobs(
             continue
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
-        code = f" ({outcome.code})" if verbose else ""
+        code = f" ({outcome.code})" if verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
     return rows
