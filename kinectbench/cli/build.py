@@ -243,6 +243,9 @@ def build_jobs(
         code = f" ({outcome.code})" if verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
+    if (more := failed - console.MOST_LINES) > 0:
+        text = f"{more} more recordings failed: `kinectbench build --status --json` lists all"
+        console.lines("error", [text], "red")
     return rows
 
 

@@ -31,8 +31,12 @@ def fetch_recipe(
     from kinectbench.cli import console
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
+    from kinectbench.stages.ingest.readers import format_of
 
-    with opened_recipe(folder, out, partial(console.waiting, "fetch")) as recipe:
+    def is_read(path: Path) -> bool:
+        return format_of(path) is not None
+
+    with opened_recipe(folder, out, partial(console.waiting, "fetch"), is_read=is_read) as recipe:
         scans = recipe.chosen(categories, limit)
         if stream:
             return _stream(common, recipe, scans)

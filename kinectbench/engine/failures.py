@@ -68,8 +68,13 @@ def keep_failure(
     if tried is not None and failure is not None and _would_repeat(failure):
         again = {"fingerprint": tried.fingerprint, "package_version": __version__}
         failed = failed.model_copy(update=again)
-    with contextlib.suppress(StorageError, OSError), replaced_file(build / Failed.FILE) as temporary:
-        temporary.write_text(failed.text(), encoding="utf-8")
+    path, text = build / Failed.FILE, failed.text()
+    with contextlib.suppress(StorageError, OSError):
+        # Of thousands of recordings that are gone, writing the same reason again is most of the time.
+        if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
+            return
+        with replaced_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:

@@ -27,7 +27,6 @@ from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import SOURCES_YAML, Scan, SourcesSettings, chosen_scans, read_sources
 from kinectbench.settings.template import yaml_text
-from kinectbench.stages.ingest.readers import format_of
 
 BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
 SCANS, INDEX = "scans", "index.json"
@@ -76,11 +75,13 @@ class Recipe:
         folder: that holds sources.yaml, and sources.lock.
         out: the folder of the benchmark, perhaps the same.
         sources: what sources.yaml says.
+        is_read: whether a reader opens a file as it is; an archive that none opens is unpacked.
     """
 
     folder: Path
     out: Path
     sources: SourcesSettings
+    is_read: Callable[[Path], bool]
     _locked: dict[str, LockedFile]
     _writing: threading.Lock = field(default_factory=threading.Lock)
 
@@ -138,7 +139,7 @@ class Recipe:
                 return FetchedScan(scan, False)
             check = partial(unpack, folder=folder) if scan.unpacked else _check_zip if is_zip else _no_check
             came = self._bring(scan.file, archive, self.sources.bases, room=room, check=check)
-            if is_zip and format_of(archive) is None:
+            if is_zip and not self.is_read(archive):
                 unpack(archive, folder)
             if folder.is_dir():
                 archive.unlink()
@@ -229,7 +230,11 @@ class Recipe:
 
 @contextlib.contextmanager
 def opened_recipe(
-    folder: Path, out: Path | None = None, waiting: Callable[[str], None] | None = None
+    folder: Path,
+    out: Path | None = None,
+    waiting: Callable[[str], None] | None = None,
+    *,
+    is_read: Callable[[Path], bool],
 ) -> Iterator[Recipe]:
     """A recipe at work, in a folder where no other fetch works meanwhile.
 
@@ -237,6 +242,7 @@ def opened_recipe(
         folder: that holds sources.yaml.
         out: the benchmark's folder; default: the same.
         waiting: called once with who else fetches there, before waiting.
+        is_read: whether a reader opens a file as it is.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong.
@@ -252,7 +258,7 @@ def opened_recipe(
         raise SettingsError(f"--out {place}: a file; name a folder", what="already-exists")
     with locked(place / SCANS, waiting=waiting):
         lock = SourcesLock.read_if_there(folder) or SourcesLock()
-        yield Recipe(folder, place, sources, dict(lock.files))
+        yield Recipe(folder, place, sources, is_read, dict(lock.files))
 
 
 def _refuse_full(path: Path, size: int) -> None:

@@ -392,10 +392,8 @@ def _check_place(spec: SimulationSpec, out: Path) -> None:
     for path in (out, truth):
         empty = path.is_dir() and not any(path.iterdir())
         if (path.exists() or path.is_symlink()) and not (empty or is_truth(truth)):
-            raise SettingsError(
-                f"{path}: exists and is no simulated recording; choose another name or remove it",
-                what="other-content",
-            )
+            text = f"{path}: exists and is no simulated recording; choose another name or remove it"
+            raise SettingsError(text, what="other-content")
     other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
     if other.exists():
         raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")
