@@ -136,14 +136,14 @@ def tell_scores(
     from kinectbench.cli.space_tables import space_table
 
     spatial = in_space(tables)
-    of_voxels = [table for table in tables if table not in spatial]
+    of_voxels, cells = ([one for one in of if one not in in_space(of)] for of in (tables, beside))
     if common.as_json:
         console.say_json([{"method": t.method, "overall": t.json_value()["overall"]} for t in tables])
     else:
         if of_voxels:
-            console.out.print(score_table([*of_voxels, *beside], published=True))
+            console.out.print(score_table([*of_voxels, *cells], published=True))
         if spatial:
-            console.out.print(space_table(spatial))
+            console.out.print(space_table([*spatial, *in_space(beside)]))
         console.say(f"page: {page.resolve()}")
 
 
@@ -239,13 +239,14 @@ def baselines_of(
 ) -> "list[ScoreTable]":
     """The baselines that are not among the methods already; none beside a table of very many rows.
 
-    Baselines are of voxels: there is none beside predictions in the camera frame.
+    Beside predictions in the camera frame they are solids there; none where those are of free size.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.scoring.baselines.beside import baselines_beside
 
-    if in_space(tables):
+    spatial = in_space(tables)
+    if spatial and not any("camera" in table.settings.protocols for table in spatial):
         return []
     if len(tables[0].rows) > ROWS_IN_JSON:  # all of them at once would take gigabytes
         line = (
@@ -253,7 +254,7 @@ def baselines_of(
         )
         console.lines("baselines", [line], "yellow")
         return []
-    protocols, names = tables[0].settings.protocols, [table.method for table in tables]
+    protocols, names = (spatial or tables)[0].settings.protocols, [table.method for table in tables]
     with console.bar("baselines") as progress:
         return baselines_beside(
             release,

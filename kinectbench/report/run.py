@@ -114,7 +114,7 @@ def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
             file = _read(path)
             alike = (file.table.benchmark_sha256, file.table.counted_by) in counted_alike
             if alike and file.table.baseline and file.table.method not in shown:
-                found.setdefault(file.table.method, file)
+                found.setdefault(path.parent.name, file)
     return [*found.values()]
 
 

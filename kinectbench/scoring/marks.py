@@ -58,7 +58,9 @@ def _validation(table: ScoreTable) -> str:
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
     """Categories whose threshold is neither from their own validation pairs nor from a file."""
-    sources = {} if any_in_space(table.settings.protocols) else table.threshold_source_by_category
+    # Most methods in space have no thresholds; those of grids are searched or named.
+    has_none = any_in_space(table.settings.protocols) and table.threshold_source == FIXED_SOURCE
+    sources = {} if has_none else table.threshold_source_by_category
     names = [name for name, of in sorted(sources.items()) if of == source]
     value = table.thresholds.get(names[0], FIXED) if names else FIXED
     if sources and table.threshold_source == source and len(names) == len(sources):

@@ -17,6 +17,7 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
 from kinectbench.scoring.camera.score import protocols_in_space, score_in_camera
 from kinectbench.scoring.declared import (
     changed_files,
@@ -74,24 +75,27 @@ def score(
     """
     check_words(protocols, upsampling)
     if (said := read_in_camera(predictions)) is not None:
-        _refuse_grid_options(thresholds_file, jobs)
-        used, processes = protocols_in_space(protocols, said), jobs if isinstance(jobs, int) else 1
-        return score_in_camera(release, predictions, said, method, used, missing, processes, progress)
+        _refuse_thresholds(thresholds_file)
+        used = protocols_in_space(protocols, said)
+        return score_in_camera(release, predictions, said, method, used, missing, _processes(jobs), progress)
     asked = plan(release, predictions, thresholds_file, missing)
+    if space := space_alone(protocols, upsampling):
+        table = score_grid_in_space(release, asked, method, space, missing, _processes(jobs), progress)
+        return _with_what_is_said(table, predictions, asked, release)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
-    reasons = {target: result for target, result in outcomes.items() if isinstance(result, str)}
-    failures = asked.failures | reasons
+    failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    workers = jobs if isinstance(jobs, int) else 1
-    rates = base_rates(release, workers, {t: result.tally for t, result in results.items()})
+    rates = base_rates(
+        release, jobs if isinstance(jobs, int) else 1, {t: result.tally for t, result in results.items()}
+    )
     empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    return _with_what_is_said(table, predictions, asked, release, results)
+    return _with_what_is_said(table, predictions, asked, release)
 
 
 def _with_what_is_said(
@@ -99,13 +103,12 @@ def _with_what_is_said(
     predictions: Path,
     asked: Plan,
     release: Release,
-    results: Mapping[Target, PairResult],
 ) -> ScoreTable:
     """The table with what method.json and the folder itself say; arguments as in `score`."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),
-        *_changed(method, asked.files, results),
+        *_changed(method, asked.files, table),
         *stray_lines(asked.found.stray, asked.found.missing),
     )
     update: dict[str, object] = {"warnings": (*table.warnings, *more)}
@@ -114,27 +117,27 @@ def _with_what_is_said(
     return table.model_copy(update=update)
 
 
-def _changed(
-    method: MethodFile | None, files: Mapping[Target, Path | None], results: Mapping[Target, PairResult]
-) -> list[str]:
+def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], table: ScoreTable) -> list[str]:
     """A line where files that were scored are not those of the run that method.json names."""
     digests = {
-        target.name + file.suffix: digest
+        target.name + file.suffix: of.prediction
         for target, file in files.items()
-        if file is not None and target in results and (digest := results[target].digest) is not None
+        if file is not None and (of := table.hashes.get(target.name)) and of.prediction is not None
     }
     changed = changed_files(method, digests)
     return [changed_line(changed, len(digests))] if changed else []
 
 
-def _refuse_grid_options(thresholds_file: Path | None, jobs: int | Executor) -> None:
-    """Refuse what predictions in the camera frame do not have."""
-    if thresholds_file is not None:
-        raise SettingsError(f"--thresholds {thresholds_file}: predictions in the camera frame have none")
+def _refuse_thresholds(path: Path | None) -> None:
+    if path is not None:
+        raise SettingsError(f"--thresholds {path}: predictions in the camera frame have none")
+
+
+def _processes(jobs: int | Executor) -> int:
+    """The number of processes; under the protocols of space nothing else can score."""
     if not isinstance(jobs, int):
-        raise SettingsError(
-            "--cluster: predictions in the camera frame are scored on one machine; use --jobs"
-        )
+        raise SettingsError("--cluster: surfaces in space are scored on one machine; use --jobs")
+    return jobs
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:

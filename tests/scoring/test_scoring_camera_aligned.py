@@ -1,7 +1,5 @@
 """Registration of predictions to the truth: what was done to a shape is undone; a mirror image stays one."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
@@ -14,11 +12,10 @@ from kinectbench.core.geometry import Grid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.surface import Surface, mesh_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
-from kinectbench.scoring.camera.view import Scored, ViewJob, score_shape
+from kinectbench.scoring.camera.view import Scored, asked_rows, score_shape
 from kinectbench.scoring.camera_shape import CameraShape, distance_shape, occupancy_shape
 
 SIDE = 256
@@ -115,11 +112,9 @@ def test_largest_turns_and_scales_are_within_reach() -> None:
 def rows_of(truth: SpaceTruth, shape: CameraShape, **declared: str) -> dict[str, Scored]:
     method = MethodFile(name="net", frame="camera", **declared)
     used = ("camera", "aligned") if method.scale == "metric" else ("aligned",)
-    target = Target("r", "0", "o", "chair", "test", "", "", None)
-    job = ViewJob(target, Path(), (), method, used)
     return {
         f"{row.protocol} {row.alignment.kind if row.alignment else ''} {row.part}": row
-        for row in score_shape(truth, shape, job)
+        for row in score_shape(truth, shape, asked_rows(used, method.scale))
     }
 
 

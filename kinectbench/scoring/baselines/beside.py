@@ -1,11 +1,14 @@
 """Scores of the baselines that stand beside a method's: made in memory, kept beside the scores.
 
-Voxel metrics only: a table needs no more to show what a method is worth, and surfaces take most of the time.
+Of cells voxel metrics only: a table needs no more to show what a method is worth, and surfaces take most of
+the time. Beside predictions in the camera frame baselines are scored under `camera` alone.
 """
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
+from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
@@ -14,7 +17,10 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import describe
 from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
+from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
 from kinectbench.scoring.baselines.predict import possible_baselines
+from kinectbench.scoring.baselines.registry import BASE_RATE
+from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.read_table import read_table
 
@@ -31,15 +37,15 @@ def baselines_beside(
 ) -> list[ScoreTable]:
     """The scores of every baseline that the release allows, as `score` would give them for its files.
 
-    They are kept in `out/baselines/<name>/scores.json` and read from there where release, settings and the
-    versions of counting and of the baselines are the same, and a few pairs that are counted again give the
-    rows that are kept; otherwise they are made anew. Thresholds are found on the validation split for
-    each, else they are 0.5.
+    They are kept in `out/baselines/<name>/scores.json`, those of space in `out/baselines/<name>+camera/`, and
+    read from there where release, settings and the versions of counting and of the baselines are the same,
+    and a few pairs that are counted again give the rows that are kept; otherwise they are made anew.
+    Thresholds are found on the validation split for each, else they are 0.5.
 
     Args:
         release: the truth.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that its pairs allow.
+        protocols: names of `PROTOCOLS` that its pairs allow; or those of a table in space.
         upsampling: "half-pixel" or "corner-aligned".
         without: names that are left out.
         jobs: number of processes.
@@ -49,34 +55,37 @@ def baselines_beside(
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
-    counting = Counting(tuple(protocols), upsampling, surface=False)
     names = [name for name in possible_baselines(release) if name not in without]
-    folder = out / BASELINES_FOLDER
-    kept = {name: _kept(folder / name, name, release, counting) for name in names}
+    counting = Counting(tuple(protocols), upsampling, surface=False)
+    settings, sign = describe(counting, "error"), ""
+    make: Any = counted_baselines
+    differ: Any = baselines_that_differ
+    how: Any = counting
+    if any_in_space(protocols):
+        names, how = [name for name in names if name != BASE_RATE], ("camera",)
+        settings, sign = settings_in_space(how, "error"), "+camera"
+        make, differ = space_baselines, space_baselines_that_differ
+    settings = settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})
+    folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in names}
+    kept = {name: _kept(folders[name], name, release, settings) for name in names}
     tables = {name: table for name, table in kept.items() if table is not None}
     if tables:
-        for name in baselines_that_differ(release, tables, counting, jobs):
+        for name in differ(release, tables, how, jobs):
             del tables[name]
     wanted = tuple(name for name in names if name not in tables)
     if wanted:
-        for table in counted_baselines(release, wanted, counting, jobs=jobs, progress=progress):
-            update = {"baseline": True, "settings": _settings(counting)}
-            tables[table.method] = table.model_copy(update=update)
-            tables[table.method].write(folder / table.method)
+        for table in make(release, wanted, how, jobs=jobs, progress=progress):
+            tables[table.method] = table.model_copy(update={"baseline": True, "settings": settings})
+            tables[table.method].write(folders[table.method])
     return [tables[name] for name in names]
 
 
-def _kept(folder: Path, name: str, release: Release, counting: Counting) -> ScoreTable | None:
+def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
     """What was made before, if it would be the same again."""
     try:
         table = read_table(folder / ScoreTable.FILE)
     except StorageError:  # none there, or one that is damaged or does not add up
         return None
     made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
-    same = (name, True, release.benchmark_sha256, _settings(counting))
-    return table if made == same and table.complete else None
-
-
-def _settings(counting: Counting) -> ScoreSettings:
-    """What the numbers of a baseline depend on, with the versions of what made them."""
-    return describe(counting, "error").model_copy(update={"baseline_version": VERSIONS["baselines"]})
+    same = (name, True, release.benchmark_sha256, settings)
+    return table if made == same and (table.complete or table.failures) else None

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
@@ -12,7 +13,9 @@ from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table, rows_of
+from kinectbench.scoring.baselines.in_space import space_baselines
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
+from kinectbench.scoring.camera.grid_score import space_alone
 from kinectbench.scoring.pair_result import Counting, ceilings, count, drawn, surfaces
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.references import base_rates
@@ -60,11 +63,13 @@ def score_baselines(
     check_words(protocols, upsampling)
     check_names(release.targets, str(release.folder))
     pairs_to_score(release, validation=thresholds_file is None)
-    counting = counting_of(release, protocols, upsampling, surface)
     names = possible_baselines(release)
-    tables = counted_baselines(
-        release, names, counting, thresholds_file=thresholds_file, jobs=jobs, progress=progress
-    )
+    how: dict[str, Any] = {"thresholds_file": thresholds_file, "jobs": jobs}
+    if space := space_alone(protocols, upsampling):
+        tables = space_baselines(release, names, space, **how, progress=progress)
+    else:
+        counting = counting_of(release, protocols, upsampling, surface)
+        tables = counted_baselines(release, names, counting, **how, progress=progress)
     for table in tables:
         table.write(out / table.method)
     return tables

@@ -1,17 +1,18 @@
 """The table of a method whose predictions are in the camera frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow
+from kinectbench.core.artefacts.score_marks import ValidationUse
 from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
-from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
@@ -21,7 +22,7 @@ from kinectbench.scoring.declared import method_lines
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.rounds import Missing, pairs_to_score
-from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 from kinectbench.scoring.workers import run_tasks
 
@@ -68,7 +69,10 @@ def score_in_camera(
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
     empty = [target.name for target in sorted(files) if not files[target]]
-    table = _table(release, method, results, failures, _settings(protocols, missing), empty)
+    fixed = fixed_thresholds({target.category for target in results})
+    table = space_table(
+        release, method, results, failures, settings_in_space(protocols, missing), empty, fixed
+    )
     said = (*method_lines(folder, declared, release), *_without_inside(results), *table.warnings)
     return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
 
@@ -117,34 +121,56 @@ def _files(
     return {target: found for target, found in files.items() if target not in failures}, failures
 
 
-def _table(
+def fixed_thresholds(categories: Iterable[str]) -> Thresholds:
+    """Those of predictions that have none, as rows state one all the same."""
+    of = dict.fromkeys(sorted(categories), FIXED)
+    return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))
+
+
+def space_table(
     release: Release,
     method: str,
     results: Mapping[Target, ViewResult],
     failures: Mapping[Target, str],
     settings: ScoreSettings,
     empty: Sequence[str],
+    thresholds: Thresholds,
+    validation: Mapping[Target, str | None] = MappingProxyType({}),
 ) -> ScoreTable:
-    """The table of what was found; an average over a part of the views would flatter, so there is none."""
-    rows = tuple(row for target in sorted(results) for row in _rows(target, results[target]))
-    quality, categories = quality_of(release, rows), sorted({target.category for target in results})
+    """The table of what was found; an average over a part of the views would flatter, so there is none.
+
+    Args:
+        release: what was predicted.
+        method: its name.
+        results: of every view that was scored.
+        failures: why others could not be.
+        settings: see `settings_in_space`.
+        empty: names of views without a prediction that were scored as empty.
+        thresholds: of every category.
+        validation: what chose them: {pair: digest of its prediction's file, if there is one}.
+    """
+    rows = tuple(
+        row
+        for target in sorted(results)
+        for row in rows_of_view(target, results[target], thresholds.of[target.category])
+    )
+    quality = quality_of(release, rows)
+    digests = {target: result.digest for target, result in results.items()} | dict(validation)
+    predicted = sum(target.name not in empty for target in validation)
     derived = from_rows(rows, settings.protocols, {}, quality, not failures)
-    warnings = [f"{len(empty)} predictions are missing and were scored as empty"] * bool(empty)
-    if failures:
-        warnings.append(
-            f"incomplete: {len(failures)} views could not be scored, so there are no averages",
-        )
     table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,
         package_version=__version__,
         settings=settings,
         complete=not failures,
-        thresholds=dict.fromkeys(categories, FIXED),
-        threshold_source=FIXED_SOURCE,
-        threshold_source_by_category=dict.fromkeys(categories, FIXED_SOURCE),
-        threshold_objects=(),
-        validation=None,
+        thresholds=dict(thresholds.of),
+        threshold_source=thresholds.source,
+        threshold_source_by_category=dict(thresholds.sources),
+        threshold_objects=thresholds.objects,
+        validation=ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
+        if thresholds.source in SEARCHED
+        else None,
         missing_as_empty=tuple(empty),
         base_rate={},
         rows=rows,
@@ -152,17 +178,23 @@ def _table(
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=tuple(warnings),
+        warnings=(*thresholds.warnings, *_warnings(failures, empty)),
         hashes={
-            target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
-            for target in sorted(results)
+            target.name: Hashes(truth=target.sha256, prediction=digests[target]) for target in sorted(digests)
         },
         **vars(derived),
     )
     return table.model_copy(update={"marks": marks_of(table)})
 
 
-def _rows(target: Target, result: ViewResult) -> list[ScoreRow]:
+def _warnings(failures: Mapping[Target, str], empty: Sequence[str]) -> list[str]:
+    found = [f"{len(empty)} predictions are missing and were scored as empty"] * bool(empty)
+    if failures:
+        found.append(f"incomplete: {len(failures)} views could not be scored, so there are no averages")
+    return found
+
+
+def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[ScoreRow]:
     """The rows of one view."""
     return [
         ScoreRow(
@@ -171,12 +203,12 @@ def _rows(target: Target, result: ViewResult) -> list[ScoreRow]:
             view=target.view,
             category=target.category,
             protocol=one.protocol,
-            threshold=FIXED,
+            threshold=threshold,
             **asdict(one.figures.voxels),
             **asdict(one.figures.surface),
             coverage_voxels=one.figures.coverage_voxels,
             coverage_shape=one.figures.coverage_shape,
-            cells=0 if result.digest is None else FULL_CELLS,
+            cells=result.cells,
             unknown_share=result.unknown_share,
             part=one.part,
             alignment=one.alignment,
@@ -200,14 +232,15 @@ def _without_inside(results: Mapping[Target, ViewResult]) -> list[str]:
     ]
 
 
-def _settings(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:
+def settings_in_space(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:
     """The choices that the numbers depend on, in words and numbers."""
     return ScoreSettings(
         score_version=VERSIONS["score"],
         protocols=protocols,
         primary_protocol=protocols[0],
         missing=missing,
-        occupied="centre of a cell inside a closed mesh, in an occupied cell, or at a negative distance",
+        occupied="centre of a cell inside a closed mesh, in an occupied cell (y > threshold), "
+        "or at a negative distance",
         averages="pair, object, category, macro",
         surface_metrics=True,
         f_score_mm=F_SCORE_MM,

@@ -19,6 +19,7 @@ from kinectbench.core.geometry import rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import open_plain, printable
+from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.metrics import Figures, figures_by_part
@@ -28,6 +29,9 @@ from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.prediction_file import blake3_of
+
+# A protocol, and under `aligned` what the registration may change.
+Asked = tuple[str, str | None]
 
 
 @dataclass(frozen=True)
@@ -80,11 +84,13 @@ class ViewResult:
         rows: what its rows state.
         unknown_share: of the true shape's cells, those that are not known.
         digest: BLAKE3 of the prediction's file, or of the digests of several; None without one.
+        cells: side of the prediction's grid; 0 without a prediction.
     """
 
     rows: tuple[Scored, ...]
     unknown_share: float
     digest: str | None
+    cells: int = FULL_CELLS
 
 
 def score_view(job: ViewJob) -> ViewResult | str:
@@ -94,14 +100,15 @@ def score_view(job: ViewJob) -> ViewResult | str:
         ReleaseError: the truth is missing, or not the published one.
     """
     truth = read_space_truth(job.truth, job.target.sha256)
+    asked = asked_rows(job.protocols, job.method.scale)
     if not job.files:
-        return ViewResult(_empty(truth, job), truth.unknown_share, None)
+        return ViewResult(empty_rows(truth, asked), truth.unknown_share, None, 0)
     found, digests = [], []
     for file in job.files:
         try:
             with open_plain(file.path) as content:
                 digests.append(blake3_of(content))
-            found.append(score_shape(truth, load_camera_shape(file, job.method), job))
+            found.append(score_shape(truth, load_camera_shape(file, job.method), asked))
         except PredictionError as error:
             line = str(error)
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
@@ -113,8 +120,13 @@ def score_view(job: ViewJob) -> ViewResult | str:
     return ViewResult((*found[0], *_over(found)), truth.unknown_share, digest)
 
 
-def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Scored, ...]:
+def score_shape(truth: SpaceTruth, shape: CameraShape, asked: Sequence[Asked]) -> tuple[Scored, ...]:
     """The rows of one predicted shape, in the camera frame, by protocol, kind of registration and part.
+
+    Args:
+        truth: of the view.
+        shape: that is predicted.
+        asked: see `asked_rows`.
 
     Raises:
         PredictionError: its solid cannot be made in the truth's cells.
@@ -124,7 +136,7 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
     rows: list[Scored] = []
-    for protocol, kind in _rows_of(job):
+    for protocol, kind in asked:
         T, alignment, moved = truth.T_grid_camera, None, as_predicted
         if kind is not None:
             found_T, alignment = _aligned(truth, as_predicted, kind)
@@ -139,11 +151,16 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, job: ViewJob) -> tuple[Sc
     return tuple(rows)
 
 
-def _rows_of(job: ViewJob) -> list[tuple[str, str | None]]:
-    """The protocols, and under `aligned` the kinds of registration; of free size only those with a scale."""
-    kinds = [kind for kind in KINDS if job.method.scale == "metric" or "s" in kind]
-    found: list[tuple[str, str | None]] = [("camera", None)] if "camera" in job.protocols else []
-    return [*found, *(("aligned", kind) for kind in kinds if "aligned" in job.protocols)]
+def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
+    """The protocols, and under `aligned` the kinds of registration; of free size only those with a scale.
+
+    Args:
+        protocols: camera, aligned or both.
+        scale: metric or free, as method.json has it.
+    """
+    kinds = [kind for kind in KINDS if scale == "metric" or "s" in kind]
+    found: list[Asked] = [("camera", None)] if "camera" in protocols else []
+    return [*found, *(("aligned", kind) for kind in kinds if "aligned" in protocols)]
 
 
 def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, Alignment]:
@@ -160,8 +177,8 @@ def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, A
     )
 
 
-def _empty(truth: SpaceTruth, job: ViewJob) -> tuple[Scored, ...]:
-    """The rows of a view without a prediction: the worst of each figure."""
+def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
+    """The rows of a view of which nothing is predicted: the worst of each figure."""
     nothing = Solid(np.zeros_like(truth.full), 0.0)
     found = figures_by_part(truth, None, nothing)[0]
     return tuple(
@@ -173,7 +190,7 @@ def _empty(truth: SpaceTruth, job: ViewJob) -> tuple[Scored, ...]:
             if kind is None
             else Alignment(kind=kind, scale=1.0, rotation_deg=0.0, translation_m=0.0, ok=False),
         )
-        for protocol, kind in _rows_of(job)
+        for protocol, kind in asked
         for part, figures in found.items()
     )
 

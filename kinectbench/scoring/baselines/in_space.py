@@ -1,0 +1,130 @@
+"""Baselines under the protocols of space: their cells as solids, view by view, and no files."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from kinectbench.core.artefacts.counted import Tally
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.types import Progress
+from kinectbench.release.release import Release, Target
+from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
+from kinectbench.scoring.baselines.registry import BASE_RATE
+from kinectbench.scoring.camera.grid import grid_result
+from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, space_table
+from kinectbench.scoring.camera.truth import read_space_truth
+from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
+from kinectbench.scoring.counts import tally
+from kinectbench.scoring.pair_result import drawn
+from kinectbench.scoring.read_table import differing
+from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.thresholds import searched_thresholds, thresholds_for
+from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.workers import run_tasks
+
+# {name of a baseline: its tally} of a pair, and its result, or why it cannot be scored.
+Tallies = dict[str, Tally]
+Results = dict[str, ViewResult | str]
+
+
+def space_baselines(
+    release: Release,
+    names: Sequence[str],
+    protocols: tuple[str, ...],
+    *,
+    thresholds_file: Path | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[ScoreTable]:
+    """The table of each of some baselines, in the order of `names`, but of `base-rate`: it has no surface.
+
+    Args:
+        release: what is predicted.
+        names: baselines that it allows (`possible_baselines`).
+        protocols: camera, aligned or both.
+        thresholds_file: see `read_thresholds`; default: as of the grid protocols.
+        jobs: number of processes.
+        progress: called with (views done, views in all).
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+        SettingsError: an unusable threshold file.
+    """
+    names, rates = [name for name in names if name != BASE_RATE], base_rates(release, jobs)
+    validation: dict[Target, str | None] = {}
+    if thresholds_file is None:
+        tasks = baseline_tasks(release, names, rates, ("validation",))
+        counted = {task.target: of for task, of in zip(tasks, run_tasks(_tallies, tasks, jobs), strict=True)}
+        validation = dict.fromkeys(counted)
+        thresholds = {
+            name: searched_thresholds(release.targets, {t: of[name] for t, of in counted.items()})
+            for name in names
+        }
+    else:
+        thresholds = dict.fromkeys(names, thresholds_for(thresholds_file, release.split("test")))
+    used = {name: of.of for name, of in thresholds.items()}
+    tasks = baseline_tasks(release, names, rates, ("test",))
+    found = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), tasks, jobs, progress)
+    results = {task.target: of for task, of in zip(tasks, found, strict=True)}
+    settings = settings_in_space(protocols, "error")
+    return [
+        space_table(
+            release,
+            name,
+            {t: one for t, of in results.items() if isinstance(one := of[name], ViewResult)},
+            {t: one for t, of in results.items() if isinstance(one := of[name], str)},
+            settings,
+            (),
+            thresholds[name],
+            validation,
+        )
+        for name in names
+    ]
+
+
+def space_baselines_that_differ(
+    release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
+) -> set[str]:
+    """Names of tables some of whose rows are not what their baseline gives: a few pairs are scored again."""
+    rates = base_rates(release, jobs)
+    tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
+    pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
+    chosen = [task for task in tasks if task.target.name in pairs]
+    if any(task.target.category not in table.thresholds for task in chosen for table in tables.values()):
+        return set(tables)
+    used = {name: table.thresholds for name, table in tables.items()}
+    found = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), chosen, jobs)
+    wrong = set()
+    for name, table in tables.items():
+        kept = {(row.pair, row.heading): row for row in table.rows}
+        again = [
+            row
+            for task, of in zip(chosen, found, strict=True)
+            if isinstance(one := of[name], ViewResult)
+            for row in rows_of_view(task.target, one, table.thresholds[task.target.category])
+        ]
+        if any(any(differing(kept.get((row.pair, row.heading)), row, "", whole=True)) for row in again):
+            wrong.add(name)
+    return wrong
+
+
+def _tallies(task: BaselineTask) -> Tallies:
+    """What chooses the thresholds of each baseline, of a pair of the validation split."""
+    truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
+    return {name: tally(prediction, truth) for name, prediction in predicted(task)}
+
+
+def _results(
+    thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
+) -> Results:
+    """Every baseline's result of one view."""
+    truth = read_space_truth(task.release.pair_path(task.target), task.target.sha256)
+    category = task.target.category
+    found: Results = {}
+    for name, prediction in predicted(task):
+        try:
+            found[name] = grid_result(truth, prediction, thresholds[name][category], asked)
+        except PredictionError as error:  # a surface of noise
+            found[name] = f"{task.target.name}: {error}"
+    return found

@@ -1,0 +1,74 @@
+"""Predictions in the cells of a pair as solids in the camera frame: they are scored as any other solid."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.release.release import Target
+from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
+from kinectbench.scoring.camera.view import Asked, ViewResult, empty_rows, score_shape
+from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.counts import Prediction, occupied
+from kinectbench.scoring.prediction_file import load_hashed
+
+
+@dataclass(frozen=True)
+class GridJob:
+    """A view to be scored whose prediction is in the cells of its pair.
+
+    Attributes:
+        target: the view.
+        truth: its pair file.
+        file: of its prediction; None for an empty one.
+        threshold: a cell is occupied if its value is above it.
+        asked: see `asked_rows`.
+    """
+
+    target: Target
+    truth: Path
+    file: Path | None
+    threshold: float
+    asked: tuple[Asked, ...]
+
+
+def score_grid(job: GridJob) -> ViewResult | str:
+    """Score a view; the reason where its prediction cannot be scored.
+
+    Raises:
+        ReleaseError: the truth is missing, or not the published one.
+    """
+    truth = read_space_truth(job.truth, job.target.sha256)
+    if job.file is None:
+        return ViewResult(empty_rows(truth, job.asked), truth.unknown_share, None, 0)
+    try:
+        loaded = load_hashed(job.file, job.target.name + job.file.suffix, truth.voxel_size_m)
+        return grid_result(truth, loaded.prediction, job.threshold, job.asked, loaded.digest)
+    except PredictionError as error:
+        line, name = str(error), job.target.name
+        return line if line.startswith(name) else f"{name}{job.file.suffix}: {line}"
+
+
+def grid_result(
+    truth: SpaceTruth,
+    prediction: Prediction,
+    threshold: float,
+    asked: tuple[Asked, ...],
+    digest: str | None = None,
+) -> ViewResult:
+    """The result of a prediction (n, n, n) in [0, 1]; other sides than 256 are upsampled as under `known`.
+
+    Raises:
+        PredictionError: its surface has too many faces.
+    """
+    cells = unpack(occupied(prediction, threshold))
+    if cells.any():
+        none, T = np.zeros((0, 3)), invert_rigid(truth.T_grid_camera)
+        shape = CameraShape("voxels", none, none.astype(np.int64), None, cells, T, truth.voxel_size_m)
+        rows = score_shape(truth, shape, asked)
+    else:
+        rows = empty_rows(truth, asked)
+    return ViewResult(rows, truth.unknown_share, digest, len(prediction))

@@ -1,0 +1,86 @@
+"""The table of a method whose predictions are in the cells of a pair, under the protocols of space."""
+
+from collections.abc import Sequence
+
+from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.score_figures import IN_SPACE
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.types import Progress
+from kinectbench.core.voxels.resample import HALF_PIXEL
+from kinectbench.release.release import Release
+from kinectbench.scoring.camera.grid import GridJob, score_grid
+from kinectbench.scoring.camera.score import settings_in_space, space_table
+from kinectbench.scoring.camera.view import ViewResult, asked_rows
+from kinectbench.scoring.pair_result import Counting, Journal
+from kinectbench.scoring.rounds import Missing, Plan, Rounds
+from kinectbench.scoring.workers import run_tasks
+
+# Thresholds are searched by all cells; surfaces decide nothing.
+SEARCHING = Counting(("paper",), surface=False)
+
+
+def space_alone(protocols: Sequence[str] | None, upsampling: str) -> tuple[str, ...]:
+    """Those of some protocols that are of space; () where none is.
+
+    Raises:
+        SettingsError: others are among them, or coarse grids are to be upsampled in another way.
+    """
+    asked = tuple(name for name in IN_SPACE if name in (protocols or ()))
+    if others := [name for name in protocols or () if asked and name not in asked]:
+        raise SettingsError(
+            f"--protocol {', '.join(asked)} and {', '.join(others)}: surfaces in space and cells have tables "
+            "of their own; score twice, each with a folder --out"
+        )
+    if asked and upsampling != HALF_PIXEL:
+        raise SettingsError(f"--upsampling {upsampling}: under {', '.join(asked)} it is {HALF_PIXEL}")
+    return asked
+
+
+def score_grid_in_space(
+    release: Release,
+    asked: Plan,
+    method: str,
+    protocols: tuple[str, ...],
+    missing: Missing,
+    jobs: int,
+    progress: Progress | None,
+) -> ScoreTable:
+    """Score the test split of a method whose predictions are in the cells of a pair.
+
+    Args:
+        release: what the predictions are for.
+        asked: what is to be scored.
+        method: its name.
+        protocols: of `space_alone`.
+        missing: as of `score`.
+        jobs: number of processes.
+        progress: called with (views done, views in all).
+
+    Raises:
+        ReleaseError: a pair file is missing or changed.
+    """
+    rounds = Rounds(release, SEARCHING, Journal(None), jobs, None)
+    searched = {target: file for target, file in asked.files.items() if target.split == "validation"}
+    outcomes, thresholds = rounds.count(searched, asked.fixed, asked.own)
+    validation = {t: found.digest for t, found in outcomes.items() if isinstance(found, PairResult)}
+    rows = tuple(asked_rows(protocols, "metric"))
+    tasks = [
+        GridJob(t, release.pair_path(t), asked.files[t], thresholds.of[t.category], rows)
+        for t in sorted(asked.files)
+        if t.split == "test"
+    ]
+    found = {
+        task.target: of for task, of in zip(tasks, run_tasks(score_grid, tasks, jobs, progress), strict=True)
+    }
+    reasons = {t: of for t, of in (outcomes | found).items() if isinstance(of, str)}
+    return space_table(
+        release,
+        method,
+        {t: of for t, of in found.items() if isinstance(of, ViewResult)},
+        asked.failures | reasons,
+        settings_in_space(protocols, missing),
+        sorted(t.name for t, file in asked.files.items() if file is None),
+        thresholds,
+        validation,
+    )
