@@ -75,9 +75,8 @@ def score(
     """
     check_words(protocols, upsampling)
     if (said := read_in_camera(predictions)) is not None:
-        _refuse_thresholds(thresholds_file)
-        used = protocols_in_space(protocols, said)
-        return score_in_camera(release, predictions, said, method, used, missing, _processes(jobs), progress)
+        used, processes = protocols_in_space(protocols, said), _processes(jobs, thresholds_file)
+        return score_in_camera(release, predictions, said, method, used, missing, processes, progress)
     asked = plan(release, predictions, thresholds_file, missing)
     if space := space_alone(protocols, upsampling):
         table = score_grid_in_space(release, asked, method, space, missing, _processes(jobs), progress)
@@ -88,9 +87,8 @@ def score(
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    rates = base_rates(
-        release, jobs if isinstance(jobs, int) else 1, {t: result.tally for t, result in results.items()}
-    )
+    tallies = {target: result.tally for target, result in results.items()}
+    rates = base_rates(release, jobs if isinstance(jobs, int) else 1, tallies)
     empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
@@ -128,13 +126,10 @@ def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], tab
     return [changed_line(changed, len(digests))] if changed else []
 
 
-def _refuse_thresholds(path: Path | None) -> None:
-    if path is not None:
-        raise SettingsError(f"--thresholds {path}: predictions in the camera frame have none")
-
-
-def _processes(jobs: int | Executor) -> int:
-    """The number of processes; under the protocols of space nothing else can score."""
+def _processes(jobs: int | Executor, thresholds: Path | None = None) -> int:
+    """The number of processes; refuse what the protocols of space, or predictions there, do not have."""
+    if thresholds is not None:
+        raise SettingsError(f"--thresholds {thresholds}: predictions in the camera frame have none")
     if not isinstance(jobs, int):
         raise SettingsError("--cluster: surfaces in space are scored on one machine; use --jobs")
     return jobs
