@@ -1,9 +1,12 @@
 """The table of scores of predictions in the camera frame that people see in the terminal."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
+from kinectbench.core.artefacts.score_figures import AsPapers, ScoreRow, fields_of
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
+from kinectbench.scoring.averages import plain_mean
 
 if TYPE_CHECKING:
     from kinectbench.cli.wide_table import WideTable
@@ -22,9 +25,18 @@ COLUMNS = {
     "normal_consistency": ("normals", "{:.3f}"),
     "iou": ("IoU", "{:.3f}"),
 }
+# What rows state beside: as of the columns.
+BESIDE = {
+    **{name: (str(field.title), "{:.3f}") for name, field in fields_of(AsPapers).items() if field.title},
+    "cut": ("cut", "{:.1%}"),
+    "silhouette": ("outside mask", "{:.1%}"),
+}
 EMPTY_NOTE = (
     "empty: not known of every view; open meshes and points have no IoU, points without normals no normals"
 )
+CEILING = "(ceiling)"
+CEILING_NOTE = "(ceiling): what the truth's own uncertainty leaves to a perfect prediction"
+BESIDE_NOTE = "cut: of the truth, outside the method's volume; outside mask: of the predicted surface"
 
 
 def space_table(tables: Sequence[ScoreTable]) -> "WideTable":
@@ -36,17 +48,25 @@ def space_table(tables: Sequence[ScoreTable]) -> "WideTable":
     result = WideTable(title=TITLE)
     result.add_column("protocol")
     result.add_column("method")
-    for name, _ in COLUMNS.values():
+    for name, _ in (COLUMNS | BESIDE).values():
         result.add_column(name, justify="right")
     headings = dict.fromkeys(name for table in tables for name in table.overall or {})
+    has_ceiling = False
     for heading in headings:
-        for table in sorted(tables, key=lambda table: _far(table, heading)):
-            if OVERALL in (averages := table.averages(heading)):
-                result.add_row(heading, Text(table.method), *_cells(averages[OVERALL]))
+        ordered = [
+            t for t in sorted(tables, key=lambda t: _far(t, heading)) if OVERALL in t.averages(heading)
+        ]
+        for table in ordered:
+            beside = _beside(table.pairs(heading))
+            result.add_row(heading, Text(table.method), *_cells(table.averages(heading)[OVERALL]), *beside)
+        if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
+            has_ceiling = True
+            result.add_row(heading, CEILING, *ceiling)
         result.add_section()
     failed = [f"{t.method}: {len(t.failures)} views failed" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
-    result.caption = "\n".join([*failed, *left_out, EMPTY_NOTE])
+    notes = [EMPTY_NOTE, BESIDE_NOTE, *([CEILING_NOTE] if has_ceiling else [])]
+    result.caption = "\n".join([*failed, *left_out, *notes])
     return result
 
 
@@ -56,5 +76,31 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _cells(averages: object) -> list[str]:
-    found = [(getattr(averages, name), form) for name, (_, form) in COLUMNS.items()]
-    return ["" if value is None else form.format(value) for value, form in found]
+    return [_written(getattr(averages, name), form) for name, (_, form) in COLUMNS.items()]
+
+
+def _beside(rows: Sequence[ScoreRow]) -> list[str]:
+    return [_written(plain_mean(rows, partial(_stated, name)), form) for name, (_, form) in BESIDE.items()]
+
+
+def _stated(name: str, row: ScoreRow) -> float | None:
+    found: float | None = (
+        getattr(row, name, None) if hasattr(row, name) else getattr(row.as_papers, name, None)
+    )
+    return found
+
+
+def _allowed(name: str, row: ScoreRow) -> float | None:
+    found: float | None = getattr(row.ceiling, name, None)
+    return found
+
+
+def _ceiling(rows: Sequence[ScoreRow]) -> list[str]:
+    return [
+        _written(plain_mean(rows, partial(_allowed, name)), form)
+        for name, (_, form) in (COLUMNS | BESIDE).items()
+    ]
+
+
+def _written(value: float | None, form: str) -> str:
+    return "" if value is None else form.format(value)

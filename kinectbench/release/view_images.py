@@ -1,5 +1,6 @@
 """The images of a view of a release: depth, mask and colour, from strangers' files."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import Bools, Float32, Rgb
 from kinectbench.release.contents import VIEW_IMAGES
+from kinectbench.release.published import published_bytes
 from kinectbench.release.release import Release, Target
 
 
@@ -49,6 +51,21 @@ def mask(release: Release, target: Target) -> Bools:
         ReleaseError: as `depth_m`.
     """
     return np.asarray(_pixels(release, target, MASK) > 0)
+
+
+def mask_file(release: Release, target: Target) -> tuple[Path, str] | None:
+    """The file of a view's mask, and what it must hash to; None where the release has none."""
+    name = f"views/{target.recording}/{target.view}{MASK.suffix}"
+    return (release.folder / name, release.sums[name]) if name in release.sums else None
+
+
+def read_mask(path: Path, sha256: str) -> Bools:
+    """The same mask from its file, as `mask_file` names it.
+
+    Raises:
+        ReleaseError: as `depth_m`.
+    """
+    return np.asarray(_decoded(published_bytes(path, sha256), shown(path), MASK) > 0)
 
 
 def color(release: Release, target: Target) -> Rgb:

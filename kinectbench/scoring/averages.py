@@ -1,6 +1,6 @@
 """From rows to averages: pair -> object -> category -> macro; `paper` takes the plain mean of the pairs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
@@ -81,6 +81,25 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
         }
         for protocol, by_category in groups.items()
     }
+
+
+def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
+    """The mean of what rows state beside their metrics: over pairs, objects, categories, in this order.
+
+    Args:
+        rows: under one heading; those without figures count nowhere.
+        value: of a row.
+
+    Returns:
+        None if a row that counts has none.
+    """
+    groups: dict[str, dict[str, list[float | None]]] = {}
+    for row in rows:
+        if row.counts:
+            groups.setdefault(row.category, {}).setdefault(row.object, []).append(value(row))
+    return _known_mean(
+        [_known_mean([_known_mean(values) for values in of.values()]) for of in groups.values()]
+    )
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:

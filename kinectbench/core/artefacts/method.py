@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.core.artefacts.benchmark import SHA256
-from kinectbench.core.artefacts.stored import Matrix4, Part, Stored
+from kinectbench.core.artefacts.stored import Matrix4, Part, Stored, array_in_file
 from kinectbench.core.errors import KinectBenchError, PredictionError
 from kinectbench.core.geometry.rigid import similarity_problem
 from kinectbench.core.storage import canonical_json, sha256_text
@@ -35,6 +35,7 @@ def _checked_similarity(T: Float64) -> Float64:
     return T
 
 
+Box = Annotated[Float64, *array_in_file((2, 3))]
 Similarity = Annotated[Matrix4, AfterValidator(_checked_similarity)]
 
 
@@ -88,6 +89,11 @@ class MethodFile(Stored):
         None,
         description="`<recording>/<view>` -> 4 x 4 similarity from the prediction to the camera, metres, for "
         "column vectors; it is applied after `unit` and `axes`",
+    )
+    volume_m: dict[str, Box] | None = Field(
+        None,
+        description="`<recording>/<view>` -> lowest and highest x, y, z that the method looks at: camera "
+        "frame, metres; what it cuts of the truth is stated",
     )
     scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
     hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions of each pair")

@@ -193,6 +193,38 @@ class Hypotheses:
 
 
 @dataclass(frozen=True, config=FINITE)
+class Ceiling:
+    """What the truth's own surface uncertainty leaves to a perfect prediction; docs/scoring-in-space.md."""
+
+    chamfer_l1_m: float | None = _loss(None, "of `chamfer_l1_m`", "m")
+    chamfer_l2_m2: float | None = _loss(None, "of `chamfer_l2_m2`", "m^2")
+    f_score_5mm: float | None = _share(None, "of `f_score_5mm`")
+    f_score_10mm: float | None = _share(None, "of `f_score_10mm`")
+    f_score_20mm: float | None = _share(None, "of `f_score_20mm`")
+    f_score_1pct: float | None = _share(None, "of `f_score_1pct`")
+    f_score_2pct: float | None = _share(None, "of `f_score_2pct`")
+    f_score_5pct: float | None = _share(None, "of `f_score_5pct`")
+    iou: float | None = _share(None, "of `iou`, as the part's known cells and surface give it")
+
+
+@dataclass(frozen=True, config=FINITE)
+class AsPapers:
+    """Figures by the constants of other papers' code; docs/scoring-in-space.md says what differs."""
+
+    octmae_chamfer_l1_mm: float | None = _loss("CD-L1 as OctMAE, mm", "half of both ways", "mm")
+    octmae_chamfer_l2_mm2: float | None = _loss(None, "half of both ways, of squares", "mm^2")
+    octmae_f_5mm: float | None = _share(None, "F at 5 mm")
+    octmae_f_10mm: float | None = _share("F 10 mm as OctMAE", "F at 10 mm")
+    octmae_f_20mm: float | None = _share(None, "F at 20 mm")
+    octmae_f_30mm: float | None = _share(None, "F at 30 mm")
+    pcn_chamfer_l1: float | None = _loss("CD-L1 as PCN", "half of both ways, diagonal 1, x 1000", "1")
+    pcn_chamfer_l2: float | None = _loss(None, "sum of both ways, of squares, diagonal 1, x 1000", "1")
+    pcn_f: float | None = _share("F as PCN", "F below 0.01, diagonal 1")
+    sds_chamfer_l1_mm: float | None = _loss("CD-L1 as SDS, mm", "half of both ways", "mm")
+    sds_chamfer_l2_mm2: float | None = _loss(None, "sum of both ways, of squares", "mm^2")
+
+
+@dataclass(frozen=True, config=FINITE)
 class InSpace:
     """What only rows of the protocols `camera` and `aligned` state."""
 
@@ -212,6 +244,16 @@ class InSpace:
     surface_unknown_share: OptionalUnitRange = Field(
         default=None, description="of the true surface of the part, what is unknown and left out"
     )
+    cut: OptionalUnitRange = Field(
+        default=None, description="of the true known shape, what lies outside the method's own volume"
+    )
+    silhouette: OptionalUnitRange = Field(
+        default=None, description="of the predicted surface, what projects outside the mask of its view"
+    )
+    ceiling: Ceiling | None = Field(
+        default=None, description="best figures that the truth's surface_sigma_m allows; null where it is 0"
+    )
+    as_papers: AsPapers | None = Field(default=None, description="of the whole under `camera`")
 
 
 @dataclass(frozen=True, config=FINITE)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kinectbench.core import images
+from kinectbench.core.artefacts.method import Box
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
@@ -133,6 +134,9 @@ class ViewCamera(Stored):
     method: str | None = Field(None, description="whose files these are")
     T_camera_method: Matrix4 | None = Field(
         None, description="similarity from what the method reads to the camera, metres; column vectors"
+    )
+    volume_m: Box | None = Field(
+        None, description="lowest and highest x, y, z that the method looks at: camera frame, metres"
     )
     cut_share: float | None = Field(
         None, ge=0, le=1, description="of the object, outside the volume that the method looks at"

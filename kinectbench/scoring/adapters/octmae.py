@@ -11,7 +11,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.core.types import Float64
+from kinectbench.core.types import Bools, Float64
 from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.release.exchange.rgbd import (
@@ -48,20 +48,28 @@ def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dic
     K = json.dumps({"cam_K": shown.K.ravel().tolist()}, indent=1)
     (folder / "intrinsics.json").write_text(K, encoding="utf-8")
     share, of = _cut_share(release, view)
-    return shown, {"T_camera_method": scaling(M_PER_MM), "cut_share": share, "cut_of": of}
+    stated = {"T_camera_method": scaling(M_PER_MM), "cut_share": share, "cut_of": of}
+    if len(view.object_points_m):
+        stated["volume_m"] = cube_mm(view.object_points_m / M_PER_MM) * M_PER_MM
+    return shown, stated
 
 
-def in_cube(points_mm: Float64, seen_mm: Float64) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Which points (n, 3) lie in its cube, bool (n,); camera frame, millimetres.
+def cube_mm(seen_mm: Float64) -> Float64:
+    """(2, 3), the lowest and the highest corner of its cube; camera frame, millimetres.
 
     Args:
-        points_mm: that are asked for.
-        seen_mm: (m, 3), the object's measured points, which place the cube.
+        seen_mm: (m, 3), the object's measured points, which place it.
     """
     side = CELLS * CELL_MM
     begin = (np.floor(seen_mm[:, 2].min() / CELL_MM) - CELLS_BEFORE) * CELL_MM
     low = np.array([-side / 2, -side / 2, begin])
-    return np.asarray(((points_mm >= low) & (points_mm < low + side)).all(axis=1))
+    return np.stack([low, low + side])
+
+
+def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
+    """Which points (n, 3) lie in its cube, bool (n,); arguments as of `cube_mm`."""
+    low, high = cube_mm(seen_mm)
+    return np.asarray(((points_mm >= low) & (points_mm < high)).all(axis=1))
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:

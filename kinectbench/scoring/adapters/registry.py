@@ -83,12 +83,15 @@ def adapt(
     """
     adapter = adapter_of(name)
     if not output.is_dir():
-        raise PredictionError(f"{output}: no such folder", what="no-folder")
-    problems, written = list[str](), 0
+        raise PredictionError(f"{output}: no such folder")
+    problems, volumes, written = list[str](), dict[str, Float64](), 0
     with new_folder(out, MethodFile.FILE) as folder:
         for done, target in enumerate(release.targets, start=1):
             try:
-                written += _adapted(release, name, adapter, output, target, folder)
+                camera = _adapted(release, name, adapter, output, target, folder)
+                written += camera is not None
+                if camera is not None and camera.volume_m is not None:
+                    volumes[target.name] = camera.volume_m
             except PredictionError as error:
                 problems.append(f"{target.name}: {error}")
             if progress:
@@ -102,6 +105,7 @@ def adapt(
             form=adapter.form,  # type: ignore[arg-type]  # its words are those of the adapters
             unit="m",
             axes="cv",
+            volume_m=volumes or None,
             inputs=adapter.inputs,
             settings={"adapted_by": f"kinectbench {__version__}"},
         )
@@ -111,8 +115,8 @@ def adapt(
 
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
-) -> bool:
-    """Write the prediction of one view; False if the method wrote nothing for it."""
+) -> ViewCamera | None:
+    """Write the prediction of one view, and return its camera.json; None if the method wrote nothing."""
     there = output / target.recording / target.view
     try:
         path = find_output(there, adapter.output)
@@ -121,7 +125,7 @@ def _adapted(
             f"its folder cannot be listed ({error.strerror or error})", what="unreadable"
         ) from error
     if path is None:
-        return False
+        return None
     camera = ViewCamera.read(there)
     T_camera_method = _placed(camera, name)
     if not np.allclose(camera.T_world_camera, camera_of(release, target)[1], rtol=0, atol=SAME_POSE):
@@ -134,7 +138,7 @@ def _adapted(
     except (ValueError, *UNREADABLE) as error:
         raise PredictionError(f"{path.name}: cannot be read ({error})", what="unreadable") from error
     write_shape(shape, folder / target.recording / target.view)
-    return True
+    return camera
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:

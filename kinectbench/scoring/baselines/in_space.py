@@ -13,7 +13,7 @@ from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, 
 from kinectbench.scoring.baselines.registry import BASE_RATE
 from kinectbench.scoring.camera.grid import grid_result
 from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, space_table
-from kinectbench.scoring.camera.truth import read_space_truth
+from kinectbench.scoring.camera.truth import files_of, read_space_truth
 from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.counts import tally
 from kinectbench.scoring.pair_result import drawn
@@ -119,7 +119,7 @@ def _results(
     thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
 ) -> Results:
     """Every baseline's result of one view."""
-    truth = read_space_truth(task.release.pair_path(task.target), task.target.sha256)
+    truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     found: Results = {}
     for name, prediction in predicted(task):

@@ -9,7 +9,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Target
-from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
+from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
 from kinectbench.scoring.camera.view import Asked, ViewResult, empty_rows, score_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.counts import Prediction, occupied
@@ -22,14 +22,14 @@ class GridJob:
 
     Attributes:
         target: the view.
-        truth: its pair file.
+        truth: its files in the release.
         file: of its prediction; None for an empty one.
         threshold: a cell is occupied if its value is above it.
         asked: see `asked_rows`.
     """
 
     target: Target
-    truth: Path
+    truth: ViewFiles
     file: Path | None
     threshold: float
     asked: tuple[Asked, ...]
@@ -41,7 +41,7 @@ def score_grid(job: GridJob) -> ViewResult | str:
     Raises:
         ReleaseError: the truth is missing, or not the published one.
     """
-    truth = read_space_truth(job.truth, job.target.sha256)
+    truth = read_space_truth(job.truth)
     if job.file is None:
         return ViewResult(empty_rows(truth, job.asked), truth.unknown_share, None, 0)
     try:

@@ -11,6 +11,7 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.camera.grid import GridJob, score_grid
 from kinectbench.scoring.camera.score import settings_in_space, space_table
+from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewResult, asked_rows
 from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.rounds import Missing, Plan, Rounds
@@ -66,7 +67,7 @@ def score_grid_in_space(
     validation = {t: found.digest for t, found in outcomes.items() if isinstance(found, PairResult)}
     rows = tuple(asked_rows(protocols, "metric"))
     tasks = [
-        GridJob(t, release.pair_path(t), asked.files[t], thresholds.of[t.category], rows)
+        GridJob(t, files_of(release, t), asked.files[t], thresholds.of[t.category], rows)
         for t in sorted(asked.files)
         if t.split == "test"
     ]

@@ -6,9 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.artefacts.score_figures import ShapePart, SurfaceMetrics, VoxelMetrics
+from kinectbench.core.artefacts.score_figures import (
+    AsPapers,
+    Ceiling,
+    ShapePart,
+    SurfaceMetrics,
+    VoxelMetrics,
+)
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
+from kinectbench.scoring.camera import bounds
 from kinectbench.scoring.camera.solid import Solid
 from kinectbench.scoring.camera.surface import Surface, point_surface
 from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
@@ -33,6 +40,8 @@ class Figures:
         coverage_voxels: share of the grid's cells that count.
         coverage_shape: share of the shape's cells that count; 1 of an empty shape.
         surface_unknown_share: of the true surface's area, what is not known and left out.
+        ceiling: what the truth's uncertainty allows; None where it has none.
+        as_papers: of the whole, where that is asked.
     """
 
     surface: SurfaceMetrics
@@ -40,6 +49,8 @@ class Figures:
     coverage_voxels: float
     coverage_shape: float
     surface_unknown_share: float | None
+    ceiling: Ceiling | None = None
+    as_papers: AsPapers | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +98,7 @@ class Way:
 
 
 def figures_by_part(
-    truth: SpaceTruth, surface: Surface | None, solid: Solid | None
+    truth: SpaceTruth, surface: Surface | None, solid: Solid | None, as_papers: bool = False
 ) -> tuple[dict[ShapePart, Figures], float]:
     """The figures of each part, and the share of the predicted surface that lies in unknown space.
 
@@ -95,6 +106,7 @@ def figures_by_part(
         truth: of the view.
         surface: predicted, in the truth's grid; None of an empty prediction.
         solid: likewise; None where there is none.
+        as_papers: whether the figures of other papers are wanted, too.
     """
     if surface is None:
         surface = point_surface(np.zeros((0, 3)), None)
@@ -113,12 +125,18 @@ def figures_by_part(
         )
         metrics = _metrics(truth, there.of(part), back.of(part))
         voxels, coverage_voxels, coverage_shape = _voxels(truth, solid, part)
+        volume_m3 = coverage_shape * packed_count(truth.full) * truth.voxel_size_m**3
+        papers = None
+        if as_papers and part == "whole" and len(ours) and len(true_known):
+            papers = bounds.as_papers(_as_octmae(there, back), ours, true_known, truth.size_m)
         found[part] = Figures(
             metrics,
             VoxelMetrics() if metrics.chamfer_l1_m is None else voxels,
             coverage_voxels,
             coverage_shape,
             1 - of_known / true_area if true_area else None,
+            bounds.ceiling(truth.sigma_m, _tolerances_m(truth), of_known, volume_m3) if of_known else None,
+            papers,
         )
     return found, left_out
 
@@ -162,7 +180,6 @@ def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
         shares = dict.fromkeys((*F_SCORE_M, *F_SCORE_SHARES, "normal_consistency"), 0.0)
         return SurfaceMetrics(chamfer_l1_m=far_m, chamfer_l2_m2=far_m**2, **shares)
     ways = (there, back)
-    tolerances = F_SCORE_M | {name: share * truth.size_m for name, share in F_SCORE_SHARES.items()}
     normals = None
     if there.cosines is not None and back.cosines is not None:
         normals = sum(way.mean(way.cosines) for way in ways if way.cosines is not None) / 2
@@ -170,8 +187,26 @@ def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
         chamfer_l1_m=sum(way.mean(way.distances_m, max) for way in ways) / 2,
         chamfer_l2_m2=sum(way.mean(way.distances_m**2, max) for way in ways) / 2,
         normal_consistency=normals,
-        **{name: _f_score(there.near(far), back.near(far)) for name, far in tolerances.items()},
+        **{name: _f_score(there.near(far), back.near(far)) for name, far in _tolerances_m(truth).items()},
     )
+
+
+def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
+    return F_SCORE_M | {name: share * truth.size_m for name, share in F_SCORE_SHARES.items()}
+
+
+def _as_octmae(there: Way, back: Way) -> dict[str, float]:
+    """Half of both ways, in mm, and F at distances up to its four tolerances: its eval.py (08c1be6)."""
+    ways = (there, back)
+    mm = bounds.MM_PER_M
+    return {
+        "octmae_chamfer_l1_mm": sum(way.mean(way.distances_m, max) for way in ways) / 2 * mm,
+        "octmae_chamfer_l2_mm2": sum(way.mean(way.distances_m**2, max) for way in ways) / 2 * mm**2,
+        **{
+            f"octmae_f_{far}mm": _f_score(there.near(far / mm), back.near(far / mm))
+            for far in (5, 10, 20, 30)
+        },
+    }
 
 
 def _f_score(precision: float, recall: float) -> float:

@@ -16,6 +16,7 @@ from kinectbench.core.types import Progress
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
+from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
 from kinectbench.scoring.camera_predictions import CameraFile, find_files, missing_in_camera, strays_in_camera
 from kinectbench.scoring.declared import method_lines
@@ -62,7 +63,7 @@ def score_in_camera(
     test = pairs_to_score(release, validation=False)
     files, failures = _files(folder, test, declared, missing)
     tasks = [
-        ViewJob(target, release.pair_path(target), files[target], declared, protocols)
+        ViewJob(target, files_of(release, target), files[target], declared, protocols)
         for target in sorted(files)
     ]
     outcomes = dict(zip(sorted(files), run_tasks(score_view, tasks, jobs, progress), strict=True))
@@ -216,6 +217,10 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
             solid=one.solid,
             predicted_unknown_share=one.predicted_unknown_share,
             surface_unknown_share=one.figures.surface_unknown_share,
+            cut=one.cut,
+            silhouette=one.silhouette,
+            ceiling=one.figures.ceiling,
+            as_papers=one.figures.as_papers,
         )
         for one in result.rows
     ]

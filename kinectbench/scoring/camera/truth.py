@@ -1,6 +1,6 @@
 """The truth of a view as predictions in the camera frame are held to it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -10,6 +10,8 @@ from kinectbench.core.artefacts.score_figures import ShapePart
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unknown_share, unpack
+from kinectbench.release import view_images
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera.surface import Surface, cell_surface
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
@@ -31,6 +33,9 @@ class SpaceTruth:
         T_grid_camera: (4, 4).
         voxel_size_m: edge of a cell.
         size_m: the diagonal of the box of `full`.
+        sigma_m: standard deviation of the true surface; 0 if it is exact or not known.
+        K: (3, 3) of the view; None where it is not needed.
+        mask: (height, width) bool, the object in the view; None where the release has none.
     """
 
     full: Packed
@@ -42,6 +47,9 @@ class SpaceTruth:
     T_grid_camera: Float64
     voxel_size_m: float
     size_m: float
+    sigma_m: float = 0.0
+    K: Float64 | None = None
+    mask: Bools | None = None
 
     @cached_property
     def known_surface(self) -> Surface:
@@ -68,20 +76,48 @@ def is_set(packed: Packed, cells: Int64) -> Bools:
     return found
 
 
-def read_space_truth(path: Path, sha256: str) -> SpaceTruth:
+@dataclass(frozen=True)
+class ViewFiles:
+    """What the truth of a view is read from.
+
+    Attributes:
+        pair: its pair file.
+        sha256: what its bytes must hash to.
+        mask: likewise of its mask; None where the release has none.
+    """
+
+    pair: Path
+    sha256: str
+    mask: tuple[Path, str] | None = None
+
+
+def files_of(release: Release, target: Target) -> ViewFiles:
+    """The files of a view."""
+    return ViewFiles(release.pair_path(target), target.sha256, view_images.mask_file(release, target))
+
+
+def read_space_truth(files: ViewFiles) -> SpaceTruth:
     """Read the truth of a view.
 
-    Args:
-        path: its pair file.
-        sha256: what its bytes must hash to.
-
     Raises:
-        ReleaseError: the file is missing, or not the published one.
+        ReleaseError: a file is missing, or not the published one.
     """
-    names = ("full", "known", "seen", "T_world_grid", "T_world_camera", "voxel_size_m")
-    full, known, seen, T_world_grid, T_world_camera, voxel_size_m = read_parts(path, sha256, names)
-    T_grid_camera = invert_rigid(T_world_grid) @ T_world_camera
-    return space_truth(full, known, seen, T_grid_camera, float(voxel_size_m))
+    names = (
+        "full",
+        "known",
+        "seen",
+        "T_world_grid",
+        "T_world_camera",
+        "voxel_size_m",
+        "surface_sigma_m",
+        "K",
+    )
+    full, known, seen, T_world_grid, T_world_camera, voxel_size_m, sigma_m, K = read_parts(
+        files.pair, files.sha256, names
+    )
+    truth = space_truth(full, known, seen, invert_rigid(T_world_grid) @ T_world_camera, float(voxel_size_m))
+    mask = None if files.mask is None else view_images.read_mask(*files.mask)
+    return replace(truth, sigma_m=float(sigma_m), K=K, mask=mask)
 
 
 def space_truth(

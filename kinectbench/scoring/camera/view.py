@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,9 +22,10 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register
 from kinectbench.scoring.camera.metrics import Figures, figures_by_part
+from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import Surface, surface_of
-from kinectbench.scoring.camera.truth import SpaceTruth, read_space_truth
+from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.prediction_file import blake3_of
@@ -45,6 +45,8 @@ class Scored:
         alignment: under `aligned`.
         solid: whether there is an inside; None where there is no prediction.
         predicted_unknown_share: of the predicted surface, what lies in unknown space.
+        cut: of the true known shape, what lies outside the method's own volume; None where it has none.
+        silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
         hypotheses: of several predictions; None of the first or only one.
     """
 
@@ -54,6 +56,8 @@ class Scored:
     alignment: Alignment | None = None
     solid: bool | None = None
     predicted_unknown_share: float | None = None
+    cut: float | None = None
+    silhouette: float | None = None
     hypotheses: Hypotheses | None = None
 
 
@@ -63,14 +67,14 @@ class ViewJob:
 
     Attributes:
         target: the view.
-        truth: its pair file.
+        truth: its files in the release.
         files: of its predictions, the main one first; () for an empty one.
         method: what method.json declares.
         protocols: camera, aligned or both.
     """
 
     target: Target
-    truth: Path
+    truth: ViewFiles
     files: tuple[CameraFile, ...]
     method: MethodFile
     protocols: tuple[str, ...]
@@ -99,16 +103,17 @@ def score_view(job: ViewJob) -> ViewResult | str:
     Raises:
         ReleaseError: the truth is missing, or not the published one.
     """
-    truth = read_space_truth(job.truth, job.target.sha256)
+    truth = read_space_truth(job.truth)
     asked = asked_rows(job.protocols, job.method.scale)
     if not job.files:
         return ViewResult(empty_rows(truth, asked), truth.unknown_share, None, 0)
     found, digests = [], []
+    volume = (job.method.volume_m or {}).get(job.target.name)
     for file in job.files:
         try:
             with open_plain(file.path) as content:
                 digests.append(blake3_of(content))
-            found.append(score_shape(truth, load_camera_shape(file, job.method), asked))
+            found.append(score_shape(truth, load_camera_shape(file, job.method), asked, volume))
         except PredictionError as error:
             line = str(error)
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
@@ -120,13 +125,17 @@ def score_view(job: ViewJob) -> ViewResult | str:
     return ViewResult((*found[0], *_over(found)), truth.unknown_share, digest)
 
 
-def score_shape(truth: SpaceTruth, shape: CameraShape, asked: Sequence[Asked]) -> tuple[Scored, ...]:
+def score_shape(
+    truth: SpaceTruth, shape: CameraShape, asked: Sequence[Asked], volume_m: Float64 | None = None
+) -> tuple[Scored, ...]:
     """The rows of one predicted shape, in the camera frame, by protocol, kind of registration and part.
 
     Args:
         truth: of the view.
         shape: that is predicted.
         asked: see `asked_rows`.
+        volume_m: (2, 3), lowest and highest corner of what the method looks at, camera frame; None: all,
+            or the shape's own grid.
 
     Raises:
         PredictionError: its solid cannot be made in the truth's cells.
@@ -143,9 +152,12 @@ def score_shape(truth: SpaceTruth, shape: CameraShape, asked: Sequence[Asked]) -
             T = found_T @ T
             moved = surface.transformed(T)
         solid = solid_in(truth, shape, mesh, T)
-        found, left_out = figures_by_part(truth, moved, solid)
+        found, left_out = figures_by_part(truth, moved, solid, as_papers=kind is None)
+        # A registration moves what was predicted off its view.
+        cut = cut_share(truth, shape, volume_m) if kind is None else None
+        silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [
-            Scored(protocol, part, figures, alignment, solid is not None, left_out)
+            Scored(protocol, part, figures, alignment, solid is not None, left_out, cut, silhouette)
             for part, figures in found.items()
         ]
     return tuple(rows)
@@ -217,12 +229,13 @@ def _mean(rows: Sequence[Scored]) -> Scored:
     figures = [row.figures for row in rows]
     surface = SurfaceMetrics(**_means([vars_of(of.surface) for of in figures]))
     voxels = VoxelMetrics(**_means([vars_of(of.voxels) for of in figures]))
-    shares = [row.predicted_unknown_share for row in rows]
     return replace(
         rows[0],
-        figures=replace(figures[0], surface=surface, voxels=voxels),
+        figures=replace(figures[0], surface=surface, voxels=voxels, as_papers=None),
         solid=all(row.solid for row in rows),
-        predicted_unknown_share=_means([{"": share} for share in shares])[""],
+        predicted_unknown_share=_mean_of([row.predicted_unknown_share for row in rows]),
+        cut=_mean_of([row.cut for row in rows]),
+        silhouette=_mean_of([row.silhouette for row in rows]),
     )
 
 
@@ -232,8 +245,10 @@ def vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
 
 
 def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
-    for name in rows[0]:
-        values = [value for row in rows if (value := row[name]) is not None]
-        found[name] = float(np.mean(values)) if len(values) == len(rows) else None
-    return found
+    return {name: _mean_of([row[name] for row in rows]) for name in rows[0]}
+
+
+def _mean_of(values: Sequence[float | None]) -> float | None:
+    """The mean; None if one is not known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if len(known) == len(values) else None

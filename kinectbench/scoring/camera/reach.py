@@ -1,0 +1,65 @@
+"""How far a method looks: what of the truth its volume cuts, and whether it leaves its view's mask."""
+
+import numpy as np
+
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.types import Float64
+from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
+from kinectbench.scoring.camera.surface import Surface
+from kinectbench.scoring.camera.truth import SpaceTruth
+from kinectbench.scoring.camera_shape import CameraShape
+
+# Of the truth's cells about so many are counted, each so-manieth: with 256 cells a side they lie 4 cells
+# apart or nearer (chosen here; of a box cut in halves 0.500 is found).
+COUNTED = 100_000
+
+
+def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
+    """The share of the true known cells outside a method's own volume; None where it has none.
+
+    Args:
+        truth: of the view.
+        shape: that is predicted, in the camera frame; cells and distances have the volume of their grid.
+        volume_m: (2, 3), lowest and highest corner in the camera frame, as method.json declares it.
+    """
+    if volume_m is None and shape.cells is None:
+        return None
+    cells = np.flatnonzero(unpack(truth.full & truth.known))
+    if not len(cells):
+        return None
+    # No step that divides a side would always meet the same columns.
+    cells = cells[:: max(len(cells) // COUNTED, 1) | 1]
+    centers_m = (np.stack(np.unravel_index(cells, (FULL_CELLS,) * 3), axis=1) + 0.5) * truth.voxel_size_m
+    points_m = transform_points(invert_rigid(truth.T_grid_camera), centers_m)
+    inside = np.ones(len(points_m), bool)
+    if volume_m is not None:
+        inside &= ((points_m >= volume_m[0]) & (points_m <= volume_m[1])).all(axis=1)
+    if shape.cells is not None and shape.T_camera_grid is not None and shape.voxel_size_m is not None:
+        T_grid_camera = np.linalg.inv(shape.T_camera_grid).astype(np.float64)
+        at = transform_points(T_grid_camera, points_m) / shape.voxel_size_m
+        inside &= ((at >= 0) & (at <= shape.cells.shape)).all(axis=1)
+    return float(1 - inside.mean())
+
+
+def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
+    """The share of a predicted surface that projects outside the mask; None where there is no mask.
+
+    Args:
+        truth: of the view.
+        surface: predicted, in the camera frame. What lies behind the camera is outside.
+    """
+    if truth.K is None or truth.mask is None:
+        return None
+    height, width = truth.mask.shape
+    points_m = surface.points_m
+    before = points_m[:, 2] > 0
+    depth_m = np.where(before, points_m[:, 2], 1.0)
+    # Pixel centres are integers; what is far outside must not overflow.
+    u = np.clip(np.rint(truth.K[0, 0] * points_m[:, 0] / depth_m + truth.K[0, 2]), -1, width).astype(np.int64)
+    v = np.clip(np.rint(truth.K[1, 1] * points_m[:, 1] / depth_m + truth.K[1, 2]), -1, height).astype(
+        np.int64
+    )
+    before &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    inside = np.zeros(len(points_m), bool)
+    inside[before] = truth.mask[v[before], u[before]]
+    return float(surface.areas[~inside].sum() / surface.areas.sum())
