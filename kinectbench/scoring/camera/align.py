@@ -20,7 +20,7 @@ from kinectbench.scoring.camera.truth import SpaceTruth
 KINDS: dict[str, tuple[int, ...]] = {"t": (0, 1, 2), "t+s": (0, 1, 2, 3), "R+t+s": (0, 1, 2, 3, 4, 5, 6)}
 # Samples of each surface and steps: from all starts, then from the best of them (chosen here; with them the
 # tests' shapes come back to within the bounds stated in docs/scoring-in-space.md).
-COARSE, FINE = (600, 12), (4000, 40)
+COARSE, FINE = (400, 12), (3000, 40)
 # A rotation by up to 30 degrees is within reach of the start without one; these reach farther (chosen here).
 START_DEG = 45.0
 # How much of the distance along the surface counts beside that across it: much at first, then little.
@@ -30,9 +30,9 @@ ALONG_COARSE, ALONG_FINE = 0.3, 0.01
 SMOOTHED = 32
 # A distance of so many medians counts half (chosen here): what one surface lacks does not pull.
 HALF_AT_MEDIANS = 3.0
-# Steps that move no sample by more than this share of the object's size end it; the last must be below the
-# second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
-STILL, OK_STILL = 1e-6, 1e-4
+# Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
+# be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
+STILL, OK_STILL = 1e-5, 1e-4
 # Of a step's matrix, so that what nothing holds stays where it is: a ball does not turn.
 DAMPING = 1e-6
 # A scale beyond these is called not ok.
@@ -68,11 +68,14 @@ class _Pair:
 
     def thinned(self, most: int) -> "_Pair":
         """The same with fewer samples; those of the truth are put into the midst of its steps."""
-        few = replace(self, ours=self.ours.thinned(most), theirs=self.theirs.thinned(most))
-        points_m = few.theirs.points_m
-        near = self.theirs.points_m[self.theirs.tree.query(points_m, k=range(1, SMOOTHED + 1))[1]]
-        off = ((near - points_m[:, None]) * few.normals[:, None]).sum(axis=2).mean(axis=1)
-        return replace(few, theirs=replace(few.theirs, points_m=points_m + off[:, None] * few.normals))
+        made = self.truth.smoothed
+        if most not in made:
+            few = replace(self, theirs=self.theirs.thinned(most))
+            points_m = few.theirs.points_m
+            near = self.theirs.points_m[self.theirs.tree.query(points_m, k=range(1, SMOOTHED + 1))[1]]
+            off = ((near - points_m[:, None]) * few.normals[:, None]).sum(axis=2).mean(axis=1)
+            made[most] = replace(few.theirs, points_m=points_m + off[:, None] * few.normals)
+        return replace(self, ours=self.ours.thinned(most), theirs=made[most])
 
 
 def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:

@@ -220,9 +220,12 @@ def step_equations(places, targets, normals, weights, middle, along):  # type: i
         for a in range(7):
             whole = J[0, a] * gap[0] + J[1, a] * gap[1] + J[2, a] * gap[2]
             g[a] += weights[n] * (row[a] * across + along * whole)
-            for b in range(7):
+            for b in range(a + 1):
                 product = J[0, a] * J[0, b] + J[1, a] * J[1, b] + J[2, a] * J[2, b]
                 H[a, b] += weights[n] * (row[a] * row[b] + along * product)
+    for a in range(7):
+        for b in range(a):
+            H[b, a] = H[a, b]
     return H, g
 
 

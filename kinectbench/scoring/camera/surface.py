@@ -58,10 +58,15 @@ class Surface:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Finds the nearest sample. Boxes of nodes are not shrunk: queries take half the time (measured)."""
-        return cKDTree(self.points_m, compact_nodes=False)
+        """Finds the nearest sample.
 
-    @property
+        Boxes of nodes are not shrunk, and leaves have 24 points: together with queries that takes 0.85 of the
+        time (measured). Faces of cells lie so evenly that halving boxes in place of counts takes 0.6 of it.
+        """
+        of_cells = bool(len(self.corner)) and not self.is_triangle
+        return cKDTree(self.points_m, leafsize=24, compact_nodes=False, balanced_tree=not of_cells)
+
+    @cached_property
     def center_m(self) -> Float64:
         """(3,) mean of the samples, by area."""
         center: Float64 = (self.areas[:, None] * self.points_m).sum(axis=0) / self.areas.sum()

@@ -56,6 +56,11 @@ class SpaceTruth:
         """The faces that are known."""
         return self.surface.chosen(self.is_known)
 
+    @cached_property
+    def smoothed(self) -> dict[int, Surface]:
+        """What `align` has made of the known surface, by how many samples it has."""
+        return {}
+
     @property
     def unknown_share(self) -> float:
         """Share of the cells of `full` that are not known; 0 of an empty shape."""

@@ -152,7 +152,7 @@ def score_shape(
             T = found_T @ T
             moved = surface.transformed(T)
         solid = solid_in(truth, shape, mesh, T)
-        found, left_out = figures_by_part(truth, moved, solid, as_papers=kind is None)
+        found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
         # A registration moves what was predicted off its view.
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
