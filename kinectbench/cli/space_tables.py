@@ -36,6 +36,7 @@ EMPTY_NOTE = (
 )
 CEILING = "(ceiling)"
 CEILING_NOTE = "(ceiling): what the truth's own uncertainty leaves to a perfect prediction"
+NOTHING_NOTE = "(n empty): views of which nothing is predicted; each counts with the diagonal of its cube"
 BESIDE_NOTE = "cut: of the truth, outside the method's volume; outside mask: of the predicted surface"
 
 
@@ -58,14 +59,21 @@ def space_table(tables: Sequence[ScoreTable]) -> "WideTable":
         ]
         for table in ordered:
             beside = _beside(table.pairs(heading))
-            result.add_row(heading, Text(table.method), *_cells(table.averages(heading)[OVERALL]), *beside)
+            method = Text(f"{table.method}{_empty(table.pairs(heading))}")
+            result.add_row(heading, method, *_cells(table.averages(heading)[OVERALL]), *beside)
         if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
             has_ceiling = True
             result.add_row(heading, CEILING, *ceiling)
         result.add_section()
     failed = [f"{t.method}: {len(t.failures)} views failed" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
-    notes = [EMPTY_NOTE, BESIDE_NOTE, *([CEILING_NOTE] if has_ceiling else [])]
+    has_empty = any(_empty(table.pairs(heading)) for table in tables for heading in headings)
+    notes = [
+        *([NOTHING_NOTE] if has_empty else []),
+        EMPTY_NOTE,
+        BESIDE_NOTE,
+        *([CEILING_NOTE] if has_ceiling else []),
+    ]
     result.caption = "\n".join([*failed, *left_out, *notes])
     return result
 
@@ -73,6 +81,12 @@ def space_table(tables: Sequence[ScoreTable]) -> "WideTable":
 def _far(table: ScoreTable, heading: str) -> float:
     of = table.averages(heading).get(OVERALL)
     return float("inf") if of is None or of.chamfer_l1_m is None else float(of.chamfer_l1_m)
+
+
+def _empty(rows: Sequence[ScoreRow]) -> str:
+    """How many rows are of views of which nothing is predicted: their distances decide a mean."""
+    count = sum(row.counts and row.solid is None for row in rows)
+    return f" ({count} empty)" if count else ""
 
 
 def _cells(averages: object) -> list[str]:

@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 7,
     "publish": 34,
     "synthesize": 2,
-    "score": 7,
+    "score": 8,
     "baselines": 3,
 }
 

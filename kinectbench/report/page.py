@@ -11,6 +11,7 @@ from kinectbench._version import __version__
 from kinectbench.core import turntable
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
+from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
@@ -97,7 +98,10 @@ def write_report(
         pairs = [r.pairs for r in released.recordings.values()]
     elif listed:
         pairs = [int(row[many.PAIRS]) for row in listed.rows]
-    published = published_beside({row.recording for table in scores for row in table.rows})
+    in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
+    published = published_beside({row.recording for table in in_cells for row in table.rows})
+    if scores and not in_cells:  # the paper scores cells alone
+        published = ()
     shown = {
         "settings": settings,
         "recordings_left_out": left_out,
@@ -109,7 +113,7 @@ def write_report(
         "listed": listed,
         "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],
-        "synthetic": published[0].views is not None,
+        "synthetic": bool(published) and published[0].views is not None,
         "published_source": PUBLISHED_IN,
         "released": released,
     }

@@ -242,6 +242,8 @@ def write_galleries(
         return
     folders = split_methods(predictions, release.targets).values()
     for table, folder in zip(tables, folders, strict=True):
+        if not table.rows:  # earlier scores, which are kept, have a gallery of their own
+            continue
         cells = gallery_cells(release, folder, table, upsampling, progress)
         scores = out if len(tables) == 1 else out / table.method
         write_gallery(cells, scores / SCORES_JSON)

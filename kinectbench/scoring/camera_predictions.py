@@ -1,21 +1,27 @@
 """A folder of predictions in the camera frame: which file answers which view, and how near its depth."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import lies_below
+from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
 from kinectbench.scoring.declared import method_problems
-from kinectbench.scoring.depth_agreement import LARGE, Agreement, agreement, likeliest
+from kinectbench.scoring.depth_agreement import LARGE, Agreement, agreement, beyond_share, likeliest
 from kinectbench.scoring.predictions import stray_files, stray_lines
+
+# Predictions that `score` compares with their depth (chosen here).
+LOOKED_AT = 5
 
 
 @dataclass(frozen=True)
@@ -92,9 +98,11 @@ def view_agreement(release: Release, file: CameraFile, method: MethodFile) -> Ag
     points_m = view.object_points_m
     if not len(points_m):
         return None
-    T_world_grid: Float64 = parts_of(release, file.target, ("T_world_grid",))[0]
+    T_world_grid, size_m = parts_of(release, file.target, ("T_world_grid", "voxel_size_m"))
     T = similarity_to_camera(method, file.name, file.target.name)
-    return agreement(shape, points_m, T, view.T_world_camera, T_world_grid)
+    found = agreement(shape, points_m, T, view.T_world_camera, T_world_grid)
+    T_grid_camera = invert_rigid(T_world_grid) @ view.T_world_camera
+    return replace(found, beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS))
 
 
 def check_camera(
@@ -135,10 +143,34 @@ def check_camera(
         if progress:
             progress(done, len(release.targets) * method.hypotheses)
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
-    problems += [f"{name}: {one.line(slips[name])}" for name, one in compared.items() if slips[name]]
+    problems += [f"{name}: {one.line(slips[name], method)}" for name, one in compared.items() if slips[name]]
+    problems += [_scene_line(name, one) for name, one in compared.items() if one.is_scene and not slips[name]]
     problems += strays_in_camera(release, folder, method)
     far = [name for name, one in compared.items() if one.is_large and not slips[name]]
     return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
+
+
+def depth_warnings(release: Release, files: Sequence[CameraFile], method: MethodFile) -> list[str]:
+    """A line where some of a method's predictions lie as a slip of unit or axes leaves them; else none.
+
+    A few of them are looked at, as all usually have the same slip: 0.1 s each.
+    """
+    if method.scale == "free" or _without_depth(release):
+        return []
+    compared = dict[str, Agreement]()
+    for file in files[:: max(len(files) // LOOKED_AT, 1)][:LOOKED_AT]:
+        with contextlib.suppress(PredictionError):  # why it cannot be scored is said there
+            if (found := view_agreement(release, file, method)) is not None:
+                compared[file.name] = found
+    slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
+    said = [f"{name}: {one.line(slips[name], method)}" for name, one in compared.items() if slips[name]]
+    said += [_scene_line(name, one) for name, one in compared.items() if one.is_scene and not slips[name]]
+    return [f"{said[0]}; `kinectbench check` looks at all"] if said else []
+
+
+def _scene_line(name: str, found: Agreement) -> str:
+    share = f"{found.beyond_share:.0%}"
+    return f"{name}: {share} of it lies far beyond the object: the whole scene? Keep the object alone"
 
 
 def missing_in_camera(name: str) -> str:

@@ -4,6 +4,7 @@ A complete shape passes through what its view measured. A shape in another unit 
 usual slip it is computed how near the shape would be without it.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.geometry import invert_rigid, rigid
+from kinectbench.core.artefacts.method import MethodFile
+from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.types import Float64, Int64
-from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
 
 # Points of the depth, and of a shape, that are compared: the median of 300 differs by some per cent from
 # that of all, and all slips of a view take 0.1 s (chosen here).
@@ -24,6 +26,9 @@ SEED = 0
 # object of 1 m leave. One above the second is said even if no slip explains it (chosen here; the test of ten
 # objects has 0.3 % at most for exact shapes).
 SMALL, LARGE = 0.01, 0.1
+# Of a surface that is farther from the middle of the pair's cube than its side: an object has nothing there,
+# a room of 5 m around an object of 1 m most (chosen here).
+SCENE = 0.2
 # A slip explains a distance if the shape would be so many times nearer without it; and of distances beyond
 # what the gaps between its points leave, by the second number (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
@@ -60,6 +65,7 @@ class Agreement:
     Attributes:
         distance_m: median distance of the view's points of the object from the shape, metres.
         diagonal_m: of the box around these points.
+        beyond_share: of its surface, what lies more than a cube's side from the middle of the pair's cube.
         slips: in words what would explain the distance, each with the distance without it, the simplest
             first; () where it is small, or nothing does. Of a shape with a mirror plane there are several.
     """
@@ -67,16 +73,23 @@ class Agreement:
     distance_m: float
     diagonal_m: float
     slips: tuple[tuple[str, float], ...] = ()
+    beyond_share: float = 0.0
+
+    @property
+    def is_scene(self) -> bool:
+        """Whether it reaches so far beyond the object that it is of all that the view shows."""
+        return self.beyond_share > SCENE
 
     @property
     def is_large(self) -> bool:
         """Whether it is to be said even if no slip explains it."""
         return self.distance_m > LARGE * self.diagonal_m
 
-    def line(self, slip: str) -> str:
-        """In words, with one of the slips."""
+    def line(self, slip: str, method: MethodFile) -> str:
+        """In words, with one of the slips and the key of method.json that mends it."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
-        return f"{words}; {slip} Without that it is {dict(self.slips)[slip]:.3g} m"
+        without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
+        return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
 
 
 def agreement(
@@ -128,6 +141,38 @@ def agreement(
     return Agreement(own, diagonal, tuple(explained))
 
 
+def remedy(slip: str, method: MethodFile) -> str:
+    """What method.json must declare where a slip is the cause.
+
+    Args:
+        slip: of `mends`.
+        method: what is declared now.
+    """
+    for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):
+        if slip != _both(words, axes):
+            continue
+        scale = METRES[method.unit] * factor
+        unit = next((name for name in ("m", "mm") if math.isclose(METRES[name], scale)), None)
+        turned = tuple(np.array(CAMERA_AXES[method.axes]) * signs)
+        frame = next((name for name, of in CAMERA_AXES.items() if of == turned), None)
+        if unit and frame and method.unit != "free":
+            keys = [f"'unit': '{unit}'"] * bool(words) + [f"'axes': '{frame}'"] * bool(axes)
+            return " and ".join(keys)
+    return "'T_camera_prediction'"
+
+
+def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> float:
+    """The share of a surface that is farther from the middle of its pair's cube than a side, along an axis.
+
+    Args:
+        shape: in the camera frame.
+        T_grid_camera: (4, 4).
+        side_m: of the cube, metres.
+    """
+    away = transform_points(T_grid_camera, surface_points(shape)) - side_m / 2
+    return float((np.abs(away).max(axis=1) > side_m).mean())
+
+
 def likeliest(found: Sequence[Agreement]) -> list[str]:
     """Of each prediction the slip that explains most predictions of a method; "" where there is none.
 
@@ -159,7 +204,7 @@ def mends(
     """Usual slips in words, the simplest first, and (4, 4) what would undo each, camera to camera."""
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
-        if words := " and ".join(part for part in (unit, axes) if part):
+        if words := _both(unit, axes):
             yield words, np.diag([*(factor * np.array(signs, float)), 1.0])
     T_camera_world = invert_rigid(T_world_camera)
     yield "in the world's frame?", T_camera_world
@@ -170,6 +215,10 @@ def mends(
     yield rows, transposed @ np.linalg.inv(T_camera_prediction)
     by_rows = rigid(T_world_camera[:3, :3].T, T_world_camera[:3, 3])
     yield "in the world's frame, with rows for columns in the rotation?", invert_rigid(by_rows)
+
+
+def _both(unit: str, axes: str) -> str:
+    return " and ".join(part for part in (unit, axes) if part)
 
 
 def surface_points(shape: CameraShape) -> Float64:

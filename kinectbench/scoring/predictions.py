@@ -15,7 +15,7 @@ from kinectbench.core.untrusted import lies_below, listed, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
 from kinectbench.scoring.doubtful import MOST_OUTSIDE
-from kinectbench.scoring.mesh_prediction import MESHES
+from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.truth import read_voxel_size
 
@@ -99,7 +99,7 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
         name = target.name + suffix
         if (folder / name).is_file():
             kinds = " or ".join(MESHES)
-            return f"{name}: no kind of mesh that is read; save it as {kinds}, closed, in metres"
+            return f"{name}: no kind of mesh that is read; save it as {kinds}, closed, in metres; {IN_CAMERA}"
     return None
 
 
@@ -275,7 +275,8 @@ def _file_problem(release: Release, target: Target, path: Path, method: MethodFi
     except PredictionError as error:
         return str(error)
     if loaded.outside_share > MOST_OUTSIDE:
-        return f"{name}: {loaded.outside_share:.0%} of its volume lies outside the cube: in another frame?"
+        share = f"{loaded.outside_share:.0%}"
+        return f"{name}: {share} of its volume lies outside the cube: in another frame? {IN_CAMERA}"
     if changed_files(method, {name: loaded.digest}):
         return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
     return None

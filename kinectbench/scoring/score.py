@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
@@ -198,7 +198,7 @@ def score_methods(
     Raises:
         SettingsError: a name or a file for thresholds is given to several methods, `missing` is neither word,
             or there are no thresholds to be saved.
-        PredictionError: no predictions there.
+        PredictionError: no predictions there, or none that can be scored; earlier scores are kept.
     """
     rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
     methods = _methods(release, predictions, method, save_thresholds)
@@ -218,11 +218,21 @@ def score_methods(
             progress=progress,
             resume_in=target,
         )
-        table.write(target)
+        if table.rows:
+            table.write(target)
+        elif len(methods) == 1:
+            raise PredictionError(_nothing(folder, table, target))
         tables.append(table)
         if save_thresholds is not None:
             _freeze(release, table, save_thresholds)
     return tables
+
+
+def _nothing(folder: Path, table: ScoreTable, out: Path) -> str:
+    """What is said of predictions of which none can be scored."""
+    kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
+    reason = table.failures[0].reason if table.failures else "no view"
+    return f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{kept}"
 
 
 def count_methods(

@@ -138,7 +138,9 @@ def test_rows_say_what_was_needed() -> None:
     assert row.alignment.scale == pytest.approx(0.5, rel=0.005)
     assert row.alignment.rotation_deg == pytest.approx(20, abs=0.5)
     # Of the middle of its surface, which is not the middle that it was turned about.
-    assert row.alignment.translation_m == pytest.approx(0.1, abs=0.1)
+    middle = np.average(mesh.triangles_center, axis=0, weights=mesh.area_faces)
+    shift_m = np.linalg.norm(transform_points(T, middle) - middle)
+    assert row.alignment.translation_m == pytest.approx(shift_m, abs=2e-3)
     assert row.figures.voxels.iou is not None and row.figures.voxels.iou > 0.98
     camera = rows["camera  whole"].figures
     assert camera.surface.chamfer_l1_m > 10 * row.figures.surface.chamfer_l1_m
@@ -148,6 +150,15 @@ def test_rows_say_what_was_needed() -> None:
     )
     free = rows_of(truth, shape, scale="free")
     assert {key.split()[1] for key in free} == {"t+s", "R+t+s"}
+
+
+@pytest.mark.parametrize("scale", [0.001, 1000.0])
+def test_a_free_size_is_ok_whatever_its_unit(scale: float) -> None:
+    """Of a shape in millimetres, or a thousandth of its size, the registration comes to rest as of others."""
+    mesh = MESHES["corner"]
+    found = register(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t+s")
+    assert found.ok and similarity_scale(found.T) == pytest.approx(1 / scale, rel=0.005)
+    assert not register(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t").ok
 
 
 def test_only_known_truth_is_looked_at_and_the_result_is_the_same_each_time() -> None:

@@ -8,11 +8,22 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
-from kinectbench.scoring.depth_agreement import LARGE, SMALL, Agreement, agreement, likeliest, surface_points
+from kinectbench.scoring.depth_agreement import (
+    LARGE,
+    SCENE,
+    SMALL,
+    Agreement,
+    agreement,
+    beyond_share,
+    likeliest,
+    remedy,
+    surface_points,
+)
 
 CAMERA = Camera(320, 240, 262.5, 260.0, 157.5, 121.0)
 OBJECTS = range(10)
@@ -74,6 +85,7 @@ def scaled(factor: float) -> np.ndarray:
     return np.diag([factor] * 3 + [1.0])
 
 
+AS_USUAL = MethodFile(name="net", frame="camera")
 # Words by what makes them true.
 UNITS = {
     1000.0: "1000 times too far: millimetres for metres?",
@@ -101,7 +113,7 @@ def test_every_wrong_unit_and_axis_is_named(number: int) -> None:
             assert (
                 slip(found) == words
                 and found.is_large
-                and found.line(words).startswith(f"{found.distance_m:.3g} m from")
+                and found.line(words, AS_USUAL).startswith(f"{found.distance_m:.3g} m from")
             )
         for signs, words in AXES.items():
             assert slip(one.judged(form.transformed(mirrored(signs)))) == words
@@ -109,6 +121,35 @@ def test_every_wrong_unit_and_axis_is_named(number: int) -> None:
         assert slip(one.judged(both)) == (
             "1000 times too far: millimetres for metres? and y up and z backward (axes: opengl)?"
         )
+
+
+def test_the_key_that_mends_a_slip_is_named() -> None:
+    """Units and axes are those that the file must have, whatever is declared now."""
+    mm, opengl = (
+        MethodFile(name="net", frame="camera", unit=unit, axes=axes)
+        for unit, axes in (("mm", "cv"), ("m", "opengl"))
+    )
+    far, near, *others = UNITS.values()
+    assert remedy(far, AS_USUAL) == "'unit': 'mm'" and remedy(near, mm) == "'unit': 'm'"
+    assert remedy(AXES[-1, -1, 1], AS_USUAL) == "'axes': 'pytorch3d'"
+    assert remedy(AXES[1, -1, -1], AS_USUAL) == "'axes': 'opengl'"
+    assert remedy(AXES[1, -1, -1], opengl) == "'axes': 'cv'"
+    assert remedy(AXES[-1, 1, -1], opengl) == "'axes': 'pytorch3d'"
+    assert remedy(f"{far} and {AXES[1, -1, -1]}", AS_USUAL) == "'unit': 'mm' and 'axes': 'opengl'"
+    for words in (*others, near, AXES[1, -1, 1], "in the world's frame?"):
+        assert remedy(words, AS_USUAL) == "'T_camera_prediction'"
+
+
+@pytest.mark.parametrize("number", OBJECTS)
+def test_a_room_is_no_object(number: int) -> None:
+    """Walls 2.5 m away all around, and the object itself; and the object alone, which has none."""
+    one = scene(number)
+    T_grid_camera, side_m = invert_rigid(one.T_world_grid) @ one.T_world_camera, 1.2
+    walls = trimesh.sample.sample_surface(trimesh.creation.box(extents=(5, 5, 5)), 5000, seed=1)[0]
+    middle = transform_points(invert_rigid(T_grid_camera), np.full(3, side_m / 2))
+    room = cloud(np.concatenate([walls + middle, surface_points(one.mesh)[:5000]]))
+    assert beyond_share(room, T_grid_camera, side_m) > SCENE
+    assert beyond_share(one.mesh, T_grid_camera, side_m) == 0
 
 
 @pytest.mark.parametrize("number", OBJECTS)

@@ -35,8 +35,8 @@ HALF_AT_MEDIANS = 3.0
 STILL, OK_STILL = 1e-5, 1e-4
 # Of a step's matrix, so that what nothing holds stays where it is: a ball does not turn.
 DAMPING = 1e-6
-# A scale beyond these is called not ok.
-LEAST_SCALE, MOST_SCALE = 0.05, 20.0
+# A registered shape of a size beyond these, in sizes of the truth, is called not ok (chosen here).
+LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Registration:
 
     Attributes:
         T: (4, 4) similarity in the truth's grid, metres; its rotation has determinant +1.
-        ok: whether the steps came to rest at a scale that is possible.
+        ok: whether the steps came to rest at a size that is possible.
     """
 
     T: Float64
@@ -94,8 +94,9 @@ def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
     ways = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
     best = min(ways, key=lambda T: _far(coarse, T))
     T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
-    scale = similarity_scale(T)
-    return Registration(T, moved < OK_STILL * truth.size_m and LEAST_SCALE < scale < MOST_SCALE)
+    # Of a free size the scale itself says nothing.
+    size = similarity_scale(T) * _spread(surface) / max(_spread(known), 1e-9)
+    return Registration(T, moved < OK_STILL * truth.size_m and LEAST_SIZE < size < MOST_SIZE)
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:

@@ -18,7 +18,13 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
 from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
-from kinectbench.scoring.camera_predictions import CameraFile, find_files, missing_in_camera, strays_in_camera
+from kinectbench.scoring.camera_predictions import (
+    CameraFile,
+    depth_warnings,
+    find_files,
+    missing_in_camera,
+    strays_in_camera,
+)
 from kinectbench.scoring.declared import method_lines
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
@@ -74,7 +80,13 @@ def score_in_camera(
     table = space_table(
         release, method, results, failures, settings_in_space(protocols, missing), empty, fixed
     )
-    said = (*method_lines(folder, declared, release), *_without_inside(results), *table.warnings)
+    looked_at = [found for target in sorted(files) for found in files[target][:1]]
+    said = (
+        *method_lines(folder, declared, release),
+        *depth_warnings(release, looked_at, declared),
+        *_without_inside(results),
+        *table.warnings,
+    )
     return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
 
 

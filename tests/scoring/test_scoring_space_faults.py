@@ -1,0 +1,124 @@
+"""What a stranger does wrong with predictions in the camera frame is said, and spoils nothing."""
+
+import json
+from pathlib import Path
+
+import analytic_release
+import numpy as np
+import pytest
+from small_benchmark import run_here
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.release.release import Release, open_release
+from kinectbench.scoring.camera_predictions import check_camera
+from kinectbench.scoring.camera_shape import CameraShape, write_shape
+from kinectbench.scoring.declared import read_in_camera
+from kinectbench.scoring.predictions import check
+from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.score import score, score_methods
+
+NO_FACES = np.zeros((0, 3), np.int64)
+
+
+@pytest.fixture(scope="module")
+def published(analytic: Path) -> Release:
+    """Two test pairs."""
+    release = open_release(analytic / "benchmark")
+    return Release(release.folder, release.split("test")[:2], release.metadata)
+
+
+def written(published: Release, folder: Path, factor: float = 1.0, declared: bool = True) -> Path:
+    """The true shapes, scaled."""
+    folder.mkdir(parents=True)
+    if declared:
+        (folder / "method.json").write_text(json.dumps({"name": "net", "frame": "camera"}))
+    for target in published.targets:
+        shape = analytic_release.true_in_camera(target.recording, target.category, target.view)
+        write_shape(CameraShape("mesh", shape.points_m * factor, shape.faces), folder / target.name)
+    return folder
+
+
+def test_a_run_without_any_score_keeps_the_earlier_ones(published: Release, tmp_path: Path) -> None:
+    folder, out = written(published, tmp_path / "net"), tmp_path / "scores"
+    score_methods(published, folder, out, protocols=["camera"])
+    before = (out / "scores.json").read_bytes()
+    for target in published.targets:
+        (folder / f"{target.name}.ply").write_bytes(b"no mesh")
+    with pytest.raises(PredictionError) as caught:
+        score_methods(published, folder, out, protocols=["camera"])
+    line = str(caught.value)
+    assert "nothing could be scored: 2 views failed, the first: " in line and "\n" not in line
+    assert line.endswith(f"the earlier scores in {out} are kept") and "threshold" not in line
+    assert (out / "scores.json").read_bytes() == before
+    # The same of predictions in cells.
+    (folder / "method.json").unlink()
+    with pytest.raises(PredictionError, match="nothing could be scored"):
+        score_methods(published, folder, out, protocols=["known"])
+    assert (out / "scores.json").read_bytes() == before
+
+
+def test_the_command_says_it_in_one_line(
+    analytic: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = open_release(analytic / "benchmark")
+    folder = written(release, tmp_path / "net")
+    for path in folder.glob("*/*.ply"):
+        path.write_bytes(b"no mesh")
+    arguments = ["score", str(folder), "--benchmark", str(analytic / "benchmark"), "--out", str(tmp_path)]
+    done = run_here(monkeypatch, capsys, tmp_path, *arguments, "--jobs", "1")
+    assert done.status != 0 and "nothing could be scored" in done.err and "Traceback" not in done.err
+
+
+def test_score_says_what_check_would_say(published: Release, tmp_path: Path) -> None:
+    right = score(published, written(published, tmp_path / "right"), method="n", protocols=["camera"])
+    assert not right.warnings
+    folder = written(published, tmp_path / "mm", 1000.0)
+    found = score(published, folder, method="n", protocols=["camera"])
+    (line,) = (line for line in found.warnings if "1000 times too far" in line)
+    assert line.endswith("declare 'unit': 'mm' in method.json; `kinectbench check` looks at all")
+    method = read_in_camera(folder)
+    assert method is not None
+    problems, _ = check_camera(published, folder, method)
+    assert sum("declare 'unit': 'mm' in method.json" in line for line in problems) == 2
+
+
+def test_check_names_a_whole_room(published: Release, tmp_path: Path) -> None:
+    folder = written(published, tmp_path / "room")
+    target = published.targets[0]
+    shape = analytic_release.true_in_camera(target.recording, target.category, target.view)
+    walls = np.random.default_rng(0).uniform(-3, 3, (50_000, 3)) + shape.points_m.mean(axis=0)
+    (folder / f"{target.name}.ply").unlink()
+    write_shape(
+        CameraShape("points", np.concatenate([walls, shape.points_m]), NO_FACES), folder / target.name
+    )
+    method = read_in_camera(folder)
+    assert method is not None
+    problems, _ = check_camera(published, folder, method)
+    assert len(problems) == 1 and problems[0].startswith(f"{target.name}: 8")
+    assert problems[0].endswith("of it lies far beyond the object: the whole scene? Keep the object alone")
+
+
+def test_a_mesh_in_the_camera_frame_without_a_declaration_is_answered(
+    published: Release, tmp_path: Path
+) -> None:
+    folder = written(published, tmp_path / "net", declared=False)
+    problems = check(published, folder)
+    assert len(problems) == 2
+    assert all("declare 'frame': 'camera' in method.json" in line for line in problems)
+
+
+def test_views_of_which_nothing_is_predicted_are_counted(
+    analytic: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the page has no table of the paper, which scores cells alone."""
+    release = open_release(analytic / "benchmark")
+    folder = written(release, tmp_path / "net")
+    target = release.split("test")[0]
+    (folder / f"{target.name}.ply").unlink()
+    arguments = ["score", str(folder), "--benchmark", str(analytic / "benchmark"), "--protocol", "camera"]
+    arguments += ["--out", str(tmp_path / "s"), "--jobs", "1", "--missing", "empty", "--no-baselines"]
+    done = run_here(monkeypatch, capsys, tmp_path, *arguments)
+    assert done.status == 0, done.err
+    assert "net (1 empty)" in " ".join(done.out.split()) and "(n empty): views" in done.out
+    assert read_table(tmp_path / "s" / "scores.json").missing_as_empty == (target.name,)
+    assert "published, not comparable" not in (tmp_path / "s" / "index.html").read_text()
