@@ -22,7 +22,7 @@ from kinectbench.report import charts, many, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.scoring.compare import method_names
-from kinectbench.scoring.published import PUBLISHED_IN, published_beside
+from kinectbench.scoring.published import PUBLISHED_IN, PublishedTable, published_beside
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -98,10 +98,7 @@ def write_report(
         pairs = [r.pairs for r in released.recordings.values()]
     elif listed:
         pairs = [int(row[many.PAIRS]) for row in listed.rows]
-    in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
-    published = published_beside({row.recording for table in in_cells for row in table.rows})
-    if scores and not in_cells:  # the paper scores cells alone
-        published = ()
+    published = _published(scores)
     shown = {
         "settings": settings,
         "recordings_left_out": left_out,
@@ -121,6 +118,14 @@ def write_report(
     with replaced_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return out
+
+
+def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
+    """The paper's tables that stand beside scores: none beside those in space alone, as it scores cells."""
+    in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
+    if scores and not in_cells:
+        return ()
+    return published_beside({row.recording for table in in_cells for row in table.rows})
 
 
 def _recordings(

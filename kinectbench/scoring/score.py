@@ -218,21 +218,29 @@ def score_methods(
             progress=progress,
             resume_in=target,
         )
-        if table.rows:
-            table.write(target)
-        elif len(methods) == 1:
-            raise PredictionError(_nothing(folder, table, target))
+        _write(table, folder, target, alone=len(methods) == 1)
         tables.append(table)
         if save_thresholds is not None:
             _freeze(release, table, save_thresholds)
     return tables
 
 
-def _nothing(folder: Path, table: ScoreTable, out: Path) -> str:
-    """What is said of predictions of which none can be scored."""
+def _write(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> None:
+    """Write the table of a folder of predictions; where none can be scored, earlier scores are kept.
+
+    Raises:
+        PredictionError: that, if it is the only method.
+    """
+    if table.rows:
+        table.write(out)
+        return
+    if not alone:  # its failures are named with the tables of the others
+        return
     kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
     reason = table.failures[0].reason if table.failures else "no view"
-    return f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{kept}"
+    raise PredictionError(
+        f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{kept}"
+    )
 
 
 def count_methods(
