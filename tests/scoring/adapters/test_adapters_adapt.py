@@ -108,6 +108,10 @@ def test_a_round_trip_gives_the_truth_within_a_millimetre(
         assert shape.normals is not None
         rays = shape.points_m / np.linalg.norm(shape.points_m, axis=1, keepdims=True)
         np.testing.assert_allclose(shape.normals, rays, atol=0.005)
+    # Of a method that looks at a cube, predictions say which: scores state what it cuts.
+    assert (method.volume_m is not None) == (name == "octmae")
+    for low, high in (method.volume_m or {}).values():
+        np.testing.assert_allclose(high - low, 1.28)
 
 
 def test_a_wrong_reading_of_sam3d_is_not_within_a_millimetre(published: Release, tmp_path: Path) -> None:
