@@ -20,7 +20,7 @@ MAX_FAR = 16  # grid sides
 SAME_PLACE_M = 1e-8
 
 # What a mesh in the camera frame needs.
-IN_CAMERA = "of the camera's frame declare 'frame': 'camera' in method.json"
+IN_CAMERA = "or declare 'frame': 'camera' in method.json"
 
 
 def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArray[np.bool_], float]:
@@ -53,7 +53,8 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         )
     if not is_closed(faces):
         raise PredictionError(
-            f"the mesh is not closed, or not oriented alike; close it, or submit a grid; {IN_CAMERA}"
+            f"the mesh is not closed, or not oriented alike; close it, submit a grid, {IN_CAMERA}",
+            what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)
     # Nearer to the grid than half a cell is no centre that could have been cut off.
@@ -112,6 +113,7 @@ def _outside(vertices: Float64, grid: Grid) -> PredictionError:
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(
         f"the mesh lies outside the cube of its pair ({box} m, the cube is 0 to {grid.size_m[0]:.3g}): in "
-        "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes; "
-        f"{IN_CAMERA}"
+        "another frame? Write it in metres from the corner of the pair's grid, in the grid's axes, "
+        f"{IN_CAMERA}",
+        what="far-off",
     )

@@ -99,7 +99,7 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
         name = target.name + suffix
         if (folder / name).is_file():
             kinds = " or ".join(MESHES)
-            return f"{name}: no kind of mesh that is read; save it as {kinds}, closed, in metres; {IN_CAMERA}"
+            return f"{name}: no kind of mesh that is read; save it as {kinds}, closed, in metres, {IN_CAMERA}"
     return None
 
 
@@ -276,7 +276,9 @@ def _file_problem(release: Release, target: Target, path: Path, method: MethodFi
         return str(error)
     if loaded.outside_share > MOST_OUTSIDE:
         share = f"{loaded.outside_share:.0%}"
-        return f"{name}: {share} of its volume lies outside the cube: in another frame? {IN_CAMERA}"
+        return (
+            f"{name}: {share} of its volume lies outside the cube: write it in the grid's axes, {IN_CAMERA}"
+        )
     if changed_files(method, {name: loaded.digest}):
         return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
     return None

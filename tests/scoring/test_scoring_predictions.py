@@ -9,6 +9,7 @@ from raising import raises
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
+from kinectbench.scoring.mesh_prediction import IN_CAMERA
 from kinectbench.scoring.predictions import check, find_predictions, split_methods
 from kinectbench.scoring.score import score
 
@@ -57,7 +58,7 @@ def test_meshes_of_other_kinds_are_told_what_is_read(folder: Path, release: Rele
     for path in folder.rglob("*.npy"):
         path.rename(path.with_suffix(suffix))
     name = f"chair_01/000{suffix}"
-    line = f"{name}: no kind of mesh that is read; save it as .ply or .obj, closed, in metres"
+    line = f"{name}: no kind of mesh that is read; save it as .ply or .obj, closed, in metres, {IN_CAMERA}"
     assert check(release, folder)[0] == line and len(check(release, folder)) == 4
     assert split_methods(folder, release.targets) == {folder.name: folder}
     table = score(release, folder, method="m", missing="empty")

@@ -83,7 +83,7 @@ def adapt(
     """
     adapter = adapter_of(name)
     if not output.is_dir():
-        raise PredictionError(f"{output}: no such folder")
+        raise PredictionError(f"{output}: no such folder", what="no-folder")
     problems, volumes, written = list[str](), dict[str, Float64](), 0
     with new_folder(out, MethodFile.FILE) as folder:
         for done, target in enumerate(release.targets, start=1):
