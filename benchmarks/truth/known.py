@@ -223,21 +223,31 @@ def _against(furniture: Sequence[Row], earlier: dict[str, Any]) -> Iterator[Figu
 
 def _surfaces(rows: Sequence[Row]) -> Iterator[Figure]:
     """Where the surface lies, and how much of it is there."""
-    for name, value in (
-        ("upper faces", lambda row: row.bias.up),
-        ("sides", lambda row: row.bias.side),
-        ("undersides", lambda row: row.bias.down),
-    ):
-        mean = mean_of(rows, value)
-        if mean is not None:
-            met = abs(mean) <= 0.0004
-            yield Figure(f"bias of measured {name}, mean, mm", 1000 * mean, "within 0.4", met)
+    for name, side in (("upper faces", "up"), ("sides", "side"), ("undersides", "down")):
+        before, after = (_mean_bias(rows, side, refined) for refined in (False, True))
+        if after is not None and before is not None:
+            yield told(f"bias of measured {name}, mean, mm", 1000 * before)
+            met = abs(after) <= 0.0004
+            yield Figure(f"the same after refinement, {name}, mm", 1000 * after, "within 0.4", met)
+    before_m = mean_of(rows, lambda row: row.refined.measured_distance_m)
+    refined_m = mean_of(rows, lambda row: row.refined.refined_distance_m)
+    if before_m is not None and refined_m is not None:
+        yield told("measured surface: mean distance, mm", 1000 * before_m)
+        yield at_most("measured surface: mean distance after refinement, mm", 1000 * refined_m, 0.8)
     yield from _mean(
         "fused scene: F at 5 mm, what was seen, mean", rows, lambda row: row.scene_f, at_least, 0.97
     )
     yield from _mean(
         "closed mesh: F at 5 mm, what was seen, mean", rows, lambda row: row.mesh_f, at_least, 0.97
     )
+
+
+def _mean_bias(rows: Sequence[Row], side: str, refined: bool) -> float | None:
+    def bias_m(row: Row) -> float | None:
+        found: float | None = getattr(row.refined.face_bias_m if refined else row.bias, side)
+        return found
+
+    return mean_of(rows, bias_m)
 
 
 def _mean(

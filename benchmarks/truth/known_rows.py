@@ -14,11 +14,12 @@ from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import evaluate
 from kinectbench.lab.evaluate.known import CalibrationBin
 from kinectbench.lab.evaluate.measured import FaceBias
+from kinectbench.lab.evaluate.refined import RefinedFigures
 from kinectbench.lab.simulate.objects import families
 from kinectbench.lab.simulate.truth import read_truth
 
 NONE = "–"
-WIDTH = 190
+WIDTH = 220
 AT_5_MM = 0
 
 
@@ -57,6 +58,7 @@ class Row:
         calibration: error of the probability, ten bins.
         bins: these bins.
         bias: signed, metres, of measured faces.
+        refined: the measured surface before and after a rigid motion onto the true one.
         scene_f: F at 5 mm of the fused scene at the object, on what was seen; None if there is nothing.
         mesh_f: the same of the object's closed mesh.
         warnings: of quality.json.
@@ -81,6 +83,7 @@ class Row:
     calibration: float | None
     bins: tuple[CalibrationBin, ...]
     bias: FaceBias
+    refined: RefinedFigures
     scene_f: float | None
     mesh_f: float
     warnings: tuple[str, ...]
@@ -117,7 +120,7 @@ def measure_row(task: Task) -> Row | NotBuilt:
         found = evaluate(build, truth)
     except KinectBenchError as error:
         return NotBuilt(task.name, task.family, str(error))
-    if build.model is None or found.solid is None or found.surface is None:
+    if build.model is None or found.solid is None or found.surface is None or found.refined is None:
         return NotBuilt(task.name, task.family, "no solid was built")
     solid, quality = found.solid, build.model.quality
     frontiers = getattr(quality, "frontiers", None)
@@ -142,6 +145,7 @@ def measure_row(task: Task) -> Row | NotBuilt:
         calibration=solid.calibration_error,
         bins=solid.calibration_bins,
         bias=solid.face_bias_m,
+        refined=found.refined,
         scene_f=found.scene.visible.scores[AT_5_MM].f if found.scene else None,
         mesh_f=found.surface.visible.scores[AT_5_MM].f,
         warnings=tuple(quality.warnings),
@@ -165,6 +169,9 @@ COLUMNS: tuple[Column, ...] = (
     ("up mm", lambda row: row.bias.up, 1000, 2),
     ("side mm", lambda row: row.bias.side, 1000, 2),
     ("down mm", lambda row: row.bias.down, 1000, 2),
+    ("|e| mm", lambda row: row.refined.measured_distance_m, 1000, 2),
+    ("refined", lambda row: row.refined.refined_distance_m, 1000, 2),
+    ("known", lambda row: row.refined.known_iou, 1, 3),
     ("scene F", lambda row: row.scene_f, 1, 3),
     ("mesh F", lambda row: row.mesh_f, 1, 3),
     ("ATE mm", lambda row: row.ate_m, 1000, 1),

@@ -32,8 +32,8 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 VERSIONS: dict[str, int] = {
     "ingest": 11,
     "track": 9,
-    "fuse": 5,
-    "segment": 33,
+    "fuse": 6,
+    "segment": 34,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

@@ -16,6 +16,7 @@ from kinectbench.core.types import Progress
 from kinectbench.lab.evaluate.build import Build, Registration, register
 from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
+from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
 from kinectbench.lab.evaluate.solid import SolidFigures, solid_figures
 from kinectbench.lab.evaluate.surface import (
     SurfaceFigures,
@@ -162,6 +163,7 @@ class Evaluation:
         floor: of stage `segment`.
         surface: of the object's closed mesh.
         solid: of the same mesh and the labels.
+        refined: of these, before and after a rigid motion of the mesh onto the true one.
         masks: of stage `sample-views`.
         pairs: of stage `pairs`.
     """
@@ -173,6 +175,7 @@ class Evaluation:
     floor: FloorFigures | None
     surface: SurfaceFigures | None
     solid: SolidFigures | None
+    refined: RefinedFigures | None
     masks: MaskFigures | None
     pairs: PairFigures | None
 
@@ -199,11 +202,13 @@ def evaluate(
     """
     registration = register(build, truth, align)
     model = build.model
-    surface = solid = floor = None
+    surface = solid = refined = floor = None
     if model is not None:
         mesh = model.shape.mesh.transformed(registration.T_truth_built)
         surface = surface_figures(surface_errors(mesh, truth))
-        solid = solid_figures(model, truth, registration, measured_surface(build, truth, registration))
+        measured = measured_surface(build, truth, registration)
+        solid = solid_figures(model, truth, registration, measured)
+        refined = refined_figures(model, truth, registration, measured)
         floor = floor_figures(model.floor, truth, registration)
     trajectory = scene = masks = pairs = None
     if build.trajectory is not None:
@@ -217,7 +222,16 @@ def evaluate(
     if build.views is not None and build.pair_names is not None:
         pairs = pair_figures(build, truth, registration, progress or (lambda _done, _total: None))
     return Evaluation(
-        truth.subject, _alignment(registration), trajectory, scene, floor, surface, solid, masks, pairs
+        subject=truth.subject,
+        alignment=_alignment(registration),
+        trajectory=trajectory,
+        scene=scene,
+        floor=floor,
+        surface=surface,
+        solid=solid,
+        refined=refined,
+        masks=masks,
+        pairs=pairs,
     )
 
 

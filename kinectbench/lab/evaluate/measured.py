@@ -150,13 +150,7 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
         truth: the exact one.
         surface: samples of it.
     """
-    from scipy.spatial import cKDTree
-
-    chosen = surface.measured.copy()
-    edges = edge_points(truth.mesh_world)
-    if len(edges):
-        nearest_m, _ = cKDTree(edges).query(surface.points_world[chosen], distance_upper_bound=EDGE_M)
-        chosen[np.flatnonzero(chosen)[np.isfinite(nearest_m)]] = False
+    chosen = on_faces(truth, surface)
     # The true surface is inside of a built one that is too far out.
     outward_m = -Surface(mesh_world).signed_distance_m(surface.points_world[chosen])
     near = np.abs(outward_m) <= REACH_M
@@ -170,6 +164,18 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
         side=mean_m(np.abs(height) <= MOST_SIDEWAYS),
         down=mean_m(height < -LEAST_UP),
     )
+
+
+def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
+    """Which samples (m,) were measured and lie 15 mm and more away from the sharp edges of the exact mesh."""
+    from scipy.spatial import cKDTree
+
+    chosen = surface.measured.copy()
+    edges = edge_points(truth.mesh_world)
+    if len(edges):
+        nearest_m, _ = cKDTree(edges).query(surface.points_world[chosen], distance_upper_bound=EDGE_M)
+        chosen[np.flatnonzero(chosen)[np.isfinite(nearest_m)]] = False
+    return chosen
 
 
 def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:

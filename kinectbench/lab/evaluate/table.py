@@ -12,7 +12,9 @@ from kinectbench.lab.evaluate.evaluation import (
     FloorFigures,
     TrajectoryFigures,
 )
+from kinectbench.lab.evaluate.measured import FaceBias
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures
+from kinectbench.lab.evaluate.refined import RefinedFigures
 from kinectbench.lab.evaluate.solid import SolidFigures
 from kinectbench.lab.evaluate.surface import SurfaceComparison, SurfaceFigures
 
@@ -63,6 +65,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
         ("Floor", _floor, e.floor),
         ("Surface", _surface, e.surface),
         ("Solid", _solid, e.solid),
+        ("Solid, laid rigidly onto the true one", _refined, e.refined),
         ("Masks", _masks, e.masks),
         ("Pairs", _pairs, e.pairs),
     )
@@ -169,17 +172,32 @@ def _solid(figures: SolidFigures) -> Iterator[Row]:
     yield _row("the same: solid called air", figures.solid_called_air, "%")
     yield _row("the same: air called solid", figures.air_called_solid, "%")
     yield _row("known, but wrong by over 10 mm, exact solid", figures.exact_known_gross_share, "%")
-    near, bias = figures.unknown_near_measured, figures.face_bias_m
+    near = figures.unknown_near_measured
     yield _row("unknown within 10 mm of measured surface, solid", near.solid, "%")
     yield _row("unknown within 10 mm of measured surface, air", near.air, "%")
     yield _row("probability against share inside, ten bins", figures.calibration_error)
-    for name, bias_m in (("upper faces", bias.up), ("sides", bias.side), ("undersides", bias.down)):
-        yield _row(f"measured {name} (> 0: too far out)", bias_m, "mm")
+    yield from _bias(figures.face_bias_m)
     yield _row("estimated IoU", figures.estimated_iou)
     if figures.iou_in_interval is not None:
         yield _row("estimated IoU, at least", figures.estimated_iou_low)
         yield _row("estimated IoU, at most", figures.estimated_iou_high)
         yield Row("IoU lies between them", "yes" if figures.iou_in_interval else "no")
+
+
+def _bias(bias: FaceBias) -> Iterator[Row]:
+    for name, bias_m in (("upper faces", bias.up), ("sides", bias.side), ("undersides", bias.down)):
+        yield _row(f"measured {name} (> 0: too far out)", bias_m, "mm")
+
+
+def _refined(figures: RefinedFigures) -> Iterator[Row]:
+    yield _row("lifted by", figures.lifted_m, "mm")
+    yield _row("moved by", figures.moved_m, "mm")
+    yield _row("turned by", figures.turned_rad, "°")
+    yield _row("measured surface, mean distance before", figures.measured_distance_m, "mm")
+    yield _row("measured surface, mean distance after", figures.refined_distance_m, "mm")
+    yield from _bias(figures.face_bias_m)
+    yield _row("IoU, 256³", figures.iou)
+    yield _row("IoU, 256³, known cells", figures.known_iou)
 
 
 def _masks(figures: MaskFigures) -> Iterator[Row]:

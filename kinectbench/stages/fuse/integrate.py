@@ -21,6 +21,12 @@ SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
+# What a frame measures counts in full within so many standard deviations of its depth, before the surface as
+# behind it, or zero would move; and again from so many before it on, where there is nothing. With 2 behind
+# and none before, a board of 12 mm that both sides see (simulated, true poses, a noise of 4.8 mm) comes out
+# 2.3 mm too thick; with 1.5, 1.4 mm; with 1.2, 1.0 mm, but what is measured well counts for less, too: tracked, F at 5 mm of
+# the same shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
+WINDOW_SIGMAS, CLEAR_SIGMAS = np.float32(1.5), np.float32(2.5)
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
 VOTE_BITS, MOST_VOTES = np.uint32(16), np.uint32(0xFFFF)
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
@@ -69,9 +75,10 @@ def integrate(
     s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
     clipped at +-truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
     where s > max(2 sigma, half a voxel's diagonal), else `surface`. What lies farther behind the surface than
-    that, along its normal, is hidden: it may be solid or air, and the frame's weight on it fades within half
-    a voxel to a thousandth, so that any frame that looks at it from elsewhere decides. Voxels farther behind
-    get nothing: where two standard deviations of the depth are more than the truncation, from there on, or
+    max(1.5 sigma, half a voxel's diagonal), along its normal, is hidden: it may be solid or air, and the
+    frame's weight on it fades within half a voxel to a thousandth, so that any frame that looks at it from
+    elsewhere decides. So it does as far before the surface, up to 2.5 sigma: if noise were cut on one side
+    only, its mean would move. Voxels farther behind get nothing: where two standard deviations of the depth are more than the truncation, from there on, or
     the mean of what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a
     metre in front of it hear: they are free.
 
@@ -227,8 +234,11 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
         vote = FREE_VOTE if distance > 0 and distance * distance > reach else SURFACE_VOTE
         new_votes[n] += vote if added > 0 else NO_VOTE
         # The weight holds the square of the cosine: along the normal, distances are shorter by that.
-        behind = -distance * np.sqrt(added * PER_MM2 * (sigma * sigma + pose * pose)) - np.sqrt(reach)
-        added *= max(min(f32(1) - behind * fading_per_m, f32(1)), HIDDEN)
+        along = distance * np.sqrt(added * PER_MM2 * (sigma * sigma + pose * pose))
+        spread = np.sqrt(sigma * sigma + vote_pose * vote_pose)
+        outside = abs(along) - max(WINDOW_SIGMAS * spread, half_diagonal)
+        share = max(min(f32(1) - outside * fading_per_m, f32(1)), HIDDEN)
+        added *= share if along <= CLEAR_SIGMAS * spread else f32(1)
         new_total[n] += added * max(min(distance, truncation), -truncation)
         new_weight[n] += added
     return any_added > 0

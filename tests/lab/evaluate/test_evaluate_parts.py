@@ -14,10 +14,12 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.lab.evaluate.build import Registration, register, true_frames
 from kinectbench.lab.evaluate.evaluation import floor_figures, trajectory_figures
+from kinectbench.lab.evaluate.measured import MeasuredSurface
 from kinectbench.lab.evaluate.pairs import mask_figures, pair_figures, pair_row
+from kinectbench.lab.evaluate.refined import refined_figures
 from kinectbench.lab.evaluate.solid import iou, share
 from kinectbench.lab.evaluate.surface import SurfaceErrors, surface_errors, surface_figures
-from kinectbench.lab.simulate.truth import SurfaceTruth
+from kinectbench.lab.simulate.truth import SurfaceTruth, Truth
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.alignment import Alignment
@@ -38,6 +40,33 @@ def test_overlap_by_hand():
     assert iou(a & False, a & False) == 1
     assert share(a, of=np.array([True, False, False, True])) == 0.5
     assert share(a, of=a & False) == 0
+
+
+def test_a_shift_of_the_world_is_refined_away(perfect: Known, truth: Truth) -> None:
+    """A perfect build, 2 mm too low and 1 mm aside: the motion undoes just that."""
+    model, placed = perfect.build.model, register(perfect.build, truth)
+    assert model is not None
+    low = rigid(np.eye(3), 0.001 * truth.T_world_object[:3, 0] - 0.002 * truth.T_world_object[:3, 2])
+    points, normals = truth.surface.points_world, truth.surface.normals_world
+    surface = MeasuredSurface(points, normals, np.ones(len(points), np.bool_))
+    moved = replace(placed, T_truth_built=low @ placed.T_truth_built)
+    found = refined_figures(model, truth, moved, surface)
+    assert found.lifted_m == pytest.approx(0.002, abs=2e-4) and found.turned_rad < 1e-3
+    assert found.moved_m == pytest.approx(0.00224, abs=2e-4)
+    assert found.measured_distance_m is not None and found.refined_distance_m is not None
+    assert found.refined_distance_m < found.measured_distance_m - 0.0005
+    placed_well = refined_figures(model, truth, placed, surface)
+    assert placed_well.moved_m < 2e-4
+    assert found.iou == pytest.approx(placed_well.iou, abs=0.005)
+    assert found.refined_distance_m == pytest.approx(placed_well.refined_distance_m, abs=5e-5)
+
+
+def test_nothing_measured_moves_nothing(perfect: Known, truth: Truth) -> None:
+    points, normals = truth.surface.points_world, truth.surface.normals_world
+    surface = MeasuredSurface(points, normals, np.zeros(len(points), np.bool_))
+    assert perfect.build.model is not None
+    found = refined_figures(perfect.build.model, truth, register(perfect.build, truth), surface)
+    assert (found.moved_m, found.measured_distance_m, found.refined_distance_m) == (0.0, None, None)
 
 
 def test_surface_figures_by_hand():

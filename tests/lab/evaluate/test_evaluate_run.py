@@ -131,7 +131,7 @@ def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tru
     assert there == [number < built for number in range(4)]
     assert (found["surface"] is None) == (found["floor"] is None) == (found["solid"] is None)
     missing = [section.title for section in sections(evaluation) if not section.rows]
-    assert len(missing) == [7, 5, 2, 1][built]
+    assert len(missing) == [8, 6, 2, 1][built]
     assert printed(evaluation).count("not built") == len(missing)
 
 
@@ -161,7 +161,7 @@ def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Pa
         "evaluation.json", "index.html", "path.png",
     }  # fmt: skip
     page = (tmp_path / "out" / "index.html").read_text()
-    assert page.count("not built") == 6
+    assert page.count("not built") == 7
     assert page.count("<img") == 1
 
 
