@@ -23,10 +23,10 @@ HIDDEN = np.float32(HIDDEN_SHARE)
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 # What a frame measures counts in full within so many standard deviations of its depth, before the surface as
 # behind it, or zero would move; and again from so many before it on, where there is nothing. With 2 behind
-# and none before, a board of 12 mm that both sides see (simulated, true poses, a noise of 4.8 mm) comes out
-# 2.3 mm too thick; with 1.5, 1.4 mm; with 1.2, 1.0 mm, but what is measured well counts for less, too: tracked, F at 5 mm of
-# the same shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
-WINDOW_SIGMAS, CLEAR_SIGMAS = np.float32(1.5), np.float32(2.5)
+# and all before, a board of 12 mm that both sides see (simulated, true poses, a noise of 4.8 mm) comes out
+# 2.3 mm too thick; with 1.5, 1.4 mm; with 1.2, 1.0 mm, but what is measured well counts for less, too:
+# tracked, F at 5 mm of the same shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
+WINDOW_SIGMAS, CLEAR_SIGMAS = 1.5, 2.5
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
 VOTE_BITS, MOST_VOTES = np.uint32(16), np.uint32(0xFFFF)
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
@@ -54,12 +54,14 @@ class DepthFrame:
         T_world_camera: (4, 4).
         pose_sigma_m: by how much the pose may be off, metres: it lowers the frame's weight.
         vote_sigma_m: the pose's part in the width of the `surface` vote, metres.
+        closely: the recording's poses are good enough to cut noise closely around its surface.
     """
 
     depth_m: Float32
     T_world_camera: Float64
     pose_sigma_m: float
     vote_sigma_m: float
+    closely: bool = True
 
 
 def integrate(
@@ -78,9 +80,10 @@ def integrate(
     max(1.5 sigma, half a voxel's diagonal), along its normal, is hidden: it may be solid or air, and the
     frame's weight on it fades within half a voxel to a thousandth, so that any frame that looks at it from
     elsewhere decides. So it does as far before the surface, up to 2.5 sigma: if noise were cut on one side
-    only, its mean would move. Voxels farther behind get nothing: where two standard deviations of the depth are more than the truncation, from there on, or
-    the mean of what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a
-    metre in front of it hear: they are free.
+    only, its mean would move. (Frames not `closely`: behind 2 sigma only.) Voxels farther behind get nothing:
+    where two standard deviations of the depth are more than the truncation, from there on, or the mean of
+    what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front
+    of it hear: they are free.
 
     Args:
         volume: blocks to fuse into.
@@ -141,11 +144,12 @@ def _integrate_batch(
 
 
 def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
-    """What weights and votes are made of: depth noise (3), the pose (2), half a diagonal, 1 / fading."""
+    """Depth noise (3), the pose (2), half a diagonal, 1 / fading, and the window (2) of a frame."""
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
     poses = (frame.pose_sigma_m, frame.vote_sigma_m)
     fading_per_m = 1 / (FADING_VOXELS * voxel_size_m)
-    return np.array([*depth, *poses, HALF_DIAGONAL * voxel_size_m, fading_per_m], np.float32)
+    window = (WINDOW_SIGMAS, CLEAR_SIGMAS) if frame.closely else (SURFACE_SIGMAS, 0.0)
+    return np.array([*depth, *poses, HALF_DIAGONAL * voxel_size_m, fading_per_m, *window], np.float32)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
@@ -217,7 +221,7 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
     """Add a frame's weighted distances, weights and votes; whether there were any."""
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
-    half_diagonal, fading_per_m = noise[5], noise[6]
+    half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
     any_added = f32(0)
     for n in range(BLOCK_CELLS):
         depth = np.uint32(fetched[n] & LOWER_HALF).view(f32)
@@ -236,9 +240,9 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
         # The weight holds the square of the cosine: along the normal, distances are shorter by that.
         along = distance * np.sqrt(added * PER_MM2 * (sigma * sigma + pose * pose))
         spread = np.sqrt(sigma * sigma + vote_pose * vote_pose)
-        outside = abs(along) - max(WINDOW_SIGMAS * spread, half_diagonal)
+        outside = abs(along) - max(window * spread, half_diagonal)
         share = max(min(f32(1) - outside * fading_per_m, f32(1)), HIDDEN)
-        added *= share if along <= CLEAR_SIGMAS * spread else f32(1)
+        added *= share if along <= clear * spread else f32(1)
         new_total[n] += added * max(min(distance, truncation), -truncation)
         new_weight[n] += added
     return any_added > 0

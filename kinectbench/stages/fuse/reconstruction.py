@@ -43,10 +43,13 @@ LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
 # Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
 # integrate's quarter of a metre is enough.
 FAR_RANGES = 2.0
-# Edges of the scene's voxels where the settings give none: the finest that the frames' rays are no wider than.
-# On tracked simulated objects F at 5 mm is with the second of them .981 (bookshelf), .908 (box with flaps) and
-# .998 (chair), with the first .995, .955 and .999.
+# Edges of the scene's voxels where the settings give none: the finest one wider than the frames' rays.
+# On tracked simulated objects F at 5 mm is with the second of them .981 (bookshelf), .908 (box with flaps)
+# and .998 (chair), with the first .995, .955 and .999.
 VOXELS_M = (0.005, 0.0075, 0.01)
+# Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
+# a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
+CLOSE_POSE_SIGMA_M = 0.005
 # How far the cameras are from what they see is the median of so many frames.
 DISTANCE_FRAMES = 60
 
@@ -224,11 +227,13 @@ def _integrate_frames(
     far: bool = False,
 ) -> None:
     truncation_m = _truncation_m(trajectory, volume.voxel_size_m, settings)
+    closely = (trajectory.median_pose_sigma_m or 0.0) <= CLOSE_POSE_SIGMA_M
     chosen = [int(index) for index in frames]
 
     def posed(index: int) -> DepthFrame:
         depth_m = usable_depth_m(sequence, index, settings, far)
-        return DepthFrame(depth_m, trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
+        sigmas_m = _pose_sigmas_m(trajectory, index)
+        return DepthFrame(depth_m, trajectory.T_world_camera[index], *sigmas_m, closely)
 
     def read() -> Iterator[DepthFrame]:
         for done, frame in enumerate(ahead(posed, chosen), start=1):

@@ -122,7 +122,9 @@ def test_noise_makes_a_panel_no_thicker():
     half, rng = np.array([0.006, 0.3, 0.25]), np.random.default_rng(3)
     panel, poses = box(tuple(-half), tuple(half)), ring(60, 1.9, elevations_rad=(0.1, 0.5, -0.3))
     exact = [depth_of([panel], CAMERA, T) for T in poses]
-    noisy = [d + (rng.standard_normal(d.shape) * depth_sigma_m(d) * (d > 0)).astype(np.float32) for d in exact]
+    noisy = [
+        d + (rng.standard_normal(d.shape) * depth_sigma_m(d) * (d > 0)).astype(np.float32) for d in exact
+    ]
     mesh = fuse(sequence_of(noisy, CAMERA, poses), trajectory_of(poses), SETTINGS).mesh
     face = np.all(np.abs(mesh.vertices[:, 1:]) < half[1:] - 0.03, axis=1)
     outside_mm = 1000 * (np.abs(mesh.vertices[face, 0]) - half[0])
@@ -293,7 +295,9 @@ def test_vertices_take_the_colour_of_what_they_show():
     assert fuse(plain, trajectory_of(poses), coarse).mesh.colors is None
 
 
-@pytest.mark.parametrize(("width_mm", "voxel_mm"), [(3.0, 5.0), (5.1, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)])
+@pytest.mark.parametrize(
+    ("width_mm", "voxel_mm"), [(3.0, 5.0), (5.1, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)]
+)
 def test_scene_is_as_fine_as_the_rays(width_mm, voxel_mm):
     assert 1000 * scene_voxel_size_m(width_mm / 1000) == pytest.approx(voxel_mm)
 

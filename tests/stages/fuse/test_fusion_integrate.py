@@ -36,7 +36,7 @@ from kinectbench.stages.fuse.integrate import (
 from kinectbench.stages.fuse.visible_blocks import blocks_near_surface, visible_blocks
 
 SMALL = Camera(48, 36, 40.0, 41.0, 23.2, 17.6)
-VOXEL_M, TRUNCATION_M, POSE_SIGMA_M = 0.02, 0.08, 0.015
+VOXEL_M, TRUNCATION_M, POSE_SIGMA_M = 0.012, 0.06, 0.005
 T_WORLD_GRID = rigid(rotation_from_quaternion_xyzw([0.1, 0.2, -0.1, 0.9]), [-0.3, -0.35, 0.6])
 
 
@@ -60,7 +60,7 @@ def slants(depth_m: np.ndarray) -> np.ndarray:
     return result
 
 
-def reference(volume, frames, farthest_m=np.inf):
+def reference(volume, frames, farthest_m=np.inf, closely=True):
     """tsdf, weight, free, surface by the definitions; and where rounding to a pixel or vote is a toss-up."""
     centers = voxel_centers_world(volume)
     shape = centers.shape[:-1]
@@ -80,9 +80,9 @@ def reference(volume, frames, farthest_m=np.inf):
         slant = slants(depth_m)[np.where(inside, v, 0), np.where(inside, u, 0)]
         added = np.where(measured, 1e-6 / (sigma * slant) ** 2, 0)
         margin = np.maximum(SURFACE_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
-        window = np.maximum(WINDOW_SIGMAS * sigma, HALF_DIAGONAL * VOXEL_M)
+        window = np.maximum((WINDOW_SIGMAS if closely else 2) * sigma, HALF_DIAGONAL * VOXEL_M)
         beyond_voxels = (np.abs(sdf / slant) - window) / VOXEL_M
-        clear = sdf / slant > CLEAR_SIGMAS * sigma
+        clear = sdf / slant > (CLEAR_SIGMAS * sigma if closely else 0)
         faded = added * np.where(clear, 1, np.clip(1 - beyond_voxels / FADING_VOXELS, HIDDEN_SHARE, 1))
         total += faded * np.minimum(sdf, TRUNCATION_M)
         weight += faded
@@ -107,27 +107,31 @@ def random_frames(count: int) -> list:
     return frames
 
 
-def fused(frames, farthest_m=np.inf) -> BlockVolume:
+def fused(frames, farthest_m=np.inf, closely=True) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
     posed = [
-        DepthFrame(depth_m, T_world_camera, POSE_SIGMA_M, POSE_SIGMA_M) for depth_m, T_world_camera in frames
+        DepthFrame(depth_m, T_world_camera, POSE_SIGMA_M, POSE_SIGMA_M, closely)
+        for depth_m, T_world_camera in frames
     ]
     integrate(volume, posed, SMALL, TRUNCATION_M, farthest_m)
     return volume
 
 
-@pytest.mark.parametrize(("count", "farthest_m"), [(4, np.inf), (4, 1.2), (BATCH_FRAMES + 3, 1.2)])
-def test_kernel_against_numpy(count, farthest_m):
+@pytest.mark.parametrize(
+    ("count", "farthest_m", "closely"),
+    [(4, np.inf, True), (4, 1.2, True), (4, 1.2, False), (BATCH_FRAMES + 3, 1.2, True)],
+)
+def test_kernel_against_numpy(count, farthest_m, closely):
     frames = random_frames(count)
-    volume = fused(frames, farthest_m)
-    tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m)
+    volume = fused(frames, farthest_m, closely)
+    tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m, closely)
     sure = ~tie
     assert sure.mean() > 1 - 0.005 * count
     assert (weight > 0).mean() > 0.3 and surface.sum() > 1000 and free.sum() > 1000
     np.testing.assert_array_equal(volume.free[sure], free[sure])
     np.testing.assert_array_equal(volume.surface[sure], surface[sure])
-    np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=3e-4, atol=1e-8)
     np.testing.assert_allclose(volume.tsdf[sure], tsdf[sure], atol=5e-6)
 
 
@@ -138,7 +142,7 @@ def test_camera_inside_the_volume_fuses_nothing_behind_it():
     behind = voxel_centers_world(volume)[..., 2] < 0.999
     assert behind.any() and not volume.weight[behind].any()
     _, weight, _, _, tie = reference(volume, frames)
-    np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(volume.weight[~tie], weight[~tie], rtol=3e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("slant_deg", [0.0, 40.0, 70.0])
