@@ -296,7 +296,7 @@ def test_vertices_take_the_colour_of_what_they_show():
 
 
 @pytest.mark.parametrize(
-    ("width_mm", "voxel_mm"), [(3.0, 5.0), (5.1, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)]
+    ("width_mm", "voxel_mm"), [(3.0, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)]
 )
 def test_scene_is_as_fine_as_the_rays(width_mm, voxel_mm):
     assert 1000 * scene_voxel_size_m(width_mm / 1000) == pytest.approx(voxel_mm)
@@ -304,7 +304,7 @@ def test_scene_is_as_fine_as_the_rays(width_mm, voxel_mm):
 
 def test_recording_decides_how_fine_the_scene_is_unless_settings_say(ball):
     sequence, trajectory = ball
-    assert fuse(sequence, trajectory, FusionSettings()).volume.voxel_size_m == 0.005
+    assert fuse(sequence, trajectory, FusionSettings()).volume.voxel_size_m == 0.0075
     loose = replace(trajectory, pose_sigma_m=np.full(len(trajectory.T_world_camera), 0.005))
     assert fuse(sequence, loose, FusionSettings()).volume.voxel_size_m == 0.01
     assert fuse(sequence, loose, FusionSettings(scene_voxel_size_m=0.02)).volume.voxel_size_m == 0.02
