@@ -295,9 +295,7 @@ def test_vertices_take_the_colour_of_what_they_show():
     assert fuse(plain, trajectory_of(poses), coarse).mesh.colors is None
 
 
-@pytest.mark.parametrize(
-    ("width_mm", "voxel_mm"), [(3.0, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)]
-)
+@pytest.mark.parametrize(("width_mm", "voxel_mm"), [(3.0, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)])
 def test_scene_is_as_fine_as_the_rays(width_mm, voxel_mm):
     assert 1000 * scene_voxel_size_m(width_mm / 1000) == pytest.approx(voxel_mm)
 
