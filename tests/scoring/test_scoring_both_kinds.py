@@ -67,7 +67,7 @@ def test_a_grid_has_the_figures_of_the_same_cells_in_the_camera_frame(
     camera = score(published, tmp_path, method="hull", protocols=["camera"])
     for one, other in zip(space.rows, camera.rows, strict=True):
         assert (one.pair, one.heading) == (other.pair, other.heading)
-        # Coordinates that differ by rounding draw other samples: 20,000 of distances that spread by as much as
+        # Coordinates that differ by rounding draw other samples: of 20,000 distances that spread as much as
         # their mean leave 1 / sqrt(20,000) = .7 % of it.
         assert one.chamfer_l1_m == pytest.approx(other.chamfer_l1_m, rel=0.015)
         assert one.iou == pytest.approx(other.iou, abs=1e-4)

@@ -121,7 +121,7 @@ def test_doubtful_predictions_are_counted_in_a_line_each(release: Release, tmp_p
     assert f"2 of 4 predictions predict nothing at their threshold, such as {targets[2].name}" in warnings
     assert f"1 of 4 predictions fill the whole cube at their threshold, such as {targets[1].name}" in warnings
     assert check(release, tmp_path) == [
-        f"{targets[0].name}.ply: 50% of its volume lies outside the cube: write it in the grid's axes, {IN_CAMERA}"
+        f"{targets[0].name}.ply: 50% of its volume lies outside the cube: use the grid's axes, {IN_CAMERA}"
     ]
     baseline = score(release, tmp_path, method="empty", protocols=["known"], surface=False).warnings
     assert not any("predict nothing" in line for line in baseline)
