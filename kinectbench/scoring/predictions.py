@@ -276,9 +276,7 @@ def _file_problem(release: Release, target: Target, path: Path, method: MethodFi
         return str(error)
     if loaded.outside_share > MOST_OUTSIDE:
         share = f"{loaded.outside_share:.0%}"
-        return (
-            f"{name}: {share} of its volume lies outside the cube: use the grid's axes, {IN_CAMERA}"
-        )
+        return f"{name}: {share} of its volume lies outside the cube: use the grid's axes, {IN_CAMERA}"
     if changed_files(method, {name: loaded.digest}):
         return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
     return None
