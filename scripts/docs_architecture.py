@@ -28,7 +28,8 @@ _STAGES = "ingest track fuse segment sample_views pairs"
 GROUND, PIPELINE, RESULTS, LAB, DOOR = "#5b6b7b", "#2f6f9f", "#2c8a7a", "#b07d2b", "#a8505c"
 COLOURS = {
     "core": GROUND, "settings": GROUND, "stages": PIPELINE, "doctor": PIPELINE, "engine": PIPELINE,
-    "release": RESULTS, "scoring": RESULTS, "report": RESULTS, "networks": RESULTS, "lab": LAB, "cli": DOOR,
+    "record": PIPELINE, "release": RESULTS, "scoring": RESULTS, "report": RESULTS, "networks": RESULTS,
+    "lab": LAB, "cli": DOOR,
 }  # fmt: skip
 INK, SOFT, PAPER, FLOOR = "#1f2933", "#7b8794", "#ffffff", "#f4f6f8"
 
@@ -86,7 +87,7 @@ def picture(names: Sequence[str], arrows: Mapping[tuple[str, str], int]) -> str:
         'font-family="Inter, Segoe UI, Helvetica, Arial, sans-serif">',
         "<title>The rooms of kinectbench: each imports only those below it</title>",
         f'<rect width="{WIDTH}" height="{height}" rx="10" fill="{PAPER}"/>',
-        _text(NAMES_X, 36, "The eleven rooms of kinectbench", 17, INK, weight=600),
+        _text(NAMES_X, 36, "The twelve rooms of kinectbench", 17, INK, weight=600),
         _text(BUS_X - 22, 36, "what each imports: down the lines, to the room they end at", 13, SOFT),
     ]
     for row, name in enumerate(names):

@@ -22,6 +22,7 @@ from kinectbench.cli.exchange import adapt, export, import_
 from kinectbench.cli.fetch import fetch, gc
 from kinectbench.cli.methods import convert, predict, train
 from kinectbench.cli.publish import publish
+from kinectbench.cli.record import record
 from kinectbench.cli.recordings import formats, init, inspect
 from kinectbench.cli.report import report
 from kinectbench.cli.score import compare, score
@@ -58,6 +59,7 @@ STOPPED = "stopped; run the same command again to go on from here"
 
 # The commands as `kinectbench --help` shows them, in the order of their use.
 PANELS: Mapping[str, Mapping[str, Command]] = {
+    "Record": {"record": record},
     "Make a benchmark": {
         "init": init,
         "inspect": inspect,
@@ -101,7 +103,7 @@ def _options(
 
 
 # What works on recordings needs an extra; the others say so where they need it.
-ON_RECORDINGS = ("build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish")
+ON_RECORDINGS = ("record", "build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish")
 
 
 def _with_build(command: Command) -> Command:

@@ -62,6 +62,10 @@ class GivenPosesError(RecordingError):
     what = "bad-poses"
 
 
+class CaptureError(KinectBenchError):
+    """A camera is not there, or gives no more frames."""
+
+
 class TrackingError(KinectBenchError):
     """No usable trajectory."""
 

@@ -131,8 +131,8 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _reachable(path: Path) -> Iterator[None]:
-    """Turn a way that leads nowhere into one clear line."""
+def reachable(path: Path) -> Iterator[None]:
+    """Turn a way to a place that leads nowhere into one clear line."""
     try:
         yield
     except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:
@@ -149,14 +149,14 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
     temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
     _half_filled.add(temporary)
     try:
-        with storage_errors(folder), _reachable(folder):
+        with storage_errors(folder), reachable(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
             temporary.mkdir()
             temporary.chmod(0o755)
         with storage_errors(folder):
             yield temporary
             old = temporary.with_suffix(".old")
-            with _reachable(folder):
+            with reachable(folder):
                 if folder.exists():
                     folder.rename(old)
                 try:
@@ -193,7 +193,7 @@ def replaced_file(path: Path) -> Iterator[Path]:
     _half_filled.add(temporary)
     try:
         with storage_errors(path):
-            with _reachable(path):
+            with reachable(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 temporary.touch()  # whether it can be made
             yield temporary

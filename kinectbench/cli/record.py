@@ -1,0 +1,84 @@
+"""The command `record`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+from kinectbench.core.errors import SettingsError
+
+if TYPE_CHECKING:
+    from kinectbench.record.recorder import Recorded
+
+
+@takes("as_json")
+def record(
+    common: Common,
+    out: Annotated[Path | None, typer.Argument(help="a new folder for the recording")] = None,
+    device: Annotated[
+        str | None, typer.Option("--device", metavar="NAME", help="see --list; default: what is plugged in")
+    ] = None,
+    devices: Annotated[bool, typer.Option("--list", help="list the devices, and what each needs")] = False,
+    replayed: Annotated[
+        Path | None, typer.Option("--from", metavar="RECORDING", help="a recording in place of a camera")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="of --from: times its own pace")] = 1.0,
+    seconds: Annotated[float | None, typer.Option(min=0, help="end after so long; default: Ctrl-C")] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="of the camera of --from, such as fx=525"),
+    ] = None,
+) -> int:
+    """Record with a camera into a folder that `inspect` and `build` read; Ctrl-C ends it."""
+    from kinectbench.cli import console
+    from kinectbench.record.devices import chosen
+    from kinectbench.record.devices.replay import Replay
+    from kinectbench.record.recorder import record as record_with
+    from kinectbench.settings.models import CameraSettings
+    from kinectbench.settings.overrides import settings_from_options
+
+    if devices:
+        _list(common)
+        return 0
+    if out is None:
+        raise SettingsError("record: name a new folder for the recording, or give --list")
+    if replayed is not None and device is not None:
+        raise SettingsError("record: give --device or --from, not both")
+    if replayed is None and (speed != 1 or overrides):
+        raise SettingsError("record: --speed and --set are of --from; a camera has its own pace and values")
+    given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
+    camera = chosen(device) if replayed is None else Replay(replayed, speed, given)
+    with console.bar("record") as progress:
+        done = record_with(camera, out, seconds, progress=lambda frames, _: progress(frames, frames))
+    _tell(common, done)
+    return CANNOT_BE_USED if done.failure else 0
+
+
+def _list(common: Common) -> None:
+    from kinectbench.record.devices import listed
+
+    rows, lines = [], []
+    for each in listed():
+        rows.append(each._asdict())
+        state = each.absent or ", ".join(each.plugged_in) or "nothing is plugged in"
+        lines.append(f"{each.name}: {each.cameras}: {state}")
+    common.tell(rows, lines)
+
+
+def _tell(common: Common, done: "Recorded") -> None:
+    from kinectbench.cli import console
+
+    counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
+    value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
+    value |= {"clock_set_back": done.set_back, "failure": done.failure or None}
+    common.tell(value, [f"wrote {done.folder}: {done.frames} frames in {done.seconds:.1f} s"])
+    warnings = {
+        f"{done.missed} frames were lost by the device": done.missed,
+        f"{done.dropped} frames were not written: the disk is too slow": done.dropped,
+        f"the device's clock went back {done.set_back} times; stamps go on by this machine's": done.set_back,
+    }
+    said = [text for text, count in warnings.items() if count]
+    said += [f"an observer failed: {words}" for words in done.observers]
+    console.lines("warning", [f"{done.folder}: {text}" for text in said], "yellow")
+    console.lines("error", [done.failure] if done.failure else [], "red")

@@ -1,0 +1,87 @@
+"""Any recording that is read, as a camera that gives its frames at their own pace."""
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from kinectbench.core.errors import CaptureError
+from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.record.interface import Device, Frame, Setup
+from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import RawFrame
+
+# Frames that a camera's driver keeps for whoever is late: as many buffers as librealsense has the kernel's
+# driver keep (DEFAULT_V4L2_FRAME_BUFFERS).
+KEPT = 4
+
+
+class Replay(Device):
+    """A recording in place of a camera; it has no poses, as a camera has none."""
+
+    name = "replay"
+    cameras = "any recording that is read"
+
+    def __init__(self, path: Path, speed: float = 1.0, camera: CameraSettings | None = None) -> None:
+        """Nothing is opened.
+
+        Args:
+            path: of the recording.
+            speed: how many times as fast as it was recorded.
+            camera: values that win over what it says.
+        """
+        self._path, self._speed, self._settings = path, speed, camera
+
+    def plugged_in(self) -> tuple[str, ...]:
+        """The recording, if it is there."""
+        return (str(self._path),) if self._path.exists() else ()
+
+    def open(self) -> Setup:
+        """Open the recording, as a build does; one thread opens and reads it."""
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="replay")
+        self._recording = self._pool.submit(open_recording, self._path, self._settings).result()
+        if not len(self._recording):
+            raise CaptureError(f"{self._path}: has no frame that could be replayed")
+        said = self._recording
+        return Setup(said.camera, said.depth_scale, said.color_registered, said.color_calibration)
+
+    def frames(self) -> Iterator[Frame]:
+        """Each frame when its time has come; one that is taken too late is missed."""
+        stamps_ns = self._recording.stamps_ns
+        due_s = ((stamps_ns - stamps_ns[0]) / NS_PER_S / self._speed).tolist()
+        started_s: float | None = None
+        for index, raw in enumerate(self._read_ahead()):
+            now_s = time.monotonic()
+            started_s = now_s if started_s is None else started_s
+            wait_s = started_s + due_s[index] - now_s
+            if wait_s > 0:
+                time.sleep(wait_s)
+            late = index + KEPT < len(due_s) and started_s + due_s[index + KEPT] <= now_s
+            if late or raw is None:
+                self.missed += 1
+            else:
+                yield Frame(raw.stamp_ns, raw.depth, raw.color)
+
+    def close(self) -> None:
+        """End the thread that reads."""
+        if hasattr(self, "_pool"):
+            self._pool.shutdown(cancel_futures=True)
+
+    def _read_ahead(self) -> Iterator[RawFrame | None]:
+        """The frames in their order, a few of them read before they are asked for; None: it is damaged."""
+        begun: deque[Future[RawFrame | None]] = deque()
+        for index in range(len(self._recording)):
+            begun.append(self._pool.submit(self._read, index))
+            if len(begun) > KEPT:
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+
+    def _read(self, index: int) -> RawFrame | None:
+        try:
+            return self._recording.frame(index)
+        except DamagedImageError:
+            return None

@@ -1,0 +1,172 @@
+"""The recording that is written: a folder as the TUM RGB-D benchmark has it, frame by frame, on threads.
+
+A row of `depth.txt` or `rgb.txt` is added once its image is whole, so that the folder can be read at any
+moment, and after a crash up to the last frame.
+"""
+
+import os
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.storage import pretty_json, reachable, storage_errors
+from kinectbench.core.trajectory.stamps import format_stamp
+from kinectbench.record.interface import Frame, Setup
+from kinectbench.stages.ingest.images import encode_png
+
+# Two threads encode 640x480 at 30 Hz with half of two cores (21 ms a frame); one more for a slow disk.
+THREADS = 3
+# Frames that wait to be written: five seconds of 640x480 with colour as pixels, two of 1280x720.
+BACKLOG_BYTES = 256 << 20
+HEADERS = {
+    "depth": "# timestamp filename",
+    "rgb": "# timestamp filename",
+    "accelerometer": "# timestamp ax ay az",
+}
+
+
+def check_new(folder: Path) -> None:
+    """Refuse a place where something is already: two recordings are never mixed.
+
+    Raises:
+        SettingsError: the folder holds something, or is no folder.
+    """
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if folder.exists() or folder.is_symlink():
+        raise SettingsError(f"{folder}: is there already; name a new folder for the recording")
+
+
+class FolderWriter:
+    """Writes frames into a new folder; `add` never waits for the disk."""
+
+    def __init__(self, folder: Path, setup: Setup, device: str) -> None:
+        """Make the folder.
+
+        Args:
+            folder: absent or empty.
+            setup: what camera.json says.
+            device: the name of the device, for camera.json.
+
+        Raises:
+            SettingsError: something is there, or another recorder was first.
+            StorageError: it cannot be made.
+        """
+        check_new(folder)
+        with storage_errors(folder), reachable(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        with storage_errors(folder):
+            try:
+                (folder / "depth").mkdir()  # of two recorders one succeeds
+            except FileExistsError as error:
+                said = f"{folder}: another recorder has begun there; name a new folder"
+                raise SettingsError(said) from error
+            (folder / "rgb").mkdir()
+            (folder / "camera.json").write_text(pretty_json(_camera_json(setup, device)), encoding="utf-8")
+        self.folder = folder
+        self.error: OSError | None = None
+        self.added = self.listed = self.dropped = 0
+        self._lists: dict[str, int] = {}
+        self._waiting_bytes = 0
+        self._whole: dict[int, tuple[tuple[str, str], ...]] = {}
+        self._lock = threading.Lock()
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="record")
+
+    def add(self, frame: Frame) -> int | None:
+        """Have a frame written; its number in the folder, or None if it is dropped: too many wait."""
+        with self._lock:
+            if self._waiting_bytes + frame.nbytes > BACKLOG_BYTES and self._waiting_bytes:
+                self.dropped += 1
+                return None
+            self._waiting_bytes += frame.nbytes
+        number, self.added = self.added, self.added + 1
+        self._pool.submit(self._write, number, frame)
+        return number
+
+    def close(self) -> None:
+        """Wait until all that was added is written, or cannot be."""
+        self._pool.shutdown(wait=True)
+        for handle in self._lists.values():
+            os.close(handle)
+        self._lists = {}
+
+    def _write(self, number: int, frame: Frame) -> None:
+        """Write a frame's images, then the rows of all frames up to the first that is not whole.
+
+        After an error no further frame is begun; those before it become whole.
+        """
+        try:
+            if self.error is None:
+                self._whole[number] = self._images(number, frame)
+                with self._lock:
+                    while self.listed in self._whole:
+                        self._add_rows(self._whole.pop(self.listed))
+                        self.listed += 1
+        except OSError as error:
+            self.error = self.error or error
+        finally:
+            with self._lock:
+                self._waiting_bytes -= frame.nbytes
+
+    def _images(self, number: int, frame: Frame) -> tuple[tuple[str, str], ...]:
+        """Write a frame's files; its rows by the name of their list, that of depth last."""
+        rows = [
+            ("accelerometer", f"{format_stamp(s)} {x!r} {y!r} {z!r}") for s, (x, y, z) in frame.accelerations
+        ]
+        if frame.color is not None:
+            suffix, data = frame.color if isinstance(frame.color, tuple) else (".png", _png(frame.color))
+            stamp_ns = frame.stamp_ns if frame.color_stamp_ns is None else frame.color_stamp_ns
+            rows.append(("rgb", self._image("rgb", f"{number:06d}{suffix}", stamp_ns, data)))
+        depth = encode_png(frame.depth, fast=True)
+        rows.append(("depth", self._image("depth", f"{number:06d}.png", frame.stamp_ns, depth)))
+        return tuple(rows)
+
+    def _image(self, kind: str, name: str, stamp_ns: int, data: bytes) -> str:
+        """Write an image; its row."""
+        file = self.folder / kind / name
+        try:
+            file.write_bytes(data)
+        except OSError:
+            file.unlink(missing_ok=True)
+            raise
+        return f"{format_stamp(stamp_ns)} {kind}/{name}"
+
+    def _add_rows(self, rows: Sequence[tuple[str, str]]) -> None:
+        for name, row in rows:
+            if name not in self._lists:
+                how = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+                self._lists[name] = os.open(self.folder / f"{name}.txt", how, 0o666)
+                _append(self._lists[name], HEADERS[name])
+            _append(self._lists[name], row)
+
+
+def _append(handle: int, row: str) -> None:
+    """Add a row whole, past any buffer, or not at all."""
+    data = f"{row}\n".encode()
+    before = os.fstat(handle).st_size
+    try:
+        while data:
+            data = data[os.write(handle, data) :]
+    except OSError:
+        os.ftruncate(handle, before)
+        raise
+
+
+def _png(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> bytes:
+    return encode_png(np.ascontiguousarray(rgb[..., ::-1]), fast=True)
+
+
+def _camera_json(setup: Setup, device: str) -> dict[str, object]:
+    """camera.json, as the reader of TUM folders reads it."""
+    said: dict[str, object] = asdict(setup.camera)
+    said |= {"depth_scale": setup.depth_scale, "color_registered": setup.color_registered, "device": device}
+    color = setup.color_calibration
+    if color is not None:
+        said["color_camera"] = asdict(color.camera) | {"distortion": list(color.distortion)}
+        said["T_color_depth"] = color.T_color_depth.tolist()
+    return said

@@ -1,0 +1,190 @@
+"""Recording: frames from a device into a folder, and before the eyes of those who look on."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from kinectbench.core.errors import CaptureError, KinectBenchError, internal_error
+from kinectbench.record.folder import FolderWriter, check_new
+from kinectbench.record.interface import Acceleration, Device, Frame, Setup
+from kinectbench.record.watching import Observer, Watcher
+
+# Called with (frames added, seconds since the first).
+Progress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What became of a recording.
+
+    Attributes:
+        folder: where it lies.
+        device: the name of the device.
+        frames: that were written.
+        missed: that the device lost, as far as it says.
+        dropped: that were not written, as the disk was too slow.
+        set_back: how often the device's clock went back.
+        seconds: from the first frame to the end, by the clock of this machine.
+        failure: one line on what ended it too early, or "".
+        observers: one line about each observer that failed.
+    """
+
+    folder: Path
+    device: str
+    frames: int
+    missed: int
+    dropped: int
+    set_back: int
+    seconds: float
+    failure: str = ""
+    observers: tuple[str, ...] = ()
+
+
+class Clock:
+    """Stamps that increase, whatever the device's clock does.
+
+    Where its clock is set back, or begins again, the stamp is the one before and the time that has passed
+    since by this machine's monotonic clock. Later stamps keep that offset.
+
+    Attributes:
+        set_back: how often that was needed.
+    """
+
+    def __init__(self) -> None:
+        """No frame has come."""
+        self.set_back = 0
+        self._offset_ns = 0
+        self._last: tuple[int, int] | None = None
+
+    def put_right(self, frame: Frame, now_ns: int) -> Frame:
+        """The frame with stamps that increase.
+
+        Args:
+            frame: as the device gave it.
+            now_ns: the monotonic time when it came.
+        """
+        stamp_ns = frame.stamp_ns + self._offset_ns
+        if self._last is not None and stamp_ns <= self._last[0]:
+            stamp_ns = self._last[0] + max(now_ns - self._last[1], 1)
+            self._offset_ns = stamp_ns - frame.stamp_ns
+            self.set_back += 1
+        self._last = (stamp_ns, now_ns)
+        if not self._offset_ns:
+            return frame
+        color_ns = None if frame.color_stamp_ns is None else frame.color_stamp_ns + self._offset_ns
+        moved = tuple(Acceleration(at_ns + self._offset_ns, mps2) for at_ns, mps2 in frame.accelerations)
+        return replace(frame, stamp_ns=stamp_ns, color_stamp_ns=color_ns, accelerations=moved)
+
+
+def record(
+    device: Device,
+    folder: Path,
+    seconds: float | None = None,
+    observers: Sequence[Observer] = (),
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record until the device ends, so many seconds have passed, or KeyboardInterrupt.
+
+    Args:
+        device: it is opened here, and closed.
+        folder: absent or empty; it is made with the first frame.
+        seconds: by the clock of this machine, from the first frame; None: no limit.
+        observers: they look on, each on a thread of its own.
+        progress: called after each frame.
+
+    Raises:
+        SettingsError: the folder holds something.
+        CaptureError: the device cannot be opened, or gave no frame.
+        StorageError: the folder cannot be made.
+    """
+    check_new(folder)
+    try:
+        setup = _opened(device)
+        run = _Run(device, folder, setup, observers)
+        failure = run.until_the_end(seconds, progress or (lambda frames, passed_s: None))
+    finally:
+        with suppress(Exception):  # of a device that is gone
+            device.close()
+    if run.writer is None:
+        raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
+    return run.closed(failure)
+
+
+def _opened(device: Device) -> Setup:
+    try:
+        return device.open()
+    except (KinectBenchError, ModuleNotFoundError):
+        raise
+    except Exception as error:
+        raise CaptureError(f"{device.name}: cannot be opened ({_words(error)}); is it plugged in?") from error
+
+
+class _Run:
+    """One recording: the writer is there from the first frame on."""
+
+    def __init__(self, device: Device, folder: Path, setup: Setup, observers: Sequence[Observer]) -> None:
+        self.device, self.folder, self.setup = device, folder, setup
+        self.writer: FolderWriter | None = None
+        self.clock = Clock()
+        self.watchers = [Watcher(observer, setup) for observer in observers]
+        self.started_s = self.seconds = 0.0
+
+    def until_the_end(self, seconds: float | None, progress: Progress) -> str:
+        """Take frames; one line on what ended it too early, or ""."""
+        try:
+            for frame in self.device.frames():
+                self._take(frame)
+                assert self.writer is not None
+                progress(self.writer.added, self.seconds)
+                if self.writer.error is not None or (seconds is not None and self.seconds >= seconds):
+                    break
+        except KeyboardInterrupt:
+            pass
+        except Exception as error:
+            if self.writer is None and isinstance(error, KinectBenchError):
+                raise
+            said = str(error) if isinstance(error, KinectBenchError) else _words(error)
+            return said if said.startswith(f"{self.device.name}: ") else f"{self.device.name}: {said}"
+        return ""
+
+    def _take(self, frame: Frame) -> None:
+        now_ns = time.monotonic_ns()
+        if self.writer is None:
+            self.writer = FolderWriter(self.folder, self.setup, self.device.name)
+            self.started_s = now_ns / 1e9
+        self.seconds = now_ns / 1e9 - self.started_s
+        frame = self.clock.put_right(frame, now_ns)
+        number = self.writer.add(frame)
+        if number is not None:
+            for watcher in self.watchers:
+                watcher.offer(number, frame)
+
+    def closed(self, failure: str) -> Recorded:
+        """Wait for the writer and for those who look on."""
+        assert self.writer is not None
+        self.writer.close()
+        for watcher in self.watchers:
+            watcher.end()
+        if self.writer.error is not None:
+            reason = self.writer.error.strerror or _words(self.writer.error)
+            failure = f"{self.folder}: cannot be written any more ({reason})"
+        if failure:
+            failure += f"; the {self.writer.listed} frames before are whole: {self.folder} can be built"
+        return Recorded(
+            self.folder,
+            self.device.name,
+            self.writer.listed,
+            self.device.missed,
+            self.writer.dropped,
+            self.clock.set_back,
+            round(self.seconds, 3),
+            failure,
+            tuple(_words(watcher.failure) for watcher in self.watchers if watcher.failure is not None),
+        )
+
+
+def _words(error: Exception) -> str:
+    """What an error of a library says, in one line."""
+    return " ".join(str(error).split()) or internal_error(error)
