@@ -10,8 +10,14 @@ EXTRA_OF: Mapping[str, str] = {
     **dict.fromkeys(("open3d", "rosbags", "trimesh", "zstandard"), "build"),
     **dict.fromkeys(("distributed", "obstore"), "cluster"),
     "av": "azure",
+    "freenect": "record-kinect",
     "imagecodecs": "record3d",
+    "openni": "record-openni",
     "pyarrow": "tables",
+    "pyk4a": "record-azure",
+    "pyorbbecsdk": "record-orbbec",
+    "pyrealsense2": "record-realsense",
+    "record3d": "record-iphone",
     "torch": "methods",
 }
 # A package -> another distribution of the same modules (pyproject.toml installs one or the other).

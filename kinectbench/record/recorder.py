@@ -6,9 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinectbench.core.errors import CaptureError, KinectBenchError, internal_error
+from kinectbench.core.errors import CaptureError, KinectBenchError
 from kinectbench.record.folder import FolderWriter, check_new
 from kinectbench.record.interface import Acceleration, Device, Frame, Setup
+from kinectbench.record.quiet import in_a_line, quiet
 from kinectbench.record.watching import Observer, Watcher
 
 # Called with (frames added, seconds since the first).
@@ -114,11 +115,14 @@ def record(
 
 def _opened(device: Device) -> Setup:
     try:
-        return device.open()
+        with quiet():
+            return device.open()
     except (KinectBenchError, ModuleNotFoundError):
         raise
     except Exception as error:
-        raise CaptureError(f"{device.name}: cannot be opened ({_words(error)}); is it plugged in?") from error
+        raise CaptureError(
+            f"{device.name}: cannot be opened ({in_a_line(error)}); is it plugged in?"
+        ) from error
 
 
 class _Run:
@@ -145,7 +149,7 @@ class _Run:
         except Exception as error:
             if self.writer is None and isinstance(error, KinectBenchError):
                 raise
-            said = str(error) if isinstance(error, KinectBenchError) else _words(error)
+            said = str(error) if isinstance(error, KinectBenchError) else in_a_line(error)
             return said if said.startswith(f"{self.device.name}: ") else f"{self.device.name}: {said}"
         return ""
 
@@ -168,7 +172,7 @@ class _Run:
         for watcher in self.watchers:
             watcher.end()
         if self.writer.error is not None:
-            reason = self.writer.error.strerror or _words(self.writer.error)
+            reason = self.writer.error.strerror or in_a_line(self.writer.error)
             failure = f"{self.folder}: cannot be written any more ({reason})"
         if failure:
             failure += f"; the {self.writer.listed} frames before are whole: {self.folder} can be built"
@@ -181,10 +185,5 @@ class _Run:
             self.clock.set_back,
             round(self.seconds, 3),
             failure,
-            tuple(_words(watcher.failure) for watcher in self.watchers if watcher.failure is not None),
+            tuple(in_a_line(watcher.failure) for watcher in self.watchers if watcher.failure is not None),
         )
-
-
-def _words(error: Exception) -> str:
-    """What an error of a library says, in one line."""
-    return " ".join(str(error).split()) or internal_error(error)

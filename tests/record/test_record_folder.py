@@ -177,7 +177,7 @@ class Looker:
         time.sleep(self.takes_s)
         self.seen.append(number)
         if self.breaks and len(self.seen) == 3:
-            raise ValueError("cannot\nlook")
+            raise ValueError("cannot look\nat it")
 
 
 def test_observers_are_late_skip_or_fail_and_every_frame_is_written(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ class DrawnCamera(Device):
     def frames(self) -> Iterator[Frame]:
         for index in range(self.count):
             if index == self.breaks_at:
-                raise RuntimeError("the device\nis gone")
+                raise RuntimeError("the device is gone\nat 0x7f")
             time.sleep(self.step_s)
             yield drawn(index, self.stamp_ns(index))
 

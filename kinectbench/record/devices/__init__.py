@@ -7,9 +7,17 @@ from typing import NamedTuple
 from kinectbench.core.errors import CaptureError, SettingsError
 from kinectbench.core.extras import missing_extra
 from kinectbench.record.interface import Device
+from kinectbench.record.quiet import in_a_line, quiet
 
 # name -> "module:class"; without --device the first that is plugged in is taken.
-DEVICES: dict[str, str] = {}
+DEVICES: dict[str, str] = {
+    "realsense": "kinectbench.record.devices.realsense:RealSense",
+    "kinect": "kinectbench.record.devices.kinect:Kinect",
+    "openni": "kinectbench.record.devices.openni:OpenNI",
+    "azure": "kinectbench.record.devices.azure:AzureKinect",
+    "orbbec": "kinectbench.record.devices.orbbec:Orbbec",
+    "iphone": "kinectbench.record.devices.iphone:IPhone",
+}
 
 
 class Listed(NamedTuple):
@@ -46,12 +54,13 @@ def listed() -> Iterator[Listed]:
     for name in DEVICES:
         device = device_of(name)
         absent, found = missing_extra(device.extra) or "", tuple[str, ...]()
-        if not absent:
-            try:
-                found = device.plugged_in()
-            except Exception as error:  # its library lacks one of its own
-                said = " ".join(str(error).split())
-                absent = f"{said}; {device.system}" if device.system else said
+        try:
+            with quiet():
+                found = () if absent else device.plugged_in()
+        except Exception as error:  # its library lacks one of its own
+            absent = in_a_line(error)
+        if absent and device.system:
+            absent += f"; it needs {device.system}"
         yield Listed(name, device.cameras, found, absent)
 
 

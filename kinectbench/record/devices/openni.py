@@ -1,0 +1,91 @@
+"""PrimeSense, Xtion and Astra by OpenNI 2: depth is registered to colour by the camera itself."""
+
+import sysconfig
+from collections.abc import Iterator
+from math import tan
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core.errors import CaptureError
+from kinectbench.core.geometry import Camera
+from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
+
+WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
+MM_PER_M = 1000.0
+
+
+class OpenNI(Device):
+    """The first camera that OpenNI 2 finds."""
+
+    name = "openni"
+    cameras = "PrimeSense, Asus Xtion, Orbbec Astra"
+    extra = "record-openni"
+    system = (
+        "OpenNI 2 itself: `apt install libopenni2-dev`, or OPENNI2_REDIST=FOLDER of Orbbec's own for an Astra"
+    )
+
+    def plugged_in(self) -> tuple[str, ...]:
+        """Their addresses."""
+        return tuple(map(_text, _library().Device.enumerate_uris()))
+
+    def open(self) -> Setup:
+        """Start depth in mm and colour, both 640x480."""
+        openni2 = _library()
+        if not openni2.Device.enumerate_uris():
+            raise CaptureError(f"{self.name}: no camera is plugged in")
+        device = openni2.Device.open_any()
+        self._depth, self._color = device.create_depth_stream(), device.create_color_stream()
+        self._depth.configure_mode(WIDTH, HEIGHT, RATE_HZ, openni2.PIXEL_FORMAT_DEPTH_1_MM)
+        self._color.configure_mode(WIDTH, HEIGHT, RATE_HZ, openni2.PIXEL_FORMAT_RGB888)
+        registered = device.is_image_registration_mode_supported(openni2.IMAGE_REGISTRATION_DEPTH_TO_COLOR)
+        if registered:
+            device.set_image_registration_mode(openni2.IMAGE_REGISTRATION_DEPTH_TO_COLOR)
+        for stream in (self._depth, self._color):
+            stream.set_mirroring_enabled(False)
+            stream.start()
+        device.set_depth_color_sync_enabled(True)
+        self._device = device
+        # OpenNI gives the angles that images span, and nothing else of the lens.
+        fx = WIDTH / 2 / tan(self._depth.get_horizontal_fov() / 2)
+        fy = HEIGHT / 2 / tan(self._depth.get_vertical_fov() / 2)
+        return Setup(
+            Camera(WIDTH, HEIGHT, fx, fy, (WIDTH - 1) / 2, (HEIGHT - 1) / 2), MM_PER_M, bool(registered)
+        )
+
+    def frames(self) -> Iterator[Frame]:
+        """Depth and colour of one time, as the camera pairs them."""
+        last: int | None = None
+        for depth, color in polled(self._next, self.name):
+            if last is not None:
+                self.missed += max(depth.frameIndex - last - 1, 0)
+            last = depth.frameIndex
+            image = np.array(depth.get_buffer_as_uint16(), np.uint16).reshape(depth.height, depth.width)
+            rgb = np.array(color.get_buffer_as_uint8(), np.uint8).reshape(color.height, color.width, 3)
+            # Stamps are in microseconds.
+            yield Frame(depth.timestamp * 1000, image, rgb, color.timestamp * 1000)
+
+    def close(self) -> None:
+        """Stop both streams."""
+        for name in ("_depth", "_color"):
+            if hasattr(self, name):
+                getattr(self, name).stop()
+
+    def _next(self) -> tuple[Any, Any] | None:
+        if _library().wait_for_any_stream([self._depth], POLL_MS / 1000) is None:
+            return None
+        return self._depth.read_frame(), self._color.read_frame()
+
+
+def _library() -> Any:
+    """OpenNI 2, initialised: where OPENNI2_REDIST says, or where Debian has it."""
+    from openni import openni2
+
+    if not openni2.is_initialized():
+        places = [*openni2._default_dll_directories, f"/usr/lib/{sysconfig.get_config_var('MULTIARCH')}"]
+        openni2.initialize(places)
+    return openni2
+
+
+def _text(uri: object) -> str:
+    return uri.decode(errors="replace") if isinstance(uri, bytes) else str(uri)
