@@ -1,7 +1,8 @@
-"""What reading costs: CPU a frame of a folder and of bags, memory on a big bag, seconds of the doctor.
+"""What reading and recording cost: CPU a frame, memory on a big bag, seconds of the doctor, frames lost.
 
 FOLDER is a recording with PNG depth and JPEG colour. Its frames are read as they lie, and wrapped in ROS 1
 bags with raw depth and JPEG colour: chunks plain, lz4, bz2. The big bags repeat them up to so many GB.
+A camera that gives them as pixels, 1,000 at 30 Hz, is recorded alone, and with an observer that never rests.
 """
 
 import json
@@ -10,15 +11,19 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, equals, run, told
 from ingest_writers import BagWriter, every_frame
 from memory import peak_mb
 
+from kinectbench.record.devices.replay import KEPT
+from kinectbench.record.interface import Device, Frame, Setup
+from kinectbench.record.recorder import record
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import decode_depth_png
+from kinectbench.stages.ingest.images import decode_color_bgr, decode_depth_png
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import write_sequence
@@ -27,6 +32,7 @@ SETTINGS = CameraSettings(fx=525.0, fy=525.0, cx=319.5, cy=239.5)
 START_NS, STEP_NS = 1_400_000_000 * 10**9, 33_333_333
 LIMIT_MB, FOLDER_MS, BAG_FPS, DOCTOR_S, DOCTOR_FRAMES = 500.0, 5.0, 100.0, 10.0, 1000
 ROUNDS = 3
+RECORDED, RECORD_HZ, RECORD_MB, PICTURES = 1000, 30.0, 1500.0, 30
 
 
 def raw_frames(source: Recording) -> list[RawFrame]:
@@ -139,6 +145,69 @@ def doctor_figures(frames: list[RawFrame], root: Path) -> list[Figure]:
     ]
 
 
+class Pixels(Device):
+    """A camera of 30 Hz that gives pixels; a frame that is taken later than its driver keeps it is missed."""
+
+    name, cameras = "pixels", "none"
+
+    def __init__(self, source: Recording) -> None:
+        self.source, self.pictures = source, raw_frames(source)[:PICTURES]
+
+    def plugged_in(self) -> tuple[str, ...]:
+        return ()
+
+    def open(self) -> Setup:
+        return Setup(self.source.camera, self.source.depth_scale, True)
+
+    def frames(self) -> Iterator[Frame]:
+        pixels = [(raw.depth, decode_color_bgr(raw.color[1], raw.name)) for raw in self.pictures if raw.color]
+        begun = time.monotonic()
+        for index in range(RECORDED):
+            late_s = time.monotonic() - begun - index / RECORD_HZ
+            time.sleep(max(-late_s, 0))
+            if late_s * RECORD_HZ > KEPT:
+                self.missed += 1
+            else:
+                depth, color = pixels[index % len(pixels)]
+                yield Frame(START_NS + index * STEP_NS, depth, color)
+
+    def close(self) -> None: ...
+
+
+class Busy:
+    """An observer that keeps Python's own lock for as long as it can, for 200 ms a frame."""
+
+    def see(self, number: int, frame: Frame, setup: Setup) -> None:
+        end = time.monotonic() + 0.2
+        while time.monotonic() < end:
+            sum(range(1000))
+
+
+def record_one(path: Path, busy: bool) -> None:
+    """In a process of its own: print frames, missed, dropped, CPU seconds and peak memory in MB."""
+    camera = Pixels(open_recording(path, SETTINGS))
+    with tempfile.TemporaryDirectory() as folder:
+        started = time.process_time()
+        done = record(camera, Path(folder) / "out", observers=[Busy()] if busy else [])
+        cpu_s = time.process_time() - started
+    print(json.dumps([done.frames, done.missed, done.dropped, cpu_s, peak_mb()]))
+
+
+def record_figures(folder: Path) -> list[Figure]:
+    found = []
+    for words, busy in (("record", "0"), ("record, with a busy observer", "1")):
+        command = [sys.executable, __file__, "--record", str(folder), busy]
+        said = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+        frames, missed, dropped, cpu_s, peak = said
+        found += [
+            equals(f"{words}: frames written of {RECORDED} at {RECORD_HZ:g} Hz", frames, RECORDED),
+            told(f"{words}: missed, dropped", [missed, dropped]),
+            told(f"{words}: ms CPU a frame", 1000 * cpu_s / RECORDED),
+            at_most(f"{words}: peak memory, MB", peak, RECORD_MB),
+        ]
+    return found
+
+
 def measure(folder: Path, sizes_gb: list[float], parts: list[str]) -> list[Figure]:
     frames = raw_frames(open_recording(folder, SETTINGS))
     found: list[Figure] = []
@@ -152,6 +221,8 @@ def measure(folder: Path, sizes_gb: list[float], parts: list[str]) -> list[Figur
             found += memory_figures(frames, root, sizes_gb)
         if "doctor" in parts:
             found += doctor_figures(frames, root)
+        if "record" in parts:
+            found += record_figures(folder)
     return found
 
 
@@ -159,12 +230,15 @@ def main() -> None:
     if sys.argv[1:2] == ["--one"]:
         ingest_one(Path(sys.argv[2]), int(sys.argv[3]))
         return
+    if sys.argv[1:2] == ["--record"]:
+        record_one(Path(sys.argv[2]), sys.argv[3] == "1")
+        return
     parser = arguments(__doc__)
     parser.add_argument(
         "folder", type=Path, metavar="FOLDER", help="a recording with PNG depth and JPEG colour"
     )
     parser.add_argument("--gb", type=float, nargs="*", default=[0.3, 3.0], help="sizes of the big bags")
-    parts = ["folder", "bags", "memory", "doctor"]
+    parts = ["folder", "bags", "memory", "doctor", "record"]
     parser.add_argument("--parts", nargs="*", default=parts, choices=parts, help="only these")
     options = parser.parse_args()
     run(options, lambda: measure(options.folder, options.gb, options.parts))
