@@ -18,6 +18,7 @@ from kinectbench.core.storage import pretty_json, reachable, storage_errors
 from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.ingest.images import encode_png
+from kinectbench.stages.ingest.readers.tum import DEPTH_AXES
 
 # Two threads encode 640x480 at 30 Hz with half of two cores (21 ms a frame); one more for a slow disk.
 THREADS = 3
@@ -165,6 +166,7 @@ def _camera_json(setup: Setup, device: str) -> dict[str, object]:
     """camera.json, as the reader of TUM folders reads it."""
     said: dict[str, object] = asdict(setup.camera)
     said |= {"depth_scale": setup.depth_scale, "color_registered": setup.color_registered, "device": device}
+    said["accelerometer_axes"] = DEPTH_AXES
     color = setup.color_calibration
     if color is not None:
         said["color_camera"] = asdict(color.camera) | {"distortion": list(color.distortion)}

@@ -11,7 +11,7 @@ import pytest
 from drawn_camera import DrawnCamera, drawn
 from written_frames import DEPTH, START_NS, STEP_NS, color_rgb, read
 
-from kinectbench.core.errors import CaptureError, SettingsError, StorageError
+from kinectbench.core.errors import CaptureError, RecordingError, SettingsError, StorageError
 from kinectbench.record import folder as writing
 from kinectbench.record.folder import FolderWriter
 from kinectbench.record.interface import Frame, Setup
@@ -41,6 +41,22 @@ def test_what_a_device_gives_is_read_back(tmp_path: Path) -> None:
     assert recording.camera == DEPTH and recording.depth_scale == 1000 and not recording.warnings
     rows = (tmp_path / "out/accelerometer.txt").read_text().splitlines()
     assert len(rows) == 17 and rows[1].split()[1:] == ["0.125", "-9.75", "0.0"]
+
+
+def test_up_is_read_back_where_the_camera_is_still(tmp_path: Path) -> None:
+    """The camera's accelerometer says -y nearly; a folder of the benchmark itself does not say its axes."""
+    record(DrawnCamera(8), tmp_path / "out")
+    up = open_recording(tmp_path / "out").up_cameras
+    assert len(up) == 8 and [sample.stamp_ns for sample in up] == [drawn(k).stamp_ns for k in range(8)]
+    assert np.allclose([sample.up_camera[:2] for sample in up], [0.0128, -0.9986], atol=2e-3)
+    said = (tmp_path / "out/camera.json").read_text()
+    (tmp_path / "out/camera.json").write_text(said.replace('"accelerometer_axes": "depth"', '"a": 1'))
+    assert open_recording(tmp_path / "out").up_cameras == ()
+    (tmp_path / "out/camera.json").write_text(said)
+    with (tmp_path / "out/accelerometer.txt").open("a") as file:
+        file.write("1.0 2.0\n")
+    with pytest.raises(RecordingError, match="line 18: is not 'stamp ax ay az'"):
+        open_recording(tmp_path / "out")
 
 
 def test_each_row_is_of_a_whole_image_at_any_moment(tmp_path: Path) -> None:

@@ -3,7 +3,10 @@
 from pathlib import Path
 from typing import ClassVar, Self
 
+import numpy as np
+
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import UpSample
 from kinectbench.core.trajectory.stamps import (
     check_unit,
     counted_ns,
@@ -11,11 +14,17 @@ from kinectbench.core.trajectory.stamps import (
     no_times,
     parse_stamp_ns,
 )
-from kinectbench.core.trajectory.text_rows import text_rows
+from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
 from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import read_color_calibration, said_warnings
+from kinectbench.stages.ingest.gravity import up_at_rest
+from kinectbench.stages.ingest.intrinsics import (
+    HELD,
+    read_color_calibration,
+    read_object,
+    said_warnings,
+)
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.pose_files import unread_poses
@@ -29,6 +38,8 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 5000.0
+# What `accelerometer_axes` in camera.json says of accelerometer.txt: the optical axes of the depth camera.
+DEPTH_AXES = "depth"
 
 
 class TumRecording(FileRecording):
@@ -79,7 +90,7 @@ class TumRecording(FileRecording):
         )
         said, camera_file = find_intrinsics(path, settings)
         intrinsics = said.overridden_by(settings)
-        truth = path / "groundtruth.txt"
+        truth, up = path / "groundtruth.txt", _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, trajectory_warnings, error = read_given(
             lambda: (
                 read_trajectory(truth, len(depth) if why else None)
@@ -97,6 +108,7 @@ class TumRecording(FileRecording):
             recorded=(tuple(depth_ns), () if why else tuple(color_ns)),
             given_trajectory=trajectory,
             trajectory_error=error,
+            up_cameras=up,
             warnings=(
                 *warnings,
                 *partners.warnings,
@@ -105,6 +117,31 @@ class TumRecording(FileRecording):
                 *unused_masks(path, files),
             ),
         )
+
+
+def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
+    """Up at some frames, by accelerometer.txt, if the camera's file says that its axes are those of depth.
+
+    The benchmark's own recordings have such a file, in the axes of the Kinect's sensor.
+    """
+    file = path / "accelerometer.txt"
+    if camera_file is None or camera_file.suffix != ".json" or not file.is_file():
+        return ()
+    if read_object(camera_file, HELD).get("accelerometer_axes") != DEPTH_AXES:
+        return ()
+    rows = [(where, row.split()) for where, row in text_rows(file)]
+    bad = next((where for where, words in rows if len(words) != 4), None)
+    if bad is not None:
+        raise RecordingError(f"{bad}: is not 'stamp ax ay az'; correct or remove the line")
+    times_ns = np.array([parse_stamp_ns(words[0], where) for where, words in rows], np.int64)
+    order = np.argsort(times_ns, kind="stable")
+    measured = np.array([parse_floats(words[1:], where) for where, words in rows]).reshape(-1, 3)[order]
+
+    def read(index: int) -> tuple[float, float, float]:
+        x, y, z = measured[index].tolist()
+        return x, y, z
+
+    return tuple(up_at_rest(times_ns[order], read, stamps_ns, np.eye(3)))
 
 
 def _read_rows(path: Path) -> list[tuple[int, Path]]:
