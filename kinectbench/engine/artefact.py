@@ -30,7 +30,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 11,
+    "ingest": 12,
     "track": 9,
     "fuse": 6,
     "segment": 34,

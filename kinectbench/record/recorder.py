@@ -14,9 +14,9 @@ from kinectbench.record.quiet import in_a_line, quiet
 from kinectbench.record.watching import Observer, Watcher
 
 # Python's lock changes hands after 5 ms (its default) where somebody computes in Python itself, and writing a
-# frame takes the lock a dozen times. A busy observer then cost 306 of 1,000 frames at 30 Hz; with this: 6, both on
-# two cores that others used as well.
-SWITCH_S = 0.0002
+# frame takes the lock a dozen times: a busy observer cost 306 of 1,000 frames at 30 Hz, with 0.2 ms 6, with
+# this none (two cores that others used as well; `ingest_speed`).
+SWITCH_S = 0.00005
 # Called with (frames added, seconds since the first).
 Progress = Callable[[int, float], None]
 

@@ -152,7 +152,9 @@ def test_librealsense_itself_is_recorded_with_equal_depth(tmp_path: Path) -> Non
     write_by_librealsense(tmp_path / "made.db3", 12)
     done = record(RealSense(tmp_path / "made.db3"), tmp_path / "out")
     recording = open_recording(tmp_path / "out")
-    frames = read(recording)
+    frames, made = read(recording), open_recording(tmp_path / "made.db3")
+    assert (made.format, made.depth_scale, made.camera) == ("rosbag2", 10_000, recording.camera)
+    assert all(np.array_equal(one.depth, raw.depth) for one, raw in zip(read(made), frames, strict=True))
     assert (done.frames, done.missed, done.failure) == (12, 0, "")
     assert recording.depth_scale == 10_000 and recording.camera.fy == 61
     assert recording.stamps_ns.tolist() == [10**9 + k * 33_250_000 for k in range(12)]

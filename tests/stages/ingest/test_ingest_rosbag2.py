@@ -124,6 +124,19 @@ def check(path: Path, count: int = 5) -> None:
     np.testing.assert_allclose(recording.given_trajectory.T_world_camera[3], pose(3), atol=1e-12)
 
 
+@pytest.mark.parametrize(("said", "scale"), [("0.000100", 10_000.0), ("0.001000", 1000.0), ("none", 1000.0)])
+def test_depth_units_of_librealsense_are_the_scale(tmp_path: Path, said: str, scale: float) -> None:
+    """Since 2.58 it writes ROS 2 bags, its options as texts; a text of any other bag says nothing."""
+    text = bytes(STORE.serialize_cdr(TYPES["std_msgs/msg/String"](data=said), "std_msgs/msg/String"))
+    option = ("/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/String", START_NS, text)
+    assert open_recording(write_bag(tmp_path / "other", [option, *messages()])).depth_scale == 1000
+    depth = next(topic for topic, kind, *_ in messages() if "depth" in topic and kind.endswith("/Image"))
+    of_librealsense = {depth: "/device_0/sensor_0/Depth_0/image/data"}
+    found = [(of_librealsense.get(topic, topic), *rest) for topic, *rest in messages()]
+    bag = write_bag(tmp_path / "bag", [option, *found])
+    assert open_recording(bag, CameraSettings(**CAMERA)).depth_scale == scale
+
+
 @pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.FILE])
 @pytest.mark.parametrize("plugin", PLUGINS)
 def test_every_storage_as_folder_and_as_bare_file(

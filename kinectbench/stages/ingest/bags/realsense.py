@@ -20,9 +20,11 @@ from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageT
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
 
 FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
+# Since 2.58 librealsense writes ROS 2 bags (.db3), whose options are texts.
+STRING = "std_msgs/String"
 STREAM_INFO = "realsense_msgs/stream_info"
 # /device_0/sensor_0/Depth_0/image/data, /camera/DEPTH/image_raw/0
-STREAM = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)_\d+/image/data")
+STREAM = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)_\d+/image/data(?:/compressedDepth)?")
 OLD_STREAM = re.compile(r"/camera/([A-Z]+)\d*/image_raw/(\d+)")
 UNITS = re.compile(r"depth[ _]units", re.IGNORECASE)
 # Version 3 has a topic for each option, version 2 one for all of them.
@@ -57,15 +59,7 @@ class RealsenseRecording(Rosbag1Recording):
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
         """1 / Depth Units (metres) of the depth's sensor."""
-        found = STREAM.fullmatch(depth.name)
-        prefix = found[1] if found else "/"
-        for topic in bag.topics:
-            if topic.name.startswith(prefix) and OPTION.search(topic.name):
-                units_m = _depth_units_m(bag, topic)
-                if units_m is not None:
-                    # Stored as float32: 0.001 comes back as 0.0010000000474.
-                    return float(np.round(1 / units_m, 3))
-        return None
+        return depth_units_scale(bag, depth)
 
     @classmethod
     def color_place(
@@ -101,17 +95,38 @@ class RealsenseRecording(Rosbag1Recording):
         return found
 
 
+def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
+    """Units a metre by librealsense's Depth Units of the depth's sensor; None: the bag has no such option."""
+    found = STREAM.fullmatch(depth.name)
+    prefix = found[1] if found else "/"
+    for topic in bag.topics:
+        if topic.name.startswith(prefix) and OPTION.search(topic.name):
+            units_m = _depth_units_m(bag, topic)
+            if units_m is not None:
+                # Stored as float32: 0.001 comes back as 0.0010000000474.
+                return float(np.round(1 / units_m, 3))
+    return None
+
+
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """The value of an option (version 3) or property (version 2) if it is Depth Units."""
+    """The value of an option (versions 3 and 4) or property (version 2) if it is Depth Units."""
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
+        if topic.type == STRING:
+            return _positive(message.data)
         if topic.type == KEY_VALUE and UNITS.fullmatch(message.key):
-            try:
-                return float(message.value) or None
-            except ValueError:
-                return None
+            return _positive(message.value)
     return None
+
+
+def _positive(text: str) -> float | None:
+    """The number of a text, or None if it is none, or not above 0."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if number > 0 else None  # which NaN is not
 
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:

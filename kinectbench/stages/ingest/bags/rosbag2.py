@@ -12,6 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import copy_bounded, listed, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
+from kinectbench.stages.ingest.bags.realsense import STREAM, STRING, depth_units_scale
 from kinectbench.stages.ingest.bags.ros_messages import (
     ZSTD_MAGIC,
     BagTopic,
@@ -21,6 +22,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     unpacked_message,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
+from kinectbench.stages.ingest.bags.ros_topics import WANTED, ImageTopic
 
 # One a minute, for sixteen hours.
 MOST_FILES = 1000
@@ -33,7 +35,8 @@ class Rosbag2Recording(RosRecording):
     format: ClassVar[str] = "rosbag2"
     looks_for: ClassVar[str] = "a .mcap or .db3 file, or a folder with such files (and metadata.yaml)"
     suffixes: ClassVar[tuple[str, ...]] = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
-    verified: ClassVar[str] = "files written by rosbags and by mcap's own writer"
+    verified: ClassVar[str] = "files written by rosbags, by mcap's own writer and by librealsense 2.59"
+    wanted: ClassVar[frozenset[str]] = WANTED | {STRING}
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -41,6 +44,11 @@ class Rosbag2Recording(RosRecording):
         if path.is_dir():
             return any(_is_bag_file(file) for file in _bag_files(path))
         return path.is_file() and _is_bag_file(path)
+
+    @classmethod
+    def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
+        """Units a metre of a bag by librealsense, which says them; None of others."""
+        return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
 
     @classmethod
     def walk(cls, path: Path) -> RosBag:
