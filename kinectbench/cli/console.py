@@ -240,6 +240,22 @@ def bar(title: str) -> Iterator[Callable[[int, int], None]]:
         yield update
 
 
+@contextmanager
+def frames_counted(title: str) -> Iterator[Callable[[int, float], None]]:
+    """A line that counts what has no known end; yields a function of (frames, seconds)."""
+    plain = None if err.is_terminal else PlainLines()
+    with err.status(title) as status:
+
+        def update(frames: int, seconds: float) -> None:
+            check_interrupt()
+            text = f"{title}: {frames} frames, {seconds:.0f} s; Ctrl-C ends it"
+            status.update(Text(text))
+            if plain:
+                plain.say_sometimes(text)
+
+        yield update
+
+
 class RecordingBars:
     """A bar for each recording that is being worked on, and one over all where there are several.
 

@@ -49,8 +49,8 @@ def record(
         raise SettingsError("record: --speed and --set are of --from; a camera has its own pace and values")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = chosen(device) if replayed is None else Replay(replayed, speed, given)
-    with console.bar("record") as progress:
-        done = record_with(camera, out, seconds, progress=lambda frames, _: progress(frames, frames))
+    with console.frames_counted(f"record {out}") as progress:
+        done = record_with(camera, out, seconds, progress=progress)
     _tell(common, done)
     return CANNOT_BE_USED if done.failure else 0
 
