@@ -53,8 +53,11 @@ def test_up_is_read_back_where_the_camera_is_still(tmp_path: Path) -> None:
     (tmp_path / "out/camera.json").write_text(said.replace('"accelerometer_axes": "depth"', '"a": 1'))
     assert open_recording(tmp_path / "out").up_cameras == ()
     (tmp_path / "out/camera.json").write_text(said)
-    with (tmp_path / "out/accelerometer.txt").open("a") as file:
-        file.write("1.0 2.0\n")
+    rows = (tmp_path / "out/accelerometer.txt").read_text()
+    for number in ("1e308", "nan", "inf"):
+        (tmp_path / "out/accelerometer.txt").write_text(rows.replace("-9.75", number))
+        assert open_recording(tmp_path / "out").up_cameras == ()
+    (tmp_path / "out/accelerometer.txt").write_text(rows + "1.0 2.0\n")
     with pytest.raises(RecordingError, match="line 18: is not 'stamp ax ay az'"):
         open_recording(tmp_path / "out")
 

@@ -44,8 +44,9 @@ def up_at_rest(
         for index in some.tolist():
             with suppress(DamagedImageError):
                 found.append(measured(index))
-        mean = np.mean(found, axis=0) if len(found) >= LEAST_SAMPLES else np.full(3, np.nan)
-        length = float(np.linalg.norm(mean))
+        with np.errstate(over="ignore", invalid="ignore"):  # files of strangers may hold any number
+            mean = np.mean(found, axis=0) if len(found) >= LEAST_SAMPLES else np.full(3, np.nan)
+            length = float(np.linalg.norm(mean))
         if abs(length - GRAVITY_MPS2) <= STILL_MPS2:  # which NaN is not
             x, y, z = (round(float(value), 6) for value in R_depth_imu @ mean / length)
             yield UpSample(int(stamp_ns), (x, y, z))
