@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,6 +103,16 @@ def test_an_iphone_gives_metres_and_leaves_out_what_is_not_sure(
     assert (recording.camera.fx, recording.camera.cx) == (200, 95.5)
     assert recording.color_calibration is not None
     assert np.array_equal(recording.color_calibration.T_color_depth, np.eye(4))
+
+
+def test_every_device_has_an_extra_and_a_row_in_the_documentation() -> None:
+    root = Path(__file__).parents[2]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    page = (root / "docs/capture.md").read_text(encoding="utf-8")
+    for name in DEVICES:
+        extra = device_of(name).extra
+        assert len(extras[extra]) == 1 and extra in EXTRA_OF.values()
+        assert f"| `{name}` |" in page
 
 
 @pytest.mark.parametrize("name", STAND_INS)
