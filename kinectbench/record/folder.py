@@ -70,7 +70,7 @@ class FolderWriter:
             (folder / "rgb").mkdir()
             (folder / "camera.json").write_text(pretty_json(_camera_json(setup, device)), encoding="utf-8")
         self.folder = folder
-        self.error: OSError | None = None
+        self.error: Exception | None = None
         self.added = self.listed = self.dropped = 0
         self._lists: dict[str, int] = {}
         self._waiting_bytes = 0
@@ -108,7 +108,7 @@ class FolderWriter:
                     while self.listed in self._whole:
                         self._add_rows(self._whole.pop(self.listed))
                         self.listed += 1
-        except OSError as error:
+        except Exception as error:  # a full disk, or an image that cannot be encoded
             self.error = self.error or error
         finally:
             with self._lock:

@@ -182,7 +182,7 @@ class _Run:
         for watcher in self.watchers:
             watcher.end()
         if self.writer.error is not None:
-            reason = self.writer.error.strerror or in_a_line(self.writer.error)
+            reason = getattr(self.writer.error, "strerror", None) or in_a_line(self.writer.error)
             failure = f"{self.folder}: cannot be written any more ({reason})"
         if failure:
             failure += f"; the {self.writer.listed} frames before are whole: {self.folder} can be built"

@@ -141,6 +141,21 @@ def test_a_full_disk_leaves_what_was_recorded(
     check_frames(tmp_path / "out", 4)
 
 
+def test_an_image_that_cannot_be_encoded_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the codec raises: no frame is lost without a word."""
+    plain = writing.encode_png
+
+    def broken(image: Any, *, fast: bool = False) -> bytes:
+        if image.shape == drawn(0).depth.shape and np.array_equal(image, drawn(3).depth):
+            raise RuntimeError("odd image")
+        return plain(image, fast=fast)
+
+    monkeypatch.setattr(writing, "encode_png", broken)
+    done = record(DrawnCamera(50), tmp_path / "out")
+    assert done.frames == 3 and "cannot be written any more (odd image); the 3 frames" in done.failure
+    check_frames(tmp_path / "out", 3)
+
+
 def test_two_recordings_are_never_mixed(tmp_path: Path) -> None:
     record(DrawnCamera(3), tmp_path / "out")
     with pytest.raises(SettingsError, match="is there already; name a new folder"):
