@@ -280,7 +280,7 @@ def _explained(job: Job, failure: KinectBenchError) -> str:
 
     try:
         recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
-        if job.recording.trajectory_mode == "ignore":
+        if job.recording.trajectory_mode == "ignore" or job.recording.segment_by:
             recording = replace(recording, given_trajectory=None, trajectory_error="")
         cause = likely_cause(recording)
     except KinectBenchError:

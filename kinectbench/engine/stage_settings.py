@@ -53,7 +53,7 @@ class StageSettings(Settings):
             section, model = values, type(self)
             for name in above:
                 section, model = section[name], type(getattr(self, name))
-            if section[key] == model.model_fields[key].default:
+            if section is not None and section[key] == model.model_fields[key].default:
                 del section[key]
         return values
 
@@ -61,11 +61,13 @@ class StageSettings(Settings):
 class IngestSettings(StageSettings):
     """Of `ingest`."""
 
-    ADDED = ("needs_trajectory",)
+    ADDED = ("needs_trajectory", "own_pixels", "camera.sensor")
 
     camera: CameraSettings | None
     # Without it a given trajectory that is broken, or of another time, ends the stage.
     needs_trajectory: bool = True
+    # A given trajectory is that of the object, and says nothing of all else that is in view.
+    own_pixels: bool = False
 
 
 class TrackSettings(StageSettings):

@@ -107,7 +107,9 @@ class Stage:
 
 def _ingest(job: Job) -> StageSettings:
     own = job.recording
-    return IngestSettings(camera=own.camera, needs_trajectory=own.trajectory_mode != "ignore")
+    needed = own.trajectory_mode != "ignore"
+    of_object = needed and own.segment_by is not None
+    return IngestSettings(camera=own.camera, needs_trajectory=needed, own_pixels=of_object)
 
 
 def _track(job: Job) -> StageSettings:

@@ -84,7 +84,8 @@ def _ingest(work: Work[IngestSettings]) -> None:
     recording = open_recording(work.sources["recording"].path, work.settings.camera, follow_links=True)
     refuse_hopeless(recording)
     needed = work.settings.needs_trajectory
-    watched = recording if needed else replace(recording, given_trajectory=None)
+    watches = needed and not work.settings.own_pixels
+    watched = recording if watches else replace(recording, given_trajectory=None)
     watch = OffsetWatch(watched)
     write_sequence(recording, work.folder, work.progress, needs_trajectory=needed, watch=watch)
 

@@ -9,7 +9,7 @@ import shutil
 import threading
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -113,12 +113,15 @@ class Recipe:
             NoRoomError: the disk has no room for one.
             StoreGoneError: no server answers any more.
         """
+        files = {scan.scan: scan for scan in scans}
 
         def done(count: int) -> None:
             if progress:
-                progress(count, len(scans))
+                progress(count, len(files))
 
-        return in_parallel((partial(self.fetch, scan) for scan in scans), done, AT_ONCE)
+        came = in_parallel((partial(self.fetch, scan) for scan in files.values()), done, AT_ONCE)
+        of_file = dict(zip(files, came, strict=True))
+        return [replace(of_file[scan.scan], scan=scan) for scan in scans]
 
     def fetch(self, scan: Scan, room: Callable[[int], object] | None = None) -> FetchedScan:
         """Bring a scan here.
@@ -146,7 +149,7 @@ class Recipe:
         except (NoRoomError, StoreGoneError):
             raise
         except KinectBenchError as error:
-            return FetchedScan(scan, False, f"{scan.id}: {error}")
+            return FetchedScan(scan, False, f"{scan.scan}: {error}")
         return FetchedScan(scan, came)
 
     def _bring(
@@ -315,6 +318,7 @@ def _entry(recipe: Recipe, scan: Scan) -> str:
         rows["object"] = scan.object
     if scan.camera is not None:
         rows["camera"] = scan.camera.model_dump(exclude_unset=True)
+    rows |= sources.entry.model_dump(exclude_none=True)
     rows |= {"license": sources.license, "source": sources.source}
     lines = [
         f"  - id: {yaml_text(scan.id)}",

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
@@ -13,7 +14,7 @@ from kinectbench.core.store.address import is_web, unusable
 from kinectbench.core.types import Split
 from kinectbench.core.untrusted import below
 from kinectbench.settings.base import Settings
-from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.models import CameraSettings, SegmentBy, TrajectoryMode
 from kinectbench.settings.texts import Line
 from kinectbench.settings.yaml_model import read_model
 
@@ -77,6 +78,15 @@ class ScanSettings(Settings):
     camera: CameraSettings | None = Field(None, description="only what the scan does not say")
 
 
+class EntrySettings(Settings):
+    """Keys of benchmark.yaml that the entry of every recording gets."""
+
+    segment_by: SegmentBy | None = Field(None, description="as in benchmark.yaml: masks or turntable")
+    trajectory: TrajectoryMode | None = Field(
+        None, description="as in benchmark.yaml: trust, refine or ignore"
+    )
+
+
 class SourcesSettings(Settings):
     """All of sources.yaml."""
 
@@ -92,6 +102,10 @@ class SourcesSettings(Settings):
         min_length=1, description="by the source's word for a category the benchmark's; others are left out"
     )
     camera: CameraSettings | None = Field(None, description="of all scans: only what they do not say")
+    sensors: list[Name] | None = Field(
+        None, min_length=1, description="cameras of each scan, a recording each: `camera: {sensor: …}`"
+    )
+    entry: EntrySettings = Field(EntrySettings(), description="what the entry of every recording says, too")
     split: SplitSettings = Field(SplitSettings(), description="how objects are divided")
 
     @model_validator(mode="after")
@@ -108,6 +122,7 @@ class Scan(Settings):
 
     Attributes:
         id: of the recording.
+        scan: of what comes in one file; it has several recordings where it is of several cameras.
         file: below each base.
         category: the benchmark's word.
         object: the thing itself.
@@ -116,6 +131,7 @@ class Scan(Settings):
     """
 
     id: str
+    scan: str
     file: str
     category: str
     object: str
@@ -135,7 +151,7 @@ class Scan(Settings):
     @property
     def folder(self) -> str:
         """Where an archive is unpacked, relative to benchmark.yaml."""
-        return f"scans/{self.id}"
+        return f"scans/{self.scan}"
 
 
 def read_sources(folder: Path) -> SourcesSettings:
@@ -174,20 +190,21 @@ def chosen_scans(
         rows = [
             ScanSettings(id=id_, category=name) for name in sources.categories for id_ in listed.get(name, ())
         ]
-    found: dict[str, Scan] = {}
+    found: dict[str, list[Scan]] = {}
     for row in rows:
         category = sources.categories.get(row.category)
         if category is None or (categories and category not in categories):
             continue
         if row.id in found:
             raise SettingsError(f"the scan '{row.id}' is listed twice; correct {SOURCES_YAML} or its index")
-        found[row.id] = _scan(sources, row, category)
+        found[row.id] = list(_recordings(sources, _scan(sources, row, category)))
     counts = dict.fromkeys(known, 0)
     chosen = []
-    for scan in sorted(found.values(), key=lambda scan: _draw(sources.split.seed, "scan", scan.id)):
-        counts[scan.category] += 1
-        if limit is None or counts[scan.category] <= limit:
-            chosen.append(scan)
+    for name in sorted(found, key=lambda name: _draw(sources.split.seed, "scan", name)):
+        category = found[name][0].category
+        counts[category] += 1
+        if limit is None or counts[category] <= limit:
+            chosen += found[name]
     if not chosen:
         raise SettingsError(f"{SOURCES_YAML}: no scan of {', '.join(categories or known)} is listed")
     return chosen
@@ -201,7 +218,17 @@ def _scan(sources: SourcesSettings, row: ScanSettings, category: str) -> Scan:
         part = "train" if share < split.train else "validation"
     file = (row.file or sources.file).replace(ID, row.id)
     camera = row.camera or sources.camera
-    return Scan(id=row.id, file=file, category=category, object=name, split=part, camera=camera)
+    return Scan(id=row.id, scan=row.id, file=file, category=category, object=name, split=part, camera=camera)
+
+
+def _recordings(sources: SourcesSettings, scan: Scan) -> Iterator[Scan]:
+    """The recordings of a scan: itself, or one of each camera."""
+    if sources.sensors is None:
+        yield scan
+        return
+    for sensor in sources.sensors:
+        camera = (scan.camera or CameraSettings()).model_copy(update={"sensor": sensor})
+        yield scan.model_copy(update={"id": f"{scan.id}_{sensor}", "camera": camera})
 
 
 def _draw(seed: int, what: str, name: str) -> float:

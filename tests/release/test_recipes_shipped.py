@@ -8,7 +8,7 @@ import yaml
 
 from kinectbench.release.recipe import RECORDINGS, Recipe
 from kinectbench.settings.file import load_benchmark
-from kinectbench.settings.sources import chosen_scans, read_sources
+from kinectbench.settings.sources import SourcesSettings, chosen_scans, read_sources
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 NAMES = sorted(path.parent.name for path in RECIPES.glob("*/sources.yaml"))
@@ -16,15 +16,19 @@ NAMES = sorted(path.parent.name for path in RECIPES.glob("*/sources.yaml"))
 LISTED = {"bench": ["00188"], "chair": ["00021"], "sofa": ["00577"], "table": ["00288"], "car": ["01833"]}
 
 
+def opened(folder: Path, out: Path, sources: SourcesSettings) -> Recipe:
+    return Recipe(folder, out, sources, lambda path: True, {})
+
+
 def test_there_are_recipes() -> None:
-    assert {"redwood-furniture", "tum-objects"} <= set(NAMES)
+    assert {"redwood-furniture", "tum-objects", "ycb"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_recipe_gives_a_benchmark(name: str, tmp_path: Path) -> None:
     sources = read_sources(RECIPES / name)
     scans = chosen_scans(sources, LISTED)
-    Recipe(RECIPES / name, tmp_path, sources, {}).add_to_benchmark(scans)
+    opened(RECIPES / name, tmp_path, sources).add_to_benchmark(scans)
     rows = load_benchmark(tmp_path / "benchmark.yaml").recordings
     assert [row.id for row in rows] == [scan.id for scan in scans] and len(rows) >= 4
     assert {row.split for row in rows} == {"test"}
@@ -47,13 +51,20 @@ def test_each_tum_sequence_has_the_intrinsics_of_its_camera() -> None:
     assert all(scan.file == f"{scan.id.split('_')[0]}/rgbd_dataset_{scan.id}.tgz" for scan in scans)
 
 
+def test_a_thing_before_five_cameras_is_one_file_and_five_recordings() -> None:
+    scans = chosen_scans(read_sources(RECIPES / "ycb"), {}, ("bottle",), limit=1)
+    assert len(scans) == 5 and len({(scan.scan, scan.file, scan.object, scan.folder) for scan in scans}) == 1
+    assert {scan.camera.sensor for scan in scans if scan.camera} == {f"NP{n}" for n in range(1, 6)}
+    assert len({scan.id for scan in scans}) == 5
+
+
 def test_the_template_for_a_lab_is_a_recipe(tmp_path: Path) -> None:
     sources, benchmark = re.findall(r"```yaml\n(.*?)```", (RECIPES / "README.md").read_text(), re.DOTALL)
     (tmp_path / "sources.yaml").write_text(sources)
     (tmp_path / "benchmark.yaml").write_text(benchmark)
     read = read_sources(tmp_path)
     scans = chosen_scans(read, {})
-    Recipe(tmp_path, tmp_path, read, {}).add_to_benchmark(scans)
+    opened(tmp_path, tmp_path, read).add_to_benchmark(scans)
     rows = load_benchmark(tmp_path / "benchmark.yaml").by_id()
     assert rows["chair_01"].split == rows["chair_01_again"].split and rows["sofa_01"].path == "scans/sofa_01"
 
@@ -63,4 +74,6 @@ def test_a_benchmark_that_does_not_include_the_scans_is_told(tmp_path: Path) -> 
     row = {"id": "own", "path": "own", "category": "chair"}
     (tmp_path / "benchmark.yaml").write_text(yaml.safe_dump({"name": "x", "recordings": [row]}))
     with pytest.raises(Exception, match=rf"add `include: \[{RECORDINGS}\]` to it"):
-        Recipe(RECIPES / "tum-objects", tmp_path, sources, {}).add_to_benchmark(chosen_scans(sources, {}))
+        Recipe(RECIPES / "tum-objects", tmp_path, sources, lambda path: True, {}).add_to_benchmark(
+            chosen_scans(sources, {})
+        )

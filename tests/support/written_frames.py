@@ -16,7 +16,7 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-SCALE = dict.fromkeys(formats(), 1000.0) | {"tum": 5000.0, "record3d": 5000.0}
+SCALE = dict.fromkeys(formats(), 1000.0) | {"tum": 5000.0, "record3d": 5000.0, "ycb": 10_000.0}
 BAGS = ["bag", "bag_compressed"]
 # Their depth images are PNG files.
 FOLDERS = ["tum", "7scenes", "folder", "redwood"]

@@ -1,4 +1,4 @@
-"""Depth images as people store them: 16-bit PNG, .npy, .npz, TIFF, floats in metres, two 8-bit channels."""
+"""Depth images as people store them: PNG, .npy, .npz, TIFF, HDF5, floats in metres, two 8-bit channels."""
 
 import io
 import struct
@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import PNG_MAGIC, decoded, image_head
 from kinectbench.core.types import Float32
-from kinectbench.core.untrusted import UNPACKED_BYTES, is_too_large, printable
+from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
+from kinectbench.stages.ingest.hdf5 import HDF5_MAGIC, hdf5_arrays
 from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_depth_png, image_header
 
 UInt16 = NDArray[np.uint16]
 Channels = tuple[int, int]
-ZIP_MAGIC, NPZ_KEY = b"PK", "depth"
+ZIP_MAGIC, KEY = b"PK", "depth"
 ARRAYS = frozenset({".npy", ".npz"})
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
@@ -67,7 +68,7 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
 
 
 def _is_array(data: bytes, name: str) -> bool:
-    return data.startswith((MAGIC, ZIP_MAGIC)) or Path(name).suffix.lower() in ARRAYS
+    return data.startswith((MAGIC, ZIP_MAGIC, HDF5_MAGIC)) or Path(name).suffix.lower() in ARRAYS
 
 
 def kind_of(depth: UInt16 | Float32) -> str:
@@ -135,10 +136,10 @@ def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
 
 
 def _array(data: bytes, name: str) -> NDArray[np.generic]:
-    """The image in a .npy or .npz file, (height, width); nothing is unpickled."""
+    """The image in a .npy, .npz or HDF5 file, (height, width); nothing is unpickled."""
     kind = Path(name).suffix or "NumPy"
     try:
-        found = _of_npz(data, name) if data.startswith(ZIP_MAGIC) else read_npy(io.BytesIO(data), len(data))
+        found = _stored(data, name)
     except UNREADABLE as error:
         raise DamagedImageError(f"{name}: the {kind} file is damaged ({error})") from error
     sides = _sides(found)
@@ -149,19 +150,29 @@ def _array(data: bytes, name: str) -> NDArray[np.generic]:
     return found.reshape(sides)
 
 
+def _stored(data: bytes, name: str) -> NDArray[Any]:
+    """The array of a .npy, .npz or HDF5 file."""
+    if data.startswith(HDF5_MAGIC):
+        arrays = hdf5_arrays(data, name, (KEY,), MOST_PIXELS)
+        if KEY not in arrays:
+            raise OddImageError(f"{name}: holds no array '{KEY}'")
+        return arrays[KEY]
+    return _of_npz(data, name) if data.startswith(ZIP_MAGIC) else read_npy(io.BytesIO(data), len(data))
+
+
 def _of_npz(data: bytes, name: str) -> NDArray[Any]:
     """The array `depth` of a .npz file, or its only image."""
     file = io.BytesIO(data)
     with open_npz(file, UNPACKED_BYTES) as archive:
         keys = sorted(entry.filename.removesuffix(".npy") for entry in archive.infolist())
     file.seek(0)
-    arrays = arrays_of(file, UNPACKED_BYTES, [NPZ_KEY] if NPZ_KEY in keys else None)
+    arrays = arrays_of(file, UNPACKED_BYTES, [KEY] if KEY in keys else None)
     images = [array for array in arrays.values() if len(_sides(array)) == 2]
     if len(images) != 1:
         shapes = ", ".join(f"'{key}' {array.shape}" for key, array in sorted(arrays.items()))
         raise OddImageError(
             f"{name}: holds {printable(shapes, 200) or 'no arrays'}: which one is depth? give it the key "
-            f"'{NPZ_KEY}', (height, width)"
+            f"'{KEY}', (height, width)"
         )
     return images[0]
 

@@ -235,10 +235,14 @@ class FileRecording(Recording):
         depth = read_by_code(
             self.depth_code, self.clean_depth(np.asarray(native, np.uint16), index), self.camera
         )
-        mask = None if files.mask is None else decode_mask(read_image_file(files.mask), str(files.mask))
+        mask = None if files.mask is None else self.mask(files.mask, depth)
         if mask is not None and mask.shape != depth.shape:
             raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
+
+    def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
+        """The mask in a file, on the pixels of its depth image (height, width) in native units."""
+        return decode_mask(read_image_file(file), str(file))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Colour of a frame as it was encoded: (suffix, bytes), or None."""

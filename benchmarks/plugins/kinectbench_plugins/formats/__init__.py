@@ -11,6 +11,7 @@ from kinectbench.lab.simulate.writers.frame import (
 from kinectbench_plugins.formats.archives import write_record3d, write_redwood_zip
 from kinectbench_plugins.formats.binary_logs import write_klg, write_sens
 from kinectbench_plugins.formats.captures import write_nerfstudio, write_polycam
+from kinectbench_plugins.formats.hdf5 import angles_as_seconds, write_ycb
 from kinectbench_plugins.formats.image_folders import (
     write_bop,
     write_redwood,
@@ -55,5 +56,6 @@ FORMATS = {
     "record3d": FileFormat(write_record3d, float_seconds, ".r3d"),
     "scannet": FileFormat(write_scannet, frames_as_seconds),
     "sun3d": FileFormat(write_sun3d, twelve_digits),
+    "ycb": FileFormat(write_ycb, angles_as_seconds, masks=True),
     "azure_kinect": FileFormat(write_azure_kinect, whole_milliseconds, ".mkv"),
 }

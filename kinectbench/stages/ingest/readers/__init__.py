@@ -35,6 +35,7 @@ FORMATS = {
     "nerfstudio": "kinectbench.stages.ingest.readers.nerfstudio:NerfstudioRecording",
     "sun3d": "kinectbench.stages.ingest.readers.sun3d:Sun3dRecording",
     "scannet": "kinectbench.stages.ingest.readers.scannet_folder:ScannetFolderRecording",
+    "ycb": "kinectbench.stages.ingest.readers.ycb:YcbRecording",
     "folder": "kinectbench.stages.ingest.readers.folder:FolderRecording",
 }
 
