@@ -32,6 +32,8 @@ def export(
     from importlib import import_module
 
     from kinectbench.cli import console
+    from kinectbench.release.exchange.rgbd import HOW_TO_PUBLISH
+    from kinectbench.release.view_images import COLOR
 
     if method is not None and layout != "rgbd":
         raise SettingsError(f"--for {method}: only with `--layout rgbd`")
@@ -41,6 +43,8 @@ def export(
     release, rows = find_release(common)
     with console.bar("export") as progress:
         pairs = write(release, out, progress)
+    if layout == "bop" and not any(name.endswith(COLOR.suffix) for name in release.sums):
+        console.lines("note", [f"the release has no colour images: {HOW_TO_PUBLISH}"], "cyan")
     common.tell({"folder": str(out), "pairs": pairs}, [f"exported {pairs} pairs: {out}"])
     return exit_status(rows)
 

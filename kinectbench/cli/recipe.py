@@ -17,6 +17,9 @@ STREAM_BYTES = 5_000_000_000
 # 640x480, an archive of 43 MB, 114 MB were measured: a copy of the frames, and what does not grow with them.
 BUILD_RATIO, BUILD_BYTES = 2, 300_000_000
 
+# Intrinsics that differ by less are the same: data sets publish them with four digits.
+SAME_CAMERA = 1e-3
+
 
 def fetch_recipe(
     common: Common,
@@ -129,5 +132,37 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
         "scans": [{"id": row.scan.id, "fetched": row.fetched, "error": row.error} for row in rows],
     }
     common.tell(result, [*lines, *([then] if here else [])])
+    scans = [row.scan for row in rows if row.error is None]
+    said = [
+        *recipe.other_attribution(scans),
+        *_other_cameras(recipe, [row.scan for row in rows if row.fetched]),
+    ]
+    console.lines("warning", console.at_most(said), "yellow")
     console.lines("error", console.at_most(errors), "red")
     return (SOME_FAILED if here else CANNOT_BE_USED) if errors else 0
+
+
+def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
+    """A line for each scan that says other intrinsics itself than the recipe, whose are taken."""
+    from math import isclose
+
+    from kinectbench.core.errors import KinectBenchError
+    from kinectbench.stages.ingest.intrinsics import NEEDED
+    from kinectbench.stages.ingest.readers import open_recording, says_intrinsics
+
+    lines = []
+    for scan in scans:
+        path = recipe.out / recipe.place(scan)
+        given = {} if scan.camera is None else scan.camera.model_dump(include=set(NEEDED), exclude_none=True)
+        if scan.camera is None or not given or not path.exists() or not says_intrinsics(path):
+            continue
+        try:
+            own = open_recording(path, scan.camera.model_copy(update=dict.fromkeys(NEEDED))).camera
+        except KinectBenchError:  # it says none, or the build will say what is wrong
+            continue
+        for key, value in given.items():
+            if not isclose(value, getattr(own, key), rel_tol=SAME_CAMERA):
+                said = f"the recipe says {key} {value:g}, the recording says {getattr(own, key):g}"
+                lines.append(f"{scan.id}: {said}; the recipe's is taken: correct `camera` in sources.yaml")
+                break
+    return lines

@@ -72,7 +72,8 @@ def init(
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
     """The folders, and files named as recordings are, that no reader takes, at any depth, none in another.
 
-    Folders that hold results, the truth of a simulated recording or hidden files are no recordings.
+    Folders that hold results, the truth of a simulated recording or hidden files are no recordings; nor are
+    those of a program, beside its pyproject.toml.
 
     Args:
         folder: where recordings were looked for.
@@ -91,7 +92,8 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
             if child.relative_to(folder) in holding:
                 waiting.append(child)
             elif child.is_dir():
-                left += [] if (child / TRUTH).is_file() else [child]
+                program = (parent / "pyproject.toml").is_file()
+                left += [] if program or (child / TRUTH).is_file() else [child]
             elif child.is_file() and child.name.lower().endswith(tuple(suffixes)):
                 left.append(child)
     return sorted(left)

@@ -3,7 +3,7 @@
 from textwrap import shorten
 
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
-from kinectbench.cli.common import Common, takes
+from kinectbench.cli.common import Common, Ids, takes
 
 # Letters of a reason in the table, so that it fits beside the decision; the page has all of it.
 REASON = 60
@@ -11,23 +11,29 @@ COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first re
 
 
 @takes("config", "overrides", "jobs", "as_json")
-def triage(common: Common) -> int:
-    """Sort what was built into accept, look and reject: triage/triage.json, and a page with pictures."""
+def triage(common: Common, ids: Ids = None) -> int:
+    """Build what is not up to date, and sort all into accept, look and reject: triage/, a page with pictures.
+
+    Of recordings that are named the decisions are shown, and nothing is written to triage/.
+    """
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.release.triage.triage import triage as sorted_out
     from kinectbench.report.triage import write_triage_page
 
     settings, root = common.settings, common.root
-    rows = build_recordings(common, None, "pairs", told=True)
+    rows = build_recordings(common, ids, "pairs", told=True)
+    if ids:
+        chosen = tuple(each for each in settings.recordings if each.id in ids)
+        settings = settings.model_copy(update={"recordings": chosen})
     found = sorted_out(settings, root / "build", built(rows))
-    folder = root / "triage"
-    folder.mkdir(exist_ok=True)
-    with replaced_file(folder / found.FILE) as temporary:
-        temporary.write_text(found.text(), encoding="utf-8")
-    page = folder / "index.html"
-    with console.bar("triage") as progress:
-        write_triage_page(settings.name, found, root / "build", page, progress)
+    page = root / "triage" / "index.html"
+    if not ids:
+        page.parent.mkdir(exist_ok=True)
+        with replaced_file(page.parent / found.FILE) as temporary:
+            temporary.write_text(found.text(), encoding="utf-8")
+        with console.bar("triage") as progress:
+            write_triage_page(settings.name, found, root / "build", page, progress)
     console.lines("warning", [pair.line for pair in found.same_object], "yellow")
     shown = [
         {"recording": row.recording, "decision": row.decision, "reason": _first(row.reasons, row.review)}
@@ -36,7 +42,7 @@ def triage(common: Common) -> int:
     if not common.as_json:
         console.out.print(console.table(shown[:SHOWN_RECORDINGS], COLUMNS, {}))
     counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())
-    common.tell(found.json_value(), [counts, f"wrote {page.resolve()}"])
+    common.tell(found.json_value(), [counts, *([] if ids else [f"wrote {page.resolve()}"])])
     return exit_status(rows)
 
 

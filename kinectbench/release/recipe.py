@@ -230,6 +230,27 @@ class Recipe:
         if missing:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
+    def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
+        """A line if entries that were written before state another licence or source than sources.yaml.
+
+        Raises:
+            SettingsError: benchmark.yaml is wrong.
+        """
+        wanted = (self.sources.license, self.sources.source)
+        rows = load_benchmark(self.out / BENCHMARK).by_id() if scans else {}
+        others = [
+            scan.id
+            for scan in scans
+            if (row := rows.get(scan.id)) and (row.license or wanted[0], row.source or wanted[1]) != wanted
+        ]
+        if not others:
+            return []
+        return [
+            f"{self.out / RECORDINGS}: {len(others)} entries, such as {others[0]}, state another license or "
+            f"source than {SOURCES_YAML}; fetch changes no entry: edit them there, or delete them and fetch "
+            "again"
+        ]
+
 
 @contextlib.contextmanager
 def opened_recipe(

@@ -49,6 +49,7 @@ def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tu
     annotation: Any = root
     constraints: Sequence[Any] = ()
     for used, part in enumerate(location):
+        annotation = without_none(annotation)
         model = model_of(annotation)
         if isinstance(part, str) and model is not None and part in model.model_fields:
             field = model.model_fields[part]

@@ -64,6 +64,18 @@ def test_init_names_what_no_reader_takes_beside_recordings_farther_down(
     assert "lost_11" not in line and "deeper" not in line
 
 
+def test_init_does_not_name_the_folders_of_a_program(command: Callable[..., Run], tmp_path: Path) -> None:
+    """As in a clone of this repository: docs/ and tests/ are no recordings that somebody forgot."""
+    sample = Path(__file__).parents[2] / "recordings" / "cabinet_01"
+    shutil.copytree(sample, tmp_path / "recordings/cabinet")
+    (tmp_path / "recordings/lost").mkdir()
+    (tmp_path / "pyproject.toml").write_text("[project]\n")
+    for name in ("docs", "tests"):
+        (tmp_path / name).mkdir()
+    run = command(tmp_path, "init", ".")
+    assert run.status == 0 and "left out, as no recording of a known format: recordings/lost;" in run.err
+
+
 def test_init_without_any_recording_says_where_to_look(command: Callable[..., Run], tmp_path: Path) -> None:
     (tmp_path / "lost").mkdir()
     run = command(tmp_path, "init", ".")

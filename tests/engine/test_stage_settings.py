@@ -20,7 +20,7 @@ from kinectbench.settings.models import BenchmarkSettings
 EVERY = (*STAGES, SUGGEST)
 # Values of which each optional setting takes one.
 FILLED: tuple[Any, ...] = (
-    *("masks", "trust", "plain", 0.01, 5.0, 640, [0, 0, 1, 0], {"fx": 500.0}),
+    *("masks", "trust", "plain", "NP3", 0.01, 5.0, 640, [0, 0, 1, 0], {"fx": 500.0}),
     {"center_m": [0, 0, 0.5], "size_m": [1, 1, 1]},
 )
 

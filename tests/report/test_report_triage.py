@@ -40,6 +40,15 @@ def test_triage_of_a_build(two: Path, command: Command) -> None:
     assert json.loads(again.out) == found.json_value()
 
 
+def test_triage_of_one_recording_shows_its_decision_and_writes_nothing(two: Path, command: Command) -> None:
+    done = command(two, "triage", "chair", "--jobs", "1", "--json")
+    assert done.status == 0, done.err
+    (row,) = json.loads(done.out)["rows"]
+    assert row["recording"] == "chair" and row["built"] and not (two / "triage").exists()
+    wrong = command(two, "triage", "chairs", "--jobs", "1")
+    assert wrong.status == 2 and "did you mean 'chair'?" in wrong.err
+
+
 def test_a_review_decides_and_a_strangers_words_are_text(two: Path, command: Command) -> None:
     text = (two / "benchmark.yaml").read_text(encoding="utf-8")
     review = "category: chair, review: {decision: reject, reason: '<b>a cloth</b>'}, underside"

@@ -163,8 +163,13 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
                 other = list[str]()
                 if isinstance(value, dict) and isinstance(section, dict):
                     other = [f"{key}.{k}" for k in value.keys() & section.keys() if value[k] != section[k]]
-                elif key in own and own[key] != value:
+                elif key in own and _given(own[key]) != _given(value):
                     other = [key]
                 for setting in sorted(other):
                     said = printable(f"{setting} of stage {stage} of {name}", 200)
                     yield f"another {said} than the settings in {BENCHMARK_JSON}"
+
+
+def _given(value: object) -> object:
+    """A setting without the keys that nobody gave: a newer one is not in the fingerprint at its default."""
+    return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value

@@ -33,6 +33,9 @@ from kinectbench.release.release import Release
 # What camera.json says of the colour of a view.
 REGISTERED = "on the pixels of depth"
 UNREGISTERED = "none: the recording's colour is not registered to its depth"
+HOW_TO_PUBLISH = (
+    "`publish: {color: true}` in benchmark.yaml publishes it, once somebody has looked through the pictures"
+)
 UNPUBLISHED = "none: the release has no colour of this view"
 
 
@@ -229,7 +232,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
         return []
     return [
         f"{len(without)} of {count} views have no colour image, such as {without[0]}: their colour is not "
-        "published, or not registered to the depth (camera.json says which)"
+        f"published, or not registered to the depth (camera.json says which); {HOW_TO_PUBLISH}"
     ]
 
 

@@ -65,6 +65,11 @@ def format_of(path: Path) -> str | None:
     return next((name for name in FORMATS if reader_of(name).recognises(path)), None)
 
 
+def says_intrinsics(path: Path) -> bool:
+    """Whether the format of a recording has a place for intrinsics; else its reader takes the usual ones."""
+    return format_of(path) not in (None, "klg", "redwood_zip")
+
+
 def open_recording(
     path: Path, camera: CameraSettings | None = None, *, follow_links: bool = False
 ) -> Recording:

@@ -125,7 +125,7 @@ class YcbRecording(FileRecording):
         """The mask in a file; one of colour that lies elsewhere is brought onto the pixels of depth."""
         pixels = _bitmap(read_image_file(file), str(file))
         if self.color_calibration is None:
-            return pixels == 0
+            return np.asarray(pixels == 0)
         register = ColorRegistration(self.camera, self.color_calibration)
         if pixels.shape[::-1] != register.color_px:
             raise DamagedImageError(f"{file}: its size is not that of the colour images")
