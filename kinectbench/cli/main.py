@@ -245,7 +245,9 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
             continue
         # `--config=URL`, `-cURL`, or the URL itself.
         written = re.sub(r"--[a-z-]+=|-[a-z]=?", "", argument, count=1) if argument[:1] == "-" else argument
-        if said := unusable(written):
+        # `publish --to hf://user/name` judges its own.
+        to_hub = written.startswith("hf://") and "--to" in (before, argument.partition("=")[0])
+        if not to_hub and (said := unusable(written)):
             raise SettingsError(printable(said, 300), what="bad-url")
 
 

@@ -51,11 +51,15 @@ def publish(
         Path | None, typer.Option(help="folder of the zip files; default: beside the release")
     ] = None,
     to: Annotated[
-        str | None, typer.Option(metavar="URL", help="put the release, but no private part, there too")
+        str | None,
+        typer.Option(
+            metavar="URL", help="put the release, but no private part, there too; hf://user/name: a data set"
+        ),
     ] = None,
 ) -> int:
     """Write the release to benchmark/, from everything that can be built."""
     from kinectbench.cli import console
+    from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
     from kinectbench.release.publish.archive import refuse_unstated, write_archive
     from kinectbench.release.publish.current import publish_if_stale
     from kinectbench.release.put import put_release
@@ -68,7 +72,8 @@ def publish(
         raise SettingsError(
             "publish: --archives and --to are for a benchmark on this machine; fetch it first"
         )
-    target = None if to is None else store_at(to)
+    hub = hub_name(to) if to is not None and to.startswith(SCHEME) else None
+    target = None if to is None or hub is not None else store_at(to)
     if packed or to is not None:
         refuse_unstated(settings, ids)
     tell_unknown_categories(common, ids)
@@ -82,6 +87,8 @@ def publish(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
     )
     put = None
+    if hub is not None:
+        put = (f"{SCHEME}{hub}", put_on_hub(summary.folder, hub))
     if target is not None:
         with console.bar("put") as progress:
             put = (target.url, put_release(summary.folder, target, progress))
@@ -120,7 +127,8 @@ def store_at(url: str) -> "Store":
     found = url_of(url)
     if found is None or is_web(found):
         raise SettingsError(
-            f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://", what="bad-url"
+            f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://; or hf://user/name",
+            what="bad-url",
         )
     require_usable(found, f"--to {shown(found)}")
     return Store(found)

@@ -22,6 +22,10 @@ def verify(
         Path | None,
         typer.Option(help="make the pairs again from here: a benchmark.yaml, or a folder of recordings"),
     ] = None,
+    objects: Annotated[
+        int | None,
+        typer.Option(min=1, help="with --rebuild: so many objects, drawn by its hash; default: all"),
+    ] = None,
     checksums: Annotated[
         bool,
         typer.Option("--checksums", help="the bytes alone: every file is the published one"),
@@ -40,6 +44,8 @@ def verify(
         raise SettingsError(
             "verify: --checksums looks at the bytes alone, --rebuild at all: give one of them"
         )
+    if objects is not None and rebuild is None:
+        raise SettingsError(f"--objects {objects}: only with --rebuild, which makes pairs again")
     url = url_of(release)
     with ExitStack() as stack:
         here, problems = release, list[str]()
@@ -53,7 +59,7 @@ def verify(
             else:
                 problems += find_problems(here, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
-            problems = _rebuild(here, rebuild, work, common.workers)
+            problems = _rebuild(here, rebuild, work, common.workers, objects)
         first = not problems and is_of_first_identity(here)
     more = "; its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
     common.tell_problems(problems, f"{shown(release)}: all well{more if first else ''}")
@@ -71,7 +77,9 @@ def _brought(url: str, folder: Path) -> list[str]:
     return [f"{printable(name, 200)}: not part of the release" for name in others]
 
 
-def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int) -> list[str]:
+def _rebuild(
+    release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
+) -> list[str]:
     """Build the release's recordings anew and say what differs; only a sound release comes here."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
@@ -82,7 +90,7 @@ def _rebuild(release: Path, recordings: Path, work: Path | None, processes: int)
     sources = find_sources(recordings)
     with ExitStack() as stack:
         contents = stack.enter_context(open_contents(release))
-        plan = rebuild_plan(contents, sources)
+        plan = rebuild_plan(contents, sources, objects)
         console.lines("note", plan.notes, "yellow")
         root = work or stack.enter_context(scratch_folder())
         chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]

@@ -141,6 +141,20 @@ def test_another_recording(analytic: Path, sources: dict[str, Source], again: Pa
     assert first.startswith(f"chair_02: not the recording that was published: {name}, more.png")
 
 
+def test_a_sample_of_objects_needs_only_their_recordings(analytic: Path, tmp_path: Path) -> None:
+    with open_contents(analytic / "benchmark") as contents:
+        every = rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS})
+        objects = {target.object for target in every.targets}
+        drawn = rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS}, 1)
+        assert {target.object for target in drawn.targets} < objects and len(drawn.notes) == 1
+        assert drawn.notes[0].startswith(f"1 of {len(objects)} objects are made again: ")
+        wanted = {target.recording for target in drawn.targets}
+        again = rebuild_plan(contents, {name: Source(tmp_path) for name in wanted}, 1)
+        assert again.targets == drawn.targets
+        assert {row.id for row in again.settings.recordings} == wanted
+        assert rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS}, 99) == every
+
+
 def test_missing_recordings_and_other_releases(
     analytic: Path, sources: dict[str, Source], tmp_path: Path
 ) -> None:

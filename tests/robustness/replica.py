@@ -32,6 +32,8 @@ FURNITURE, ALL = 1071, 10_933
 CORE_HOUR_USD = 0.05
 # A scan of Redwood's has 0.37 GB on average (recipes/redwood-furniture/README.md).
 SCAN_GB = 0.37
+# Of each recording, so that the pairs of so many take minutes.
+VIEWS = "views: {count: 3}\n"
 # `fetch` is killed when so many scans came.
 KILLED_AT = (0.2, 0.6)
 
@@ -82,12 +84,22 @@ def slowly(number: int, path: str) -> Fault:
     return ""
 
 
-def the_whole_way(commands: Commands, scans: Sequence[Scan], files: dict[str, bytes]) -> dict[str, int]:
-    """From a server to scores; the bytes on the disk after each part."""
+def the_whole_way(
+    commands: Commands, scans: Sequence[Scan], files: dict[str, bytes], more: str = VIEWS, **sources: str
+) -> dict[str, int]:
+    """From a server to scores; the bytes on the disk after each part.
+
+    Args:
+        commands: in an empty folder.
+        scans: that the server has.
+        files: by their paths on it.
+        more: lines of benchmark.yaml.
+        sources: as `sources_yaml` takes them.
+    """
     bytes_: dict[str, int] = {}
     with ScanServer(files, lambda number, path: "lie") as lying, ScanServer(files, slowly) as server:
-        (commands.root / "sources.yaml").write_text(sources_yaml(lying.url, server.url))
-        (commands.root / "benchmark.yaml").write_text(BENCHMARK)
+        (commands.root / "sources.yaml").write_text(sources_yaml(lying.url, server.url, **sources))
+        (commands.root / "benchmark.yaml").write_text(BENCHMARK + more)
         for at in KILLED_AT:
             commands.fetch_and_be_killed(len(scans), at)
         commands("fetch", ".", allowed=(0, 3))
@@ -149,7 +161,7 @@ def of_triage(commands: Commands, scans: Sequence[Scan], made: Path) -> Iterator
 
 
 def measure(options: argparse.Namespace, folder: Path) -> Iterator[Figure]:
-    scans = four() if options.four else forty()
+    scans = four() if options.four else forty()[:: options.every]
     made, root = folder / "made", folder / "recipe"
     made.mkdir(parents=True, exist_ok=True)
     root.mkdir()
@@ -177,6 +189,7 @@ if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--four", action="store_true", help="only four scans")
+    parser.add_argument("--every", type=int, default=1, help="every so many of the forty")
     parser.add_argument("--folder", type=Path, help="keep all here; scans that are there are used again")
     options = parser.parse_args()
     with TemporaryDirectory() as temporary:

@@ -33,7 +33,6 @@ BENCHMARK = """\
 name: replica
 license: CC0-1.0
 include: [recordings.yaml]
-views: {count: 3}
 """
 # A person who walks through: how near, how wide as a share of the image, and in which share of the frames.
 PERSON_M, PERSON_SHARE, PERSON_FRAMES = 0.9, 0.3, (0.3, 0.6)

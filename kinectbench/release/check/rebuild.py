@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -82,12 +83,15 @@ def find_sources(path: Path) -> dict[str, Source]:
     return found | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
 
 
-def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPlan:
+def rebuild_plan(
+    contents: Contents, sources: Mapping[str, Source], objects: int | None = None
+) -> RebuildPlan:
     """How to make a release's pairs again.
 
     Args:
         contents: the release.
         sources: recording -> where it lies.
+        objects: so many are drawn by the release's hash; None: all of them.
 
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings.
@@ -98,6 +102,9 @@ def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPl
     held_back = metadata.held_back
     isolated = sorted({t.recording for t in targets} & set(metadata.isolated))
     kept = tuple(t for t in targets if t.split not in held_back and t.recording not in isolated)
+    every = {target.object for target in kept}
+    drawn = set(sorted(every, key=partial(_draw, metadata.benchmark_sha256))[:objects])
+    kept = tuple(target for target in kept if target.object in drawn)
     wanted = {target.recording for target in kept}
     missing = sorted(name for name in wanted if name not in sources or not sources[name].path.exists())
     if missing:
@@ -113,11 +120,18 @@ def rebuild_plan(contents: Contents, sources: Mapping[str, Source]) -> RebuildPl
             what="not-rebuildable",
         )
     notes = [*version_notes(metadata), *stage_notes(contents, wanted)]
+    if drawn != every:
+        notes.append(f"{len(drawn)} of {len(every)} objects are made again: {', '.join(sorted(drawn))}")
     if held_back:
         notes.append(f"the truth of {', '.join(held_back)} is held back: its pairs are not compared")
     if isolated:
         notes.append(f"of {', '.join(isolated)} one view is published, isolated: its pair is not compared")
     return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes))
+
+
+def _draw(identity: str, name: str) -> str:
+    """What an object is drawn by: nobody chooses it, and everybody draws the same."""
+    return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 
 def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[str]) -> BenchmarkSettings:

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from string import Template
 from typing import Any, get_args
 
@@ -139,7 +140,7 @@ def card(
         partial_rule=info.partial_rule,
         package_version=info.package_version,
         notice=_notice(info),
-        counts=counts_table(targets),
+        counts="\n\n".join(filter(None, (counts_table(targets), category_table(info, targets)))),
         example=example.file,
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
@@ -204,6 +205,38 @@ def counts_table(targets: Sequence[Target]) -> str:
         for category in sorted(objects)
     ]
     return _markdown(["category", "objects", *(f"{split} pairs" for split in SPLITS)], rows)
+
+
+def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
+    """Of each category how large its objects are, and medians of what is known; empty if nothing is."""
+    category_of = {target.recording: target.category for target in targets}
+    rows = []
+    for category in sorted(set(category_of.values())):
+        found = [r.quality for name, r in info.recordings.items() if category_of.get(name) == category]
+        sizes_m = [max(quality.box.size_m) for quality in found if quality.box is not None]
+        estimate, low, high, unknown = (
+            _median([getattr(quality, key) for quality in found])
+            for key in ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "unknown_share")
+        )
+        interval = None if low is None or high is None else f"{low:.2f} to {high:.2f}"
+        rows.append(
+            [
+                category,
+                f"{min(sizes_m):.2f} to {max(sizes_m):.2f}" if sizes_m else "",
+                "" if unknown is None else f"{unknown:.1%}",
+                "" if estimate is None else f"{estimate:.2f}{f' ({interval})' if interval else ''}",
+            ]
+        )
+    if not any(any(row[1:]) for row in rows):
+        return ""
+    header = ["category", "longest side, m", "never seen, of the solid", "estimated IoU (low to high)"]
+    return f"{_markdown(header, rows)}\n\nMedians over recordings, but for the sizes."
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    """The median of what is known."""
+    known = [value for value in values if value is not None]
+    return median(known) if known else None
 
 
 def figures(info: ReleaseInfo) -> str:

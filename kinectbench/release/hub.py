@@ -1,0 +1,90 @@
+"""A release is put into a data set of the Hugging Face hub, as one commit: it appears whole or not at all."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
+from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.extras import missing_extra
+from kinectbench.core.untrusted import printable
+from kinectbench.release.published import release_text
+from kinectbench.release.put import PutSummary
+
+SCHEME = "hf://"
+# A user or organisation, and a data set; the hub's own rule for both (its `validate_repo_id`).
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,95}/[A-Za-z0-9][A-Za-z0-9._-]{0,95}")
+# What the hub itself writes into a new data set, or somebody before anything is put.
+ITS_OWN = frozenset({".gitattributes", "README.md"})
+
+
+def hub_name(url: str) -> str:
+    """The data set that hf://user/name names, user/name.
+
+    Raises:
+        SettingsError: it names none, or huggingface_hub is not installed.
+    """
+    name = url.removeprefix(SCHEME).removeprefix("datasets/").rstrip("/")
+    if not NAME.fullmatch(name):
+        raise SettingsError(f"--to {printable(url)}: wanted hf://user/name, of a data set", what="bad-url")
+    if missing := missing_extra("hub"):
+        raise SettingsError(f"--to {printable(url)}: {missing}", what="no-package")
+    return name
+
+
+def put_on_hub(folder: Path, name: str) -> PutSummary:
+    """Bring a data set of the hub to be this release; it is made if it is not there.
+
+    The hub finds by itself what it has already, and does not ask for it again.
+
+    Args:
+        folder: a release on this machine.
+        name: user/name.
+
+    Raises:
+        ReleaseError: the data set holds something else than a release.
+        StorageError: the hub does not answer, or refuses.
+    """
+    from huggingface_hub import HfApi
+
+    text = release_text(folder / SHA256SUMS)
+    names = {SHA256SUMS, *parse_sums(text, str(folder / SHA256SUMS))}
+    info = ReleaseInfo.read(folder)
+    identity = benchmark_sha256(text, release_text(folder / BENCHMARK_JSON))
+    message = f"{' '.join(part for part in (info.name, info.version) if part)}, benchmark_sha256 {identity}"
+    where: dict[str, Any] = {"repo_id": name, "repo_type": "dataset"}
+    try:
+        api = HfApi()
+        api.create_repo(**where, exist_ok=True)
+        there = set(api.list_repo_files(**where))
+        _refuse_other(name, there)
+        gone = sorted(there - names - ITS_OWN)
+        api.upload_folder(**where, folder_path=folder, commit_message=message, delete_patterns=gone)
+    except ReleaseError:
+        raise
+    except Exception as error:  # of the hub's many kinds, and of its HTTP library's
+        raise _refusal(name, error) from error
+    return PutSummary(put=len(names), kept=0, removed=len(gone))
+
+
+def _refuse_other(name: str, there: set[str]) -> None:
+    """Refuse a data set that holds files, but no release."""
+    others = sorted(there - ITS_OWN)
+    if others and BENCHMARK_JSON not in there:
+        raise ReleaseError(
+            f"{SCHEME}{name}: holds {printable(others[0])}, which is not of a release; publish to a data set "
+            "that is empty or holds a release",
+            what="other-content",
+        )
+
+
+def _refusal(name: str, error: Exception) -> StorageError:
+    """What the hub said, in a line."""
+    status = getattr(getattr(error, "response", None), "status_code", None)
+    said = printable((str(error).strip().splitlines() or [type(error).__name__])[0], 200)
+    if status in (401, 403) or type(error).__name__ == "LocalTokenNotFoundError":
+        advice = "log in with `hf auth login`, or set HF_TOKEN to a token that may write there"
+        return StorageError(f"{SCHEME}{name}: is not permitted ({said}); {advice}", what="not-permitted")
+    what = "no-answer" if status is None else "refused"
+    return StorageError(f"{SCHEME}{name}: cannot be put ({said}); run the same command again", what=what)
