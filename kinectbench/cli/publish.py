@@ -1,6 +1,6 @@
 """The command `publish`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,10 +59,8 @@ def publish(
 ) -> int:
     """Write the release to benchmark/, from everything that can be built."""
     from kinectbench.cli import console
-    from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
     from kinectbench.release.publish.archive import refuse_unstated, write_archive
     from kinectbench.release.publish.current import publish_if_stale
-    from kinectbench.release.put import put_release
 
     settings = common.settings
     options = publish_options(settings, hold_back or (), thresholds, allow_poor, isolate)
@@ -72,8 +70,7 @@ def publish(
         raise SettingsError(
             "publish: --archives and --to are for a benchmark on this machine; fetch it first"
         )
-    hub = hub_name(to) if to is not None and to.startswith(SCHEME) else None
-    target = None if to is None or hub is not None else store_at(to)
+    put_there = None if to is None else _putting(to)
     if packed or to is not None:
         refuse_unstated(settings, ids)
     tell_unknown_categories(common, ids)
@@ -86,16 +83,33 @@ def publish(
     summary = publish_if_stale(
         settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
     )
-    put = None
-    if hub is not None:
-        put = (f"{SCHEME}{hub}", put_on_hub(summary.folder, hub))
-    if target is not None:
-        with console.bar("put") as progress:
-            put = (target.url, put_release(summary.folder, target, progress))
+    put = None if put_there is None else put_there(summary.folder)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [write_archive(part, archives_to or root) for part in parts] if packed else []
     _tell(common, summary, written, put)
     return _status(rows, summary)
+
+
+def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
+    """What puts a release to a URL, and returns the URL and what was done there.
+
+    Raises:
+        SettingsError: nothing can be put there, or a package is not installed.
+    """
+    from kinectbench.cli import console
+    from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
+    from kinectbench.release.put import put_release
+
+    if to.startswith(SCHEME):
+        name = hub_name(to)
+        return lambda folder: (f"{SCHEME}{name}", put_on_hub(folder, name))
+    target = store_at(to)
+
+    def put(folder: Path) -> "tuple[str, PutSummary]":
+        with console.bar("put") as progress:
+            return target.url, put_release(folder, target, progress)
+
+    return put
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:

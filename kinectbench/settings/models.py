@@ -66,9 +66,7 @@ class CameraSettings(Settings):
     )
     min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
     mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
-    sensor: str | None = Field(
-        None, pattern="^NP[1-5]$", description="of an object of YCB: the camera whose images are read"
-    )
+    sensor: str | None = Field(None, pattern="^NP[1-5]$", description="of YCB: the camera that is read")
     swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
 
 

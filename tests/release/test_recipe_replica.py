@@ -38,4 +38,4 @@ def test_four_scans_become_scores_by_the_commands_of_a_recipe(tmp_path: Path) ->
     assert decisions["good"] != "reject" and decisions["person"] != "accept"
     flow = ReleaseInfo.read(root / "benchmark").flow
     assert flow is not None and flow.tried == 3
-    assert json.loads((root / "scores" / "scores.json").read_text())
+    assert json.loads((root / "scores" / "partial" / "scores.json").read_text())

@@ -56,6 +56,6 @@ FORMATS = {
     "record3d": FileFormat(write_record3d, float_seconds, ".r3d"),
     "scannet": FileFormat(write_scannet, frames_as_seconds),
     "sun3d": FileFormat(write_sun3d, twelve_digits),
-    "ycb": FileFormat(write_ycb, angles_as_seconds, masks=True),
     "azure_kinect": FileFormat(write_azure_kinect, whole_milliseconds, ".mkv"),
+    "ycb": FileFormat(write_ycb, angles_as_seconds, masks=True),
 }
