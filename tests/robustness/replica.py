@@ -133,7 +133,7 @@ def of_triage(commands: Commands, scans: Sequence[Scan], made: Path) -> Iterator
     rows, found = {row.recording: row for row in triage.rows}, {}
     for name, row in rows.items():
         if row.built:
-            found[name] = evaluated(commands, row, made / f"{name}.truth")
+            found[name] = evaluated(commands, row, made / f"{name}.zip.truth")
         of = found.get(name, {})
         figures = [of.get("fine", {}).get(key) for key in ("iou", "known_iou")]
         print(name, kinds[name], row.decision, figures, of.get("known_gross_share"), row.estimated_iou_low,
