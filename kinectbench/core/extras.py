@@ -10,6 +10,7 @@ EXTRA_OF: Mapping[str, str] = {
     **dict.fromkeys(("open3d", "rosbags", "trimesh", "zstandard"), "build"),
     **dict.fromkeys(("distributed", "obstore"), "cluster"),
     "av": "azure",
+    "freenect": "record-kinect",
     "h5py": "ycb",
     "huggingface_hub": "hub",
     "imagecodecs": "record3d",

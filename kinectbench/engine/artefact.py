@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,
-    "publish": 34,
+    "publish": 35,
     "synthesize": 2,
     "score": 8,
     "baselines": 3,
