@@ -95,7 +95,7 @@ def main() -> None:
         shuffle=True,
         num_workers=options.workers,
         multiprocessing_context=context,
-        persistent_workers=options.workers > 0,  # else each epoch starts them anew
+        persistent_workers=options.workers > 0,  # else each epoch starts them again
     )
     network = Network()
     optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)

@@ -26,7 +26,7 @@ __all__ = ["Dataset", "Scorer", "decode_sample", "load"]
 
 
 def __getattr__(name: str) -> Any:
-    """`load`, `Dataset`, `Scorer` and `decode_sample`, imported late: the command line stays quick."""
+    """Import `load`, `Dataset`, `Scorer` and `decode_sample` lazily, so that the command line starts fast."""
     if name in __all__:
         from kinectbench.scoring import api
 
@@ -35,12 +35,12 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """With the names that are imported when they are asked for."""
+    """Include the lazily imported names."""
     return sorted({*globals(), *__all__})
 
 
 class _MovedApi(ModuleType):
-    """`kinectbench.api`, where `load`, `Dataset` and `Scorer` were at first: the same names still work."""
+    """The old name `kinectbench.api` of `load`, `Dataset` and `Scorer`, which still works."""
 
     def __getattr__(self, name: str) -> Any:
         from kinectbench.scoring import api

@@ -109,7 +109,7 @@ def run(command: str, folder: Path) -> list[str]:
 
 
 def keep(outputs: Mapping[str, list[str]], work: Path) -> None:
-    """Write the tutorial anew, and tutorial.json; the pictures are there already."""
+    """Write the tutorial again, and tutorial.json; the pictures are there already."""
     text = PAGE.read_text(encoding="utf-8")
     camera = json.loads((work / NAME / "build" / NAME / "sequence" / "camera.json").read_text())
     release = json.loads((work / NAME / "benchmark" / "benchmark.json").read_text())

@@ -57,7 +57,7 @@ install_packages() {
 }
 
 # torch, which the tests of networks need, without CUDA's libraries: 0.2 GB to download in place of some GB. On Linux
-# that build has a version of its own, found where pip is told to look; elsewhere it is the usual one.
+# that build has a version of its own, found where pip looks; elsewhere it is the usual one.
 install_torch() {
   local version
   version=$(sed -n 's/^torch==//p' constraints.txt)

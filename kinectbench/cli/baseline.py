@@ -45,7 +45,7 @@ def baseline(
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def check(common: Common, predictions: Predictions) -> int:
-    """Say everything that is wrong with a folder of predictions, without scoring.
+    """Report all faults of a folder of predictions, without scoring.
 
     Of predictions in the camera frame it says how far each is from its view's depth, and what explains it.
     """
@@ -61,15 +61,15 @@ def check(common: Common, predictions: Predictions) -> int:
     methods = split_methods(predictions, release.targets)
     problems, notes = list[str](), list[str]()
     for name, folder in methods.items():
-        method, said = read_in_camera(folder), list[str]()
+        method, lines = read_in_camera(folder), list[str]()
         with console.bar(f"check {name}") as progress:
             if method is None:
-                found = find_problems(release, folder, progress)
+                faults = find_problems(release, folder, progress)
             else:
-                found, said = check_camera(release, folder, method, progress)
+                faults, lines = check_camera(release, folder, method, progress)
         begin = f"{name}: " if len(methods) > 1 else ""
-        problems += [begin + line for line in found]
-        notes += [begin + line for line in said]
+        problems += [begin + line for line in faults]
+        notes += [begin + line for line in lines]
     console.lines("note", notes, "cyan")
     common.tell_problems(problems, f"{predictions}: all well")
     return SOME_FAILED if problems else exit_status(rows)

@@ -1,4 +1,4 @@
-"""`kinectbench build`, the stages without options of their own, and what is built for other commands."""
+"""The command `kinectbench build`, and builds on behalf of other commands."""
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -41,7 +41,7 @@ def build(
         bool, typer.Option("--status", help="build nothing: list what failed and what is missing")
     ] = False,
 ) -> int:
-    """Run every stage up to the pairs; what is current is not made again."""
+    """Run every stage up to the pairs; skip current ones."""
     return tell_status(common, ids) if status else run_stage(common, "build", ids)
 
 
@@ -65,7 +65,7 @@ STAGE_COMMANDS: Mapping[str, Command] = {
 
 
 def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
-    """Bring recordings up to date as far as a stage (`build`: all), show what became of them; the status."""
+    """Bring recordings up to date as far as a stage (`build`: all), print the outcome; returns the status."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
@@ -82,7 +82,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             limit_s=common.time_limit,
             executor=executor,
             verbose=common.verbose,
-            # --json says it; and of more recordings, what is up to date is not read.
+            # With --json, or for more recordings, current artefacts are not read.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
     if common.as_json:
@@ -93,7 +93,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """The recordings asked for that belong to the part that `--shard` names; says so if there are none."""
+    """The requested recordings in the part that `--shard` names; prints a message if there are none."""
     from kinectbench.cli import console
 
     chosen, part = chosen_jobs(common, ids), common.part
@@ -106,7 +106,7 @@ def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def tell_status(common: Common, ids: list[str] | None) -> int:
-    """Say which recordings are built, which failed and which are missing; 3 unless all are built."""
+    """Print which recordings are built, failed or missing; 3 unless all are built."""
     from kinectbench.cli import console
     from kinectbench.engine.status import in_words, statuses
 
@@ -126,7 +126,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """The table of what `build_recordings` returned for this last stage, and what is to be said below it."""
+    """The table of `build_recordings`' results for the last stage, with warnings below it."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -146,7 +146,7 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
 
 
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """The recordings asked for; an unknown id is refused with the nearest one."""
+    """The requested recordings; an unknown id is refused with the most similar one."""
     from kinectbench.engine.stages import Job
     from kinectbench.settings.words import listed
 
@@ -162,22 +162,22 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def build_recordings(
-    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, told: bool = False
+    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, brief: bool = False
 ) -> "list[BuiltRecording]":
     """Build, tell warnings and errors, and return what became of each recording, with its `error` or None.
 
-    With `told`, the reason of a failure that is not tried again, as nothing has changed, is left to `build`.
+    With `brief`, a failure that is not tried again, as nothing has changed, is reported without its reason.
     """
     if missing := missing_extra("build"):
         raise SettingsError(missing, what="no-package")
     chosen = chosen_jobs(common, ids)
-    if told:
+    if brief:
         _tell_changed_settings(chosen, upto)
-    return build_jobs(chosen, upto, common.workers, force, wait=common.wait, told=told)
+    return build_jobs(chosen, upto, common.workers, force, wait=common.wait, brief=brief)
 
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
-    """A note if recordings will be made anew because they were built with other settings, such as `--set`."""
+    """A note if recordings will be built again because of other settings, such as `--set`."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.engine.pipeline import changed_settings
@@ -186,11 +186,11 @@ def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
     found: dict[str, list[str]] = {}
     for job in chosen:
         if changed := changed_settings(job, upto):
-            told = [f"{key} was {then}, now {now}" for key, (then, now) in changed.items()]
-            found.setdefault(printable("; ".join(told), 200), []).append(job.recording.id)
+            changes = [f"{key} was {then}, now {now}" for key, (then, now) in changed.items()]
+            found.setdefault(printable("; ".join(changes), 200), []).append(job.recording.id)
     lines = [
-        f"{listed(names)}: built with other settings ({told}); made anew by benchmark.yaml and --set"
-        for told, names in found.items()
+        f"{listed(names)}: built with other settings ({changes}); made again by benchmark.yaml and --set"
+        for changes, names in found.items()
     ]
     console.lines("note", lines, "cyan")
 
@@ -202,15 +202,15 @@ def build_jobs(
     force: Sequence[str] = (),
     *,
     wait: bool = True,
-    told: bool = False,
+    brief: bool = False,
     limit_s: float | None = None,
     executor: "Executor | None" = None,
     verbose: bool = False,
     again: bool = False,
 ) -> "list[BuiltRecording]":
-    """`build_recordings` of jobs that are known already, on so many processes or by an executor.
+    """`build_recordings` for known jobs, on this many processes or by an executor.
 
-    With `again`, what is up to date says its warnings again.
+    With `again`, warnings of current artefacts are repeated.
     """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
@@ -230,7 +230,7 @@ def build_jobs(
         )
     rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
-        # Told although all is up to date: whoever has just drawn a mask expects it to be used.
+        # Warn even if all is up to date: whoever has just drawn a mask expects it to be used.
         unused = _unused_masks(job) if upto in ("sample-views", "pairs") else ()
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
@@ -241,7 +241,7 @@ def build_jobs(
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
         _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
         code = f" ({outcome.code})" if verbose and outcome.code else ""
-        reason = STILL_FAILS.format(id=name) if told and outcome.repeated else row.error
+        reason = STILL_FAILS.format(id=name) if brief and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
     if (more := failed - console.MOST_LINES) > 0:
         text = f"{more} more recordings failed: `kinectbench build --status --json` lists all"
@@ -250,7 +250,7 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose: bool) -> None:
-    """What is to be said of a recording; of several warnings the one to see to first, and how many more."""
+    """Print the most important warning of a recording, and how many more there are."""
     from kinectbench.cli import console
 
     if verbose or first is None or first not in own:
@@ -263,20 +263,20 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose:
     more = len(own) - 1 - len(without_effect)
     if not more:
         return
-    said = f"{more} more warning{'s' * (more > 1)}: shown by `-v`, by the report and by --json"
-    console.recording_lines(name, "note", [said], "yellow")
+    more_line = f"{more} more warning{'s' * (more > 1)}: shown by `-v`, by the report and by --json"
+    console.recording_lines(name, "note", [more_line], "yellow")
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """The figures of what a run made or found up to date, and a warning of masks that are not used."""
+    """The figures of a run's new and current results, and a warning of unused masks."""
     from kinectbench.engine.summary import summary
 
-    found = summary(job, outcome)
-    return found.model_copy(update={"warnings": (*found.warnings, *unused)})
+    figures = summary(job, outcome)
+    return figures.model_copy(update={"warnings": (*figures.warnings, *unused)})
 
 
 def _unused_masks(job: "Job") -> tuple[str, ...]:
-    """A warning if masks lie where benchmark.yaml does not name them."""
+    """A warning if masks exist that benchmark.yaml does not name."""
     if job.unused_masks is None:
         return ()
     name = job.recording.id
@@ -284,7 +284,7 @@ def _unused_masks(job: "Job") -> tuple[str, ...]:
 
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """A warning if recordings have the category that `init` writes where it knows none."""
+    """Warn of recordings with the placeholder category that `init` writes if it knows none."""
     from kinectbench.cli import console
     from kinectbench.settings.template import UNKNOWN_CATEGORY
     from kinectbench.settings.words import listed
@@ -298,12 +298,12 @@ def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
 
 
 def built(rows: "list[BuiltRecording]") -> list[str]:
-    """Ids of the recordings that went well."""
+    """Ids of the successful recordings."""
     return [row.recording for row in rows if row.error is None]
 
 
 def exit_status(rows: "list[BuiltRecording]") -> int:
-    """1 if no recording could be used, 3 if some could not, else 0; says again which of several failed."""
+    """1 if no recording is usable, 3 if some failed, else 0; repeats which of several failed."""
     from kinectbench.cli import console
 
     failed = len(rows) - len(built(rows))
@@ -314,14 +314,14 @@ def exit_status(rows: "list[BuiltRecording]") -> int:
 
 
 def need_some(rows: "list[BuiltRecording]") -> list[str]:
-    """Ids of the recordings that went well; without any the command ends here."""
+    """Ids of the successful recordings; ends the command if there are none."""
     if not built(rows):
         raise typer.Exit(exit_status(rows))
     return built(rows)
 
 
 def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
-    """The release named, or the one that lies here; where none does, it is built and published now.
+    """The release named, or the local one; if there is none, it is built and published now.
 
     A release that was there before is read as it is: only `publish` writes over it.
 
@@ -343,7 +343,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
         if already_published(settings, common.root, done, None) is None:
             _tell_used(release)
         return release, []
-    rows = build_recordings(common, None, "pairs", told=True)
+    rows = build_recordings(common, None, "pairs", brief=True)
     published = publish_if_stale(
         settings, common.root, need_some(rows), waiting=partial(console.waiting, "publish")
     )
@@ -351,7 +351,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """One line: which release is used, though settings or what is built differ from it."""
+    """Print which release is used if settings or builds differ from it."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}

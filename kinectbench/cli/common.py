@@ -1,4 +1,4 @@
-"""What the commands share: their common options as one value, and how they tell what was done."""
+"""Common options of commands as one value, and their output."""
 
 import inspect
 import os
@@ -33,10 +33,10 @@ class Common:
 
     Attributes:
         benchmark: a release to work on; None: the one of the benchmark that `config` describes.
-        config: the benchmark's settings; what is built lies beside this file.
+        config: the benchmark's settings; the build lies beside this file.
         overrides: settings in place of those of the file, `SECTION.KEY=VALUE` each.
         jobs: the number of processes; None: one per core.
-        force: whether to make anew what is current.
+        force: whether to make current artefacts again.
         wait: whether to wait for another run in the same folder, or to stop.
         as_json: whether standard output is JSON.
         shard: the part of the recordings to work on, `I/N`; None: all.
@@ -59,7 +59,7 @@ class Common:
         ),
     ] = None
     force: Annotated[
-        bool, typer.Option("--force", help="make it anew even if it is current; build: every stage")
+        bool, typer.Option("--force", help="make it again even if it is current; build: every stage")
     ] = False
     wait: Annotated[
         bool, typer.Option("--wait/--no-wait", help="wait for another run here, or stop and say whose it is")
@@ -87,7 +87,7 @@ class Common:
 
     @property
     def place(self) -> Path:
-        """Where relative paths in benchmark.yaml start: a folder, or a URL as a path."""
+        """The start of relative paths in benchmark.yaml: a folder, or a URL as a path."""
         return self.config.parent
 
     @property
@@ -107,12 +107,12 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """A folder of results: beside benchmark.yaml, or here where a release is named."""
+        """A results folder: beside benchmark.yaml, or in the working folder if a release is named."""
         return Path(name) if self.benchmark else self.root / name
 
     @property
     def workers(self) -> int:
-        """The number of processes: as asked for, or one per core."""
+        """The number of processes: as requested, or one per core."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         return self.jobs or cores or 1
 
@@ -121,7 +121,7 @@ class Common:
         """The part of the recordings to work on; None: all.
 
         Raises:
-            SettingsError: there is no such part.
+            SettingsError: unknown part.
         """
         from kinectbench.engine.shards import parse_shard
 
@@ -129,7 +129,7 @@ class Common:
 
     @contextmanager
     def executor(self) -> Iterator["Executor | None"]:
-        """The cluster that was asked for, within the block; None: processes of this machine.
+        """The requested cluster, within the block; None: processes of this machine.
 
         Raises:
             SettingsError, ClusterError: it is no address, or nothing answers there.
@@ -140,19 +140,19 @@ class Common:
         from kinectbench.cli import console
         from kinectbench.engine.cluster import cluster
 
-        with cluster(self.cluster) as found:
-            slots = found.slots()
-            told, page = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}", found.dashboard
-            console.lines("cluster", [f"{told}; dashboard: {page}" if page else told], "green")
+        with cluster(self.cluster) as connected:
+            slots = connected.slots()
+            workers, page = f"{slots} worker{'s' * (slots != 1)} at {self.cluster}", connected.dashboard
+            console.lines("cluster", [f"{workers}; dashboard: {page}" if page else workers], "green")
             if not slots:
                 console.lines(
                     "waiting", ["for a worker, 15 minutes at most: start one by `dask worker`"], "yellow"
                 )
-            yield found
+            yield connected
 
     @cached_property
     def settings(self) -> "BenchmarkSettings":
-        """The settings of the benchmark, read once: what is edited meanwhile counts for the next command.
+        """The settings of the benchmark, read once; later edits count for the next command.
 
         Raises:
             SettingsError: the file or an override is wrong.
@@ -162,7 +162,7 @@ class Common:
         return load_benchmark(self.config, self.overrides or ())
 
     def tell(self, value: Any, lines: Iterable[str]) -> None:
-        """Print a result: as JSON for machines if they ask for it, or else these lines for people."""
+        """Print a result: as JSON if requested, else as these lines."""
         from kinectbench.cli import console
 
         if self.as_json:
@@ -188,7 +188,7 @@ Command = Callable[..., None]
 def takes(
     *names: str, at_url: bool = False
 ) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
-    """Let a command offer these options of `Common`; it gets them as one value, its first argument.
+    """Add these options of `Common` to a command, which receives them as its first argument.
 
     Typer reads options from a function's signature: here that is made of the command's own parameters and of
     the named fields of `Common`. The exit status that the command returns, if any, ends the process.
@@ -205,7 +205,7 @@ def takes(
 
         @wraps(command)
         def run(**options: Any) -> None:
-            """Call the command with the shared options as `Common`, and end with its status."""
+            """Call the command with the shared options as `Common`, and exit with its status."""
             common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
             if not at_url:
                 _ = common.root
@@ -229,7 +229,7 @@ def takes(
 
 
 def _refuse_urls(options: Mapping[str, Any]) -> None:
-    """Refuse a URL as a path of this machine, where folders of its parts would be made or looked for.
+    """Refuse a URL as a local path, which would create or search folders named like its parts.
 
     Raises:
         SettingsError: there is one.
@@ -243,7 +243,7 @@ def _refuse_urls(options: Mapping[str, Any]) -> None:
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:
-    """Ids of the benchmark here, for the shell to complete; none if benchmark.yaml cannot be read."""
+    """Ids of the local benchmark, for shell completion; none if benchmark.yaml is unreadable."""
     common = Common(config=context.params.get("config") or DEFAULT_CONFIG)
     try:
         known = [recording.id for recording in common.settings.recordings]

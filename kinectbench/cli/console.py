@@ -1,4 +1,4 @@
-"""What people see in the terminal: progress and messages on standard error, tables on standard output."""
+"""Terminal output: progress and messages on standard error, tables on standard output."""
 
 import json
 import re
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
 
 PLAIN_WIDTH = 160
-# Of a message: what a library says of a file may quote a good part of it. Ours have up to 400.
+# Of a message: a library's message may quote much of a file. Ours have up to 400.
 LONGEST = 900
-# Lines of one kind: more than anybody reads; a stranger may have caused hundreds of thousands.
+# Lines of one kind: more than anybody reads; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
-# Where no bar can be drawn, one is a line as often as this; what is done sooner says nothing.
+# Where no bar can be drawn, a line is printed as often as this; shorter work prints none.
 LOG_EVERY_S = 10.0
-# What each stage can say of a recording, by the field of its summary.
+# The fields of a summary that each stage provides.
 COLUMNS: Mapping[str, Mapping[str, str]] = {
     "ingest": {"frames": "frames"},
     "track": {"left_out": "left out", "lost": "lost"},
@@ -52,7 +52,7 @@ class SafeConsole(Console):
     """A console on which no text from a file steers the terminal: control characters are shown as `?`."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """As rich does it, and then without control characters but ends of lines."""
+        """Render with rich, then remove control characters except line ends."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -69,9 +69,9 @@ if not out.is_terminal:
 
 
 def one_line(text: str) -> str:
-    """A text as it may be shown in one line: ends of lines as spaces, other control characters as `?`.
+    """A text for one line: line ends as spaces, other control characters as `?`.
 
-    The middle of what is longer than `LONGEST` characters is left out.
+    Texts longer than `LONGEST` characters lose their middle.
     """
     return printable(re.sub(r"[\t\r\n]+", " ", text), most=LONGEST)
 
@@ -88,7 +88,7 @@ def say_json(value: Any) -> None:
 
 
 def at_most(messages: Sequence[str]) -> list[str]:
-    """The first `MOST_LINES` of messages, and in one more how many there are beyond."""
+    """The first `MOST_LINES` messages, then a line with the number of the others."""
     more = len(messages) - MOST_LINES
     return [*messages[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])]
 
@@ -96,23 +96,23 @@ def at_most(messages: Sequence[str]) -> list[str]:
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
     """One line per message on standard error, without wrapping; no more than `at_most`."""
     for message in at_most(messages):
-        # Names and messages hold what strangers wrote: never markup.
+        # Names and messages hold untrusted text: never markup.
         text = Text.assemble((f"{one_line(kind)}:", style), " ", one_line(message))
         err.print(text, highlight=False, soft_wrap=True)
 
 
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
-    """`lines` about a recording. Where its path is its id, messages begin with it: it is said once."""
+    """`lines` about a recording, without repeating an id that equals its path."""
     lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
 
 
 def waiting(what: str, holder: str) -> None:
-    """One line before a wait for another run."""
+    """Print a line before waiting for another run."""
     lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """What the table has no room for: why an object's estimate is uncertain, and what to record again.
+    """Details below the table: why an object's estimate is uncertain, and what to record again.
 
     Args:
         rows: a recording each.
@@ -123,8 +123,8 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
     for row in rows:
         estimate = with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, 2)
         if estimate and row.estimated_iou_reasons:
-            found = f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"
-            out.print(Text(found), soft_wrap=True)
+            heading = f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"
+            out.print(Text(heading), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
         for frontier in (row.frontiers or ()) if frontiers and not row.made else ():
@@ -132,14 +132,14 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
-    """The last line of a run over several recordings of which some failed: which, and how to go on."""
+    """The last line of a run in which some recordings failed: which, and how to continue."""
     from kinectbench.settings.words import listed
 
     failed = [row.recording for row in rows if row.error is not None]
     if failed and len(rows) > 1:
-        rest = "; the rest is done" if len(failed) < len(rows) else ""
+        others_done = "; the rest is done" if len(failed) < len(rows) else ""
         text = (
-            f"{len(failed)} of {len(rows)} recordings: {listed(failed)}{rest}. "
+            f"{len(failed)} of {len(rows)} recordings: {listed(failed)}{others_done}. "
             "Correct them and run the same command again: what is done is kept."
         )
         lines("failed", [text], "red")
@@ -161,7 +161,7 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
 
 
 def _estimate(row: "RecordingSummary") -> str | None:
-    """With two decimals where there is an interval, which is wider than that."""
+    """Format with two decimals if there is an interval, which is wider than rounding."""
     from kinectbench.core.artefacts.object import with_interval
 
     decimals = 3 if row.estimated_iou_low is None else 2
@@ -204,7 +204,7 @@ def _cell(value: Any, spec: str) -> str:
 
 
 class PlainLines:
-    """Lines such as `[  12 s] chair_01: track`, for where no bar can be drawn."""
+    """Lines such as `[  12 s] chair_01: track`, if no progress bar can be drawn."""
 
     def __init__(self) -> None:
         """Begin to count the seconds."""
@@ -219,7 +219,7 @@ class PlainLines:
         err.print(shown, markup=False, highlight=False, soft_wrap=True)
 
     def say_sometimes(self, text: str) -> None:
-        """A line, unless there was one a short while ago."""
+        """Print a line unless one was printed shortly before."""
         if time.monotonic() - self._last >= LOG_EVERY_S:
             self.say(text)
 
@@ -257,16 +257,16 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float], None]]:
 
 
 class RecordingBars:
-    """A bar for each recording that is being worked on, and one over all where there are several.
+    """A progress bar for each recording in work, and one over all if there are several.
 
-    It is called with (recording, stage, done, total), and told of outcomes; see
+    It is called with (recording, stage, done, total), and reports outcomes; see
     `kinectbench.engine.parallel.Watcher`.
     """
 
     def __init__(
         self, bars: Progress, recordings: int | None, workers: Callable[[], int] | None = None
     ) -> None:
-        """Nothing is shown yet.
+        """Start without any bar.
 
         Args:
             bars: where it is shown.
@@ -286,7 +286,7 @@ class RecordingBars:
         self._all = bars.add_task("recordings", total=recordings) if several else None
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
-        """A recording is so far in a stage."""
+        """Report the progress of a recording in a stage."""
         check_interrupt()
         if self._stages.get(recording) != stage:
             self._stages[recording] = stage
@@ -299,7 +299,7 @@ class RecordingBars:
         )
 
     def ended(self, outcome: "Outcome") -> None:
-        """A recording is up to date or has failed: a line in a log, if anything was to be done."""
+        """Report a finished or failed recording: a line in a log, if any work was done."""
         self._ended += 1
         self._failed += outcome.error is not None
         if outcome.recording in self._tasks:
@@ -313,7 +313,7 @@ class RecordingBars:
         if self._plain and (outcome.made or outcome.error):
             what = "failed" if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""
-            # Of several it may be long until all errors are told.
+            # Of several recordings, the errors of all may come late.
             why = f": {outcome.error}" if outcome.error and self._all is not None else ""
             self._plain.say(f"{outcome.recording}: {what}{count}{why}")
         elif outcome.error and self._all is not None:
@@ -330,7 +330,7 @@ class RecordingBars:
         return ", ".join([*parts, f"{duration(to_go_s)} to go"])
 
     def warn(self, message: str) -> None:
-        """Something that concerns all of them."""
+        """Print a warning that concerns all recordings."""
         err.print(f"warning: {one_line(message)}", markup=False, highlight=False, soft_wrap=True)
 
 
@@ -338,7 +338,7 @@ class RecordingBars:
 def recording_bars(
     recordings: int | None = None, workers: Callable[[], int] | None = None
 ) -> Iterator[RecordingBars]:
-    """A bar for each of so many recordings; yields a function of (recording, stage, done, total)."""
+    """A progress bar per recording; yields a function of (recording, stage, done, total)."""
     with _bars() as bars:
         yield RecordingBars(bars, recordings, workers)
 

@@ -21,20 +21,20 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="default: evaluation/<recording>/ beside build/")] = None,
     align: Annotated[bool, typer.Option(help="lay the build onto the truth by the trajectories")] = True,
 ) -> int:
-    """Measure what is built of a simulated recording against its truth: a table, JSON, pictures, a page."""
+    """Measure the build of a simulated recording against its truth: a table, JSON, pictures, a page."""
     from kinectbench.cli import console
     from kinectbench.lab.evaluate.evaluation import evaluation_json
     from kinectbench.lab.evaluate.run import evaluate_recording, find_built
     from kinectbench.lab.evaluate.table import evaluation_table
 
-    found = find_built(recording, truth, common.config, common.overrides or ())
-    rows = build_jobs([found.job], "pairs", 1) if found.job else []
+    build = find_built(recording, truth, common.config, common.overrides or ())
+    rows = build_jobs([build.job], "pairs", 1) if build.job else []
     status = exit_status(rows)
-    if status and not (found.build / "sequence").is_dir():
+    if status and not (build.build / "sequence").is_dir():
         return status
-    target = out or found.build.parent.parent / "evaluation" / found.build.name
+    target = out or build.build.parent.parent / "evaluation" / build.build.name
     with console.bar("evaluate") as progress:
-        result = evaluate_recording(found.build, found.truth, target, align=align, progress=progress)
+        result = evaluate_recording(build.build, build.truth, target, align=align, progress=progress)
     if common.as_json:
         console.say_json(evaluation_json(result))
     else:

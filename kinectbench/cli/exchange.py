@@ -1,4 +1,4 @@
-"""The commands `export`, `import` and `adapt`: releases in other layouts, and outputs of others."""
+"""The commands `export`, `import` and `adapt`: exchange releases and outputs with other layouts."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -76,7 +76,7 @@ def adapt(
         Path | None, typer.Option(help="a new folder; default: predictions/<method> beside the benchmark")
     ] = None,
 ) -> int:
-    """Make predictions of what a method of today wrote, in the camera frame and in metres."""
+    """Convert the output of a published method into predictions in the camera frame, in metres."""
     from kinectbench.cli import console
     from kinectbench.scoring.adapters.registry import adapt as write_adapted
 

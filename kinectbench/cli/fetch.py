@@ -1,4 +1,4 @@
-"""The commands `fetch` and `gc`: what others published comes here, what nothing names goes from a store."""
+"""The commands `fetch`, which downloads what others published, and `gc`, which deletes unused files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -40,7 +40,7 @@ def fetch(
         Path | None, typer.Option(help="folder; default: the last part of the URL, or the recipe's own")
     ] = None,
 ) -> int:
-    """Bring a release, part of one, or a recipe's scans here; each file is checked, a stopped one goes on."""
+    """Download a release, part of one, or a recipe's scans; check each file, resume downloads."""
     from kinectbench.release.recipe import is_recipe
 
     if is_recipe(release):
@@ -76,17 +76,17 @@ def _fetch_release(
     part = Part(split, tuple(category or ()), views)
     folder = out or Path(url.rpartition("/")[2])
     with console.bar("fetch") as progress:
-        found = fetch_release(url, folder, None if part == Part() else part, progress)
+        fetched = fetch_release(url, folder, None if part == Part() else part, progress)
     result = {
-        "release": str(found.folder),
-        "benchmark_sha256": found.benchmark_sha256,
-        "pairs": found.pairs,
-        "fetched": found.fetched,
-        "kept": found.kept,
+        "release": str(fetched.folder),
+        "benchmark_sha256": fetched.benchmark_sha256,
+        "pairs": fetched.pairs,
+        "fetched": fetched.fetched,
+        "kept": fetched.kept,
     }
     lines = [
-        f"{found.folder}: {found.pairs} pairs, {found.fetched} files fetched, {found.kept} were here",
-        f"benchmark_sha256 {found.benchmark_sha256}",
+        f"{fetched.folder}: {fetched.pairs} pairs, {fetched.fetched} files fetched, {fetched.kept} were here",
+        f"benchmark_sha256 {fetched.benchmark_sha256}",
     ]
     common.tell(result, lines)
     return 0
@@ -113,12 +113,12 @@ def gc(
             what="bad-url",
         )
     store = Store(url)
-    found = unnamed(store, young=everything)
-    removed = remove(store, found) if delete else 0
-    size = f"{len(found)} file{'s' * (len(found) != 1)}, {sum(each.size for each in found) / 1e6:.1f} MB"
-    names = [f"{each.name} ({each.size} bytes)" for each in found[:SHOWN]]
-    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
-    said = f"removed {removed} files" if delete else "nothing is removed; --delete does"
-    lines = [f"{shown(url)}: {size} that no manifest names; {said}", *names, *more]
-    result = {"found": [each.name for each in found], "removed": removed}
-    common.tell(result, lines if found else [f"{shown(url)}: nothing that no manifest names"])
+    lost = unnamed(store, young=everything)
+    removed = remove(store, lost) if delete else 0
+    size = f"{len(lost)} file{'s' * (len(lost) != 1)}, {sum(each.size for each in lost) / 1e6:.1f} MB"
+    names = [f"{each.name} ({each.size} bytes)" for each in lost[:SHOWN]]
+    more = [f"and {len(lost) - SHOWN} more"] if len(lost) > SHOWN else []
+    outcome = f"removed {removed} files" if delete else "nothing is removed; --delete does"
+    lines = [f"{shown(url)}: {size} that no manifest names; {outcome}", *names, *more]
+    result = {"found": [each.name for each in lost], "removed": removed}
+    common.tell(result, lines if lost else [f"{shown(url)}: nothing that no manifest names"])

@@ -1,4 +1,4 @@
-"""The command line: all commands in one app, and what becomes of their errors."""
+"""The command line: all commands in one app, and the handling of their errors."""
 
 import gc as garbage
 import io
@@ -52,7 +52,7 @@ app = typer.Typer(
     "predictions against it.",
 )
 
-# What typer makes of KeyboardInterrupt.
+# Typer's exit status after KeyboardInterrupt.
 INTERRUPTED = 130
 STDERR = 2
 STOPPED = "stopped; run the same command again to go on from here"
@@ -107,7 +107,7 @@ ON_RECORDINGS = ("record", "build", "inspect", *STAGE_COMMANDS, "track", "segmen
 
 
 def _with_build(command: Command) -> Command:
-    """A command that ends in one line where the extra `build` is not installed."""
+    """A command that prints one line if the extra `build` is not installed."""
 
     @wraps(command)
     def checked(*args: Any, **options: Any) -> None:
@@ -144,7 +144,7 @@ def main() -> None:
 
 
 def _exit_interrupted() -> NoReturn:
-    """End now: libraries interrupted while they were imported complain at the end of Python, or change it."""
+    """Exit at once: libraries interrupted during import fail or change the status at Python's end."""
     garbage.collect()
     if "kinectbench.engine.processes" in sys.modules:
         from kinectbench.engine.processes import give_back_shared
@@ -156,7 +156,7 @@ def _exit_interrupted() -> NoReturn:
 
 
 def _show_what_can_be_shown() -> None:
-    """A `?` for each character that the terminal's encoding lacks; Python would end with an error."""
+    """Print `?` for characters outside the terminal's encoding; Python would end with an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -208,7 +208,7 @@ def _run() -> tuple[int, tuple[str, ...]]:
 
 
 def _end_unanswered(number: int) -> None:
-    """End the process while a library computes, which Python cannot interrupt; on another thread."""
+    """Exit while a library computes, which Python cannot interrupt; runs on another thread."""
     remove_half_filled()
     sys.stderr.write(f"error: {STOPPED}\n")  # not by the console, whose lock may be held
     sys.stderr.flush()
@@ -216,7 +216,7 @@ def _end_unanswered(number: int) -> None:
 
 
 def _call() -> tuple[int, tuple[str, ...]]:
-    """Run the command that was given; exit status and error lines, if any."""
+    """Run the command; returns its exit status and error lines, if any."""
     try:
         _refuse_unusable_urls(sys.argv[1:])
         return app(standalone_mode=False) or 0, ()
@@ -235,7 +235,7 @@ def _call() -> tuple[int, tuple[str, ...]]:
 
 
 def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
-    """Refuse URLs that nobody can use, as they were written: typer makes paths of them.
+    """Refuse unusable URLs as typed, before typer turns them into paths.
 
     Raises:
         SettingsError: one lacks its bucket or host, or has another scheme.
@@ -252,7 +252,7 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
 
 
 def _usage(error: Any) -> tuple[str, ...]:
-    """One line about wrong usage; nothing but the help where no command was given."""
+    """One line about wrong usage; nothing but the help if no command was given."""
     if type(error).__name__ == "NoArgsIsHelpError":
         return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"

@@ -54,7 +54,7 @@ def train(
     ] = None,
     device: Device = None,
 ) -> None:
-    """Train a network on a release; run it again to go on where it stopped."""
+    """Train a network on a release; run it again to continue."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
@@ -72,8 +72,8 @@ def train(
     settings, releases = find_config(config), [open_release(folder) for folder in data]
     limit = None if minutes is None or math.isinf(minutes) else minutes
     if unknown := unknown_objects(releases, settings.training.leave_out):
-        said = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
-        console.lines(settings.name, [said], "yellow")
+        warning = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
+        console.lines(settings.name, [warning], "yellow")
     with console.bar(f"train {settings.name}") as progress:
         state = run(
             settings,
@@ -83,15 +83,15 @@ def train(
             device=device,
             wait=common.wait,
             progress=progress,
-            watch=lambda row: console.lines(settings.name, [row.told()], "green"),
+            watch=lambda row: console.lines(settings.name, [row.line()], "green"),
         )
     in_all = TrainingFile.read(out).steps_in_all
-    told = {"folder": str(out), "steps": state.step, "steps_in_all": in_all}
-    told["seconds"] = round(state.seconds, 1)
+    summary = {"folder": str(out), "steps": state.step, "steps_in_all": in_all}
+    summary["seconds"] = round(state.seconds, 1)
     done, more = f"{state.step} steps", ""
     if in_all != state.step:
         done, more = f"{state.step} of {in_all} steps", "; run the same command again to go on"
-    common.tell(told, [f"{done} in {state.seconds:.0f} s: {out}{more}"])
+    common.tell(summary, [f"{done} in {state.seconds:.0f} s: {out}{more}"])
 
 
 @takes("as_json")
@@ -114,7 +114,7 @@ def predict(
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
 ) -> None:
-    """Write a trained network's predictions, and method.json beside them; or score them at once."""
+    """Write a trained network's predictions with method.json; or score them at once."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
@@ -158,11 +158,11 @@ def predict(
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
-    """The one of some words that was asked for; one that is none of them is told."""
-    found = tuple(known for known in words if known == word)
-    if not found:
+    """The option's value among the valid ones, or an error that lists them."""
+    valid = tuple(known for known in words if known == word)
+    if not valid:
         raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)
-    return found
+    return valid
 
 
 def _score(
@@ -175,7 +175,7 @@ def _score(
     folder: Path,
     device: str,
 ) -> None:
-    """Predict and score, without files of predictions; then all that `score` writes beside its table."""
+    """Predict and score without files of predictions; then write all files of `score` beside its table."""
     from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
@@ -213,7 +213,7 @@ def convert(
     model: Annotated[Path, typer.Argument(metavar="MODEL_DIR", help="holds <name>.index and <name>.data-…")],
     out: Annotated[Path, typer.Option(help="the method's folder, for `predict`")],
 ) -> None:
-    """Make a method of a network that others trained; TensorFlow is not needed."""
+    """Convert a network trained by others into a method; TensorFlow is not needed."""
     from dataclasses import asdict
 
     from kinectbench.core.errors import SettingsError

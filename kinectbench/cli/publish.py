@@ -74,7 +74,7 @@ def publish(
     if packed or to is not None:
         refuse_unstated(settings, ids)
     tell_unknown_categories(common, ids)
-    rows = build_recordings(common, ids, "pairs", told=True)
+    rows = build_recordings(common, ids, "pairs", brief=True)
     if stored:
         summary = _publish_there(common, need_some(rows), options)
         _tell(common, summary, [])
@@ -113,7 +113,7 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
-    """3 if recordings failed, or did not pass the gate; what a person rejected is no failure."""
+    """3 if recordings failed or did not pass the gate; a person's rejection is no failure."""
     return exit_status(rows) or (SOME_FAILED if summary.refused else 0)
 
 
@@ -127,25 +127,25 @@ def _publish_there(common: Common, recordings: list[str], options: "PublishOptio
 
 
 def store_at(url: str) -> "Store":
-    """The place where a release is to be put.
+    """The store to which a release is uploaded.
 
     Raises:
-        SettingsError: it is no URL, or one where nothing can be put, or obstore is not installed.
+        SettingsError: it is not a URL, or one where nothing can be put, or obstore is not installed.
     """
     from kinectbench.core.store.address import is_web
     from kinectbench.core.store.store import Store
     from kinectbench.core.store.usable import require_usable
 
-    if said := unusable(url):
-        raise SettingsError(f"--to: {printable(said, 300)}", what="bad-url")
-    found = url_of(url)
-    if found is None or is_web(found):
+    if problem := unusable(url):
+        raise SettingsError(f"--to: {printable(problem, 300)}", what="bad-url")
+    store_url = url_of(url)
+    if store_url is None or is_web(store_url):
         raise SettingsError(
             f"--to {shown(url)}: wanted a URL of a store: s3://, gs://, az:// or file://; or hf://user/name",
             what="bad-url",
         )
-    require_usable(found, f"--to {shown(found)}")
-    return Store(found)
+    require_usable(store_url, f"--to {shown(store_url)}")
+    return Store(store_url)
 
 
 def publish_options(
@@ -198,7 +198,7 @@ def _tell(
     archives: list[Path],
     put: "tuple[str, PutSummary] | None" = None,
 ) -> None:
-    """What was published, removed, packed, put to which URL, and asked for."""
+    """Print what was published, removed, packed and uploaded, and JSON if requested."""
     from kinectbench.cli import console
 
     console.lines("warning", summary.warnings, "yellow")
@@ -233,7 +233,7 @@ def _tell(
 
 
 def _put_line(url: str, put: "PutSummary") -> str:
-    """What was done at the URL, and tells of another release that lay there."""
+    """Describe the upload, and mention another release that was there."""
     from kinectbench.cli import console
 
     if put.replaced is not None:

@@ -1,4 +1,4 @@
-"""`kinectbench fetch` of a recipe: its scans come here, or are built and deleted one after the other."""
+"""`kinectbench fetch` of a recipe: downloads its scans, or builds and deletes them one by one."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -30,7 +30,7 @@ def fetch_recipe(
     *,
     stream: bool,
 ) -> int:
-    """Fetch the scans of a recipe that are asked for, and put them into its benchmark; the exit status."""
+    """Fetch the requested scans of a recipe and add them to its benchmark; returns the exit status."""
     from kinectbench.cli import console
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
@@ -96,7 +96,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
 
 def _refuse_beyond(out: Path, size: int) -> None:
-    """Refuse a scan with whose build the folder would hold more than `--stream` may take.
+    """Refuse a scan whose build would exceed the limit of `--stream`.
 
     Raises:
         StorageError: it would, even if nothing else were there: the next scan may be smaller.
@@ -121,25 +121,25 @@ def _refuse_beyond(out: Path, size: int) -> None:
 
 
 def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then: str) -> int:
-    """Say what became of the scans; 1 if none is here, 3 if some failed."""
+    """Print the state of the scans; 1 if none is present, 3 if some failed."""
     from kinectbench.cli import console
 
     errors = [row.error for row in rows if row.error is not None]
-    fetched, here = sum(row.fetched for row in rows), len(rows) - len(errors)
+    fetched, present = sum(row.fetched for row in rows), len(rows) - len(errors)
     lines = [f"{recipe.out}: {len(rows)} scans chosen, {fetched} fetched now, {len(errors)} failed"]
     result = {
         "recipe": str(recipe.out),
         "scans": [{"id": row.scan.id, "fetched": row.fetched, "error": row.error} for row in rows],
     }
-    common.tell(result, [*lines, *([then] if here else [])])
+    common.tell(result, [*lines, *([then] if present else [])])
     scans = [row.scan for row in rows if row.error is None]
-    said = [
+    warnings = [
         *recipe.other_attribution(scans),
         *_other_cameras(recipe, [row.scan for row in rows if row.fetched]),
     ]
-    console.lines("warning", console.at_most(said), "yellow")
+    console.lines("warning", console.at_most(warnings), "yellow")
     console.lines("error", console.at_most(errors), "red")
-    return (SOME_FAILED if here else CANNOT_BE_USED) if errors else 0
+    return (SOME_FAILED if present else CANNOT_BE_USED) if errors else 0
 
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:

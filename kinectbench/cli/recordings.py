@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
     from kinectbench.settings.models import RecordingSettings
 
-# What `formats` says of the evidence for a reader.
+# How `formats` words the evidence for a reader.
 EVIDENCE = {
     "recording": "a real recording",
     "copy": "a real recording whose licence lets it be copied",
@@ -51,7 +51,7 @@ def init(
             f"{target}: is there already; edit it, or use --force to replace it", what="already-exists"
         )
     recordings = find_recordings(folder)
-    found = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
+    rows = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
     suffixes = name_suffixes()
     left_out = _without_recording(folder, [path for path, _ in recordings], suffixes)
     if left_out:
@@ -60,17 +60,17 @@ def init(
         names += f" and {more} more" if more > 0 else ""
         why = "`kinectbench inspect FOLDER` says why"
         console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
-    text = init_benchmark(folder, found, suffixes)
+    text = init_benchmark(folder, rows, suffixes)
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    count = f"{len(found)} recording{'s' * (len(found) != 1)}"
+    count = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
     what = "category, object and underside of each, license and source"
     advice = f"{count}: fill in {what}, then run `kinectbench build`"
     common.tell([str(target)], [f"wrote {target}", advice])
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
-    """The folders, and files named as recordings are, that no reader takes, at any depth, none in another.
+    """Folders, and files named like recordings, that no reader recognises, at any depth, without nested ones.
 
     Folders that hold results, the truth of a simulated recording or hidden files are no recordings; nor are
     those of a program, beside its pyproject.toml.
@@ -80,14 +80,14 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
         recordings: those found in it.
         suffixes: endings of files that are recordings, such as ".bag".
     """
-    found = set(recordings)
+    known = set(recordings)
     holding = {parent for path in recordings for parent in path.relative_to(folder).parents}
-    left, waiting = list[Path](), [] if folder in found else [folder]
+    left, waiting = list[Path](), [] if folder in known else [folder]
     while waiting:
         parent = waiting.pop(0)
         ours = parent == folder or (parent / "benchmark.yaml").is_file()
         for child in _children(parent):
-            if child in found or child.name.startswith(".") or (ours and child.name in OURS):
+            if child in known or child.name.startswith(".") or (ours and child.name in OURS):
                 continue
             if child.relative_to(folder) in holding:
                 waiting.append(child)
@@ -100,7 +100,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
 
 
 def _children(folder: Path) -> list[Path]:
-    """What lies in a folder, sorted; nothing of one that cannot be read."""
+    """The sorted content of a folder; empty if it is unreadable."""
     try:
         return sorted(folder.iterdir())
     except OSError:
@@ -109,7 +109,7 @@ def _children(folder: Path) -> list[Path]:
 
 @takes("as_json")
 def formats(common: Common) -> None:
-    """List the formats of recordings that are read, what tells each, and on what it was verified."""
+    """List the recording formats, how each is recognised, and on which data it was verified."""
     from kinectbench.stages.ingest.readers import FORMATS, reader_of
 
     rows, lines = [], []
@@ -133,17 +133,17 @@ def inspect(
     page: Annotated[Path | None, typer.Option(help="write a page with a contact sheet to this file")] = None,
     follow_links: Annotated[bool, typer.Option("--follow-links", help="follow links inside it")] = False,
 ) -> int:
-    """Say in seconds what is wrong with a recording, and what to do about it; nothing is built."""
+    """Report in seconds what is wrong with a recording, and the remedy; builds nothing."""
     from kinectbench.cli import console
     from kinectbench.doctor import inspect as look_over
     from kinectbench.settings.models import CameraSettings, TrackingSettings
     from kinectbench.settings.overrides import settings_from_options
 
     known = _of_benchmark(recording)
-    said = known.camera.model_dump(exclude_unset=True) if known and known.camera else {}
-    camera = settings_from_options(CameraSettings, said, overrides or [], "camera")
+    camera_settings = known.camera.model_dump(exclude_unset=True) if known and known.camera else {}
+    camera = settings_from_options(CameraSettings, camera_settings, overrides or [], "camera")
     path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
-    given = camera if said or overrides else None
+    given = camera if camera_settings or overrides else None
     diagnosis, look = look_over(
         path,
         given,
@@ -160,7 +160,7 @@ def inspect(
 
         write_page(diagnosis, look, page)
     if common.as_json:
-        findings = [asdict(found) for found in diagnosis.findings]
+        findings = [asdict(finding) for finding in diagnosis.findings]
         console.say_json({"verdict": diagnosis.verdict, **diagnosis.facts, "findings": findings})
     else:
         _show(diagnosis)
@@ -170,7 +170,7 @@ def inspect(
 
 
 def _of_benchmark(name: str) -> "RecordingSettings | None":
-    """The recording of that id of the benchmark here; None if there is none, or another path of that name."""
+    """The benchmark's recording with that id; None if there is none, or if a path has that name."""
     if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None
     return next((known for known in Common().settings.recordings if known.id == name), None)
@@ -183,10 +183,10 @@ def _show(diagnosis: "Diagnosis") -> None:
     from kinectbench.doctor.finding import figures
 
     console.say(*(f"{name}: {value}" for name, value in figures(diagnosis.facts)))
-    for found in diagnosis.findings:
-        head = Text(f"{found.severity}: {found.name}: ", style=STYLES[found.severity])
-        advice = f"; {found.advice}" if found.advice else ""
-        # What recordings say of themselves comes from strangers: never markup.
-        text = Text.assemble(head, console.one_line(f"{found.what}{advice}"))
+    for finding in diagnosis.findings:
+        head = Text(f"{finding.severity}: {finding.name}: ", style=STYLES[finding.severity])
+        advice = f"; {finding.advice}" if finding.advice else ""
+        # Texts of recordings are untrusted: never markup.
+        text = Text.assemble(head, console.one_line(f"{finding.what}{advice}"))
         console.out.print(text, highlight=False, soft_wrap=True)
     console.say(f"verdict: {diagnosis.verdict}")

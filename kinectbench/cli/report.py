@@ -41,7 +41,7 @@ def report(
         for path in find_scores(scores or ()):
             read_table(path)
     release = None if common.benchmark is None else open_release(release_here(common.benchmark))
-    rows = [] if release else build_recordings(common, ids, "pairs", told=True)
+    rows = [] if release else build_recordings(common, ids, "pairs", brief=True)
     page = write_page(common, release, scores or common.beside("scores"), out, baselines)
     common.tell_written(page.resolve())
     return exit_status(rows)
@@ -81,7 +81,7 @@ def write_page(
     out: Path | None = None,
     baselines: bool = True,
 ) -> Path:
-    """The page of scores: of a release alone, or else of the benchmark here with what is built of it."""
+    """The page of scores: of a release alone, or of the local benchmark with its build."""
     from kinectbench.cli import console
     from kinectbench.report.run import page_of_benchmark, page_of_release
 

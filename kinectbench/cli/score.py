@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PROTOCOLS = "paper, known, occluded, measured, known-unsaid, or of the camera frame camera, aligned"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
-# Options that say what `--recheck` takes from the table, or write what it does not.
+# Options that `--recheck` takes from the table, or whose files it does not write.
 FROM_THE_TABLE = (
     *("method", "protocol", "save_thresholds", "missing", "upsampling", "surface"),
     *("baselines", "gallery", "out"),
@@ -115,13 +115,13 @@ def _score_part(
             progress=progress,
             **given,
         )
-    told = f"part {common.part} is counted; when all are, the same command without --shard makes the table"
-    common.tell({"shard": common.shard, "failed": failed}, [told])
+    message = f"part {common.part} is counted; when all are, the same command without --shard makes the table"
+    common.tell({"shard": common.shard, "failed": failed}, [message])
     return SOME_FAILED if failed else 0
 
 
 def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
-    """Those of predictions in the camera frame."""
+    """The scores of predictions in the camera frame."""
     from kinectbench.core.artefacts.score_figures import any_in_space
 
     return [table for table in tables if any_in_space(table.settings.protocols)]
@@ -130,7 +130,7 @@ def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
 def tell_scores(
     common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path
 ) -> None:
-    """The scores: a table for people, or the means over all categories for machines."""
+    """The scores: a table, or as JSON the means over all categories."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table
     from kinectbench.cli.space_tables import space_table
@@ -154,7 +154,7 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Score again as a table says that it was scored; only its file of thresholds is an option."""
+    """Score again as a table states; only its file of thresholds is an option."""
     from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
@@ -203,7 +203,7 @@ def _tables(
     known: Mapping[str, Any],
     of_one: Mapping[str, Any],
 ) -> "list[ScoreTable]":
-    """Score the predictions, or without them the baselines, and tell problems; `of_one`: of one method."""
+    """Score the predictions, or else the baselines, and print problems; `of_one`: of one method."""
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.score import score_methods
@@ -219,7 +219,7 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Refuse options of one method where no predictions are named."""
+    """Refuse options of a single method if no predictions are named."""
     options = {**of_one, "cluster": common.cluster}
     given = [
         f"--{name.replace('_', '-')}"
@@ -237,7 +237,7 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """The baselines that are not among the methods already; none beside a table of very many rows.
+    """The baselines that are not among the methods; none beside a table of very many rows.
 
     Beside predictions in the camera frame they are solids there; none where those are of free size.
     """
@@ -297,10 +297,10 @@ def compare(
     from kinectbench.scoring.read_table import read_table
 
     tables = [read_table(path) for path in find_scores(scores)]
-    found = compare_tables(tables, metric, protocol)
+    comparison = compare_tables(tables, metric, protocol)
     if common.as_json:
-        console.say_json(asdict(found))
+        console.say_json(asdict(comparison))
         return
-    for table in comparison_tables(found):
+    for table in comparison_tables(comparison):
         console.out.print(table)
-    console.lines("note", found.notes, "yellow")
+    console.lines("note", comparison.notes, "yellow")

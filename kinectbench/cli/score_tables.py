@@ -1,4 +1,4 @@
-"""The tables of scores that people see in the terminal: methods by categories, and pairs of methods."""
+"""Terminal tables of scores: methods by categories, and pairs of methods."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -53,8 +53,8 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
     shares = [of[c].truth_unknown_share if c in of else None for of in of_truth for c in columns]
     _add_unknown(result, shares)
     left_out = dict.fromkeys(t.left_out_line(p) for t in tables for p in t.settings.protocols)
-    said = [*_marks(tables), UNKNOWN_NOTE if _told(shares) else "", *left_out]
-    result.caption = "\n".join(filter(None, said)) or None
+    notes = [*_marks(tables), UNKNOWN_NOTE if _any_known(shares) else "", *left_out]
+    result.caption = "\n".join(filter(None, notes)) or None
     if published and "paper" in protocols and set(columns) & set(CATEGORIES):
         recordings = {row.recording for table in tables for row in table.rows}
         _add_published(result, protocols, columns, published_beside(recordings))
@@ -67,7 +67,7 @@ def is_baseline(table: ScoreTable) -> bool:
 
 
 def _name(table: ScoreTable) -> str:
-    """A method's name, with what is to be known before its figures are read."""
+    """A method's name, with the marks that qualify its figures."""
     star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
         count = len(table.failures)
@@ -76,12 +76,12 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """The marks of a method; that it is a baseline stands behind its name."""
+    """The marks of a method, without that of baselines, which follows its name."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
 def _marks(tables: Sequence[ScoreTable]) -> list[str]:
-    """What the stars mean, a line for each meaning; and which tables are reported, which verified."""
+    """The meaning of each star, a line each; and which tables are reported, which verified."""
     meant: dict[str, list[str]] = {}
     for table in tables:
         if words := "; ".join(_own_marks(table)):
@@ -96,7 +96,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """A standing, with who says so: the mark is no signature, and anybody can write it."""
+    """A standing and its source: anybody can write the mark into scores.json."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
@@ -106,7 +106,7 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """The paper's own figures, with a line below that says that they are no rivals of those above."""
+    """The paper's own figures, with a line below that they are not comparable with those above."""
     table.add_section()
     signs = "†‡"
     for sign, of in zip(signs, published, strict=False):
@@ -125,21 +125,21 @@ def _add_published(
         table.add_row(f"{entry.method} {sign}", *cells, style="dim")
 
 
-def _told(shares: Sequence[float | None]) -> bool:
-    """Whether any table says how much of the true shapes is not known."""
+def _any_known(shares: Sequence[float | None]) -> bool:
+    """Whether any table states which share of the true shapes is unknown."""
     return any(share is not None for share in shares)
 
 
 def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
-    """A last line: the share of the true shapes that is not known; none where no table says it."""
-    if _told(shares):
+    """A last line with the unknown share of the true shapes, if a table states it."""
+    if _any_known(shares):
         table.add_section()
         cells = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
         table.add_row("truth unknown", *cells, style="dim")
 
 
 def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) -> list[str]:
-    """The cells of one method; they are empty where a part of its predictions failed."""
+    """The cells of one method; empty if part of its predictions failed."""
     cells = []
     for protocol in protocols:
         averages = table.averages(protocol)
@@ -151,28 +151,28 @@ def _cell(iou: float | None, ce: float | None) -> str:
     return "" if iou is None or ce is None else f"{iou:.3f} / {ce:.3f}"
 
 
-def comparison_tables(found: Comparison) -> "list[WideTable]":
+def comparison_tables(result: Comparison) -> "list[WideTable]":
     """Groups and means of every method, and every pair of methods."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable
 
-    better = "higher" if found.metric in SHARES else "lower"
-    means = WideTable(title=f"group and {found.metric} under {found.protocol}, {better} is better")
+    better = "higher" if result.metric in SHARES else "lower"
+    means = WideTable(title=f"group and {result.metric} under {result.protocol}, {better} is better")
     means.add_column("method")
-    for scope in found.means:
+    for scope in result.means:
         means.add_column(scope, justify="right")
-    for name in found.methods:
-        cells = [f"{found.groups[scope][name]}  {found.means[scope][name]:.3f}" for scope in found.means]
+    for name in result.methods:
+        cells = [f"{result.groups[scope][name]}  {result.means[scope][name]:.3f}" for scope in result.means]
         means.add_row(Text(name), *cells)
-    shares = [found.truth_unknown_share[scope] for scope in found.means]
+    shares = [result.truth_unknown_share[scope] for scope in result.means]
     _add_unknown(means, shares)
-    stands = [f"{name}: {_as_stated(standing)}" for name, standing in found.standings.items()]
-    means.caption = "\n".join([GROUPS_NOTE, *stands, *([UNKNOWN_NOTE] if _told(shares) else [])])
+    stands = [f"{name}: {_as_stated(standing)}" for name, standing in result.standings.items()]
+    means.caption = "\n".join([GROUPS_NOTE, *stands, *([UNKNOWN_NOTE] if _any_known(shares) else [])])
     pairs = WideTable(title="differences, object by object", keep=2)
     for column in ("methods", "scope", "difference", "95 %", "p", "p (Holm)", ""):
         pairs.add_column(column, justify="left" if column in ("methods", "scope", "") else "right")
-    for row in found.differences:
+    for row in result.differences:
         between = "" if row.interval is None else "{:+.3f} to {:+.3f}".format(*row.interval)
         cells = [row.scope, f"{row.mean:+.3f}", between, f"{row.p:.2g}", f"{row.p_holm:.2g}", row.verdict]
         pairs.add_row(Text(f"{row.first} - {row.second}"), *map(Text, cells))

@@ -55,8 +55,8 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
     rows = build_recordings(common, ids, SUGGEST.name, (SUGGEST.name,) if common.force else ())
     listed = [None if row.error else _candidates(common.root, row.recording) for row in rows]
     if common.as_json:
-        found = [None if each is None else each.json_value() for each in listed]
-        both = zip(rows, found, strict=True)
+        values = [None if each is None else each.json_value() for each in listed]
+        both = zip(rows, values, strict=True)
         console.say_json([{**row.summary.json_value(), "candidates": boxes} for row, boxes in both])
     else:
         for row, each in zip(rows, listed, strict=True):
@@ -73,24 +73,24 @@ def _carry_masks(common: Common, ids: list[str] | None) -> int:
     root = common.root  # masks in a store are not renamed
     rows = build_recordings(common, ids, "ingest", ("ingest",) if common.force else ())
     failed = {row.recording for row in rows if row.error}
-    told = []
+    entries = []
     for job in chosen_jobs(common, ids):
         name = job.recording.id
         if name in failed:
             continue
         moved, left = carry_masks(replace(job, root=root))
-        told.append({"recording": name, "moved": dict(moved), "left": left})
+        entries.append({"recording": name, "moved": dict(moved), "left": left})
         if not common.as_json:
             lines = [f"{name}: {old} is now {new}" for old, new in moved]
             console.say(*lines or [f"{name}: no mask has another name now"])
         console.recording_lines(name, "error", left, "red")
     if common.as_json:
-        console.say_json(told)
-    return exit_status(rows) or (SOME_FAILED if any(each["left"] for each in told) else 0)
+        console.say_json(entries)
+    return exit_status(rows) or (SOME_FAILED if any(each["left"] for each in entries) else 0)
 
 
 def _candidates(root: Path, recording: str) -> "CandidatesFile":
-    """What candidates.json says, pictures as paths from here."""
+    """The content of candidates.json, with paths of pictures relative to the working folder."""
     from kinectbench.core.artefacts.object import CandidatesFile
     from kinectbench.engine.stages import SUGGEST
 
@@ -117,7 +117,7 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
 
 
 def _pick(common: Common, ids: list[str] | None, number: int) -> int:
-    """Write the box of a candidate that was listed before to benchmark.yaml, or to where the recording is.
+    """Write the box of a listed candidate to benchmark.yaml, or beside the recording.
 
     Nothing is built: `build` does that, with the options that it offers.
     """
@@ -134,6 +134,6 @@ def _pick(common: Common, ids: list[str] | None, number: int) -> int:
     text = with_box(read_plain_text(path), str(path), ids[0], box)
     with replaced_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    said = f"wrote box {number} of {ids[0]} to {path}; `kinectbench build {ids[0]}` uses it"
-    common.tell({"recording": ids[0], "box": box.json_value(), "file": str(path)}, [said])
+    message = f"wrote box {number} of {ids[0]} to {path}; `kinectbench build {ids[0]}` uses it"
+    common.tell({"recording": ids[0], "box": box.json_value(), "file": str(path)}, [message])
     return 0

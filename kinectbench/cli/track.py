@@ -1,4 +1,4 @@
-"""`kinectbench track`, and the comparison of what it finds with a trajectory in TUM format."""
+"""`kinectbench track`, and the comparison of its trajectory with one in TUM format."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ COMPARED = {
     "rpe_metre_mm": "mm/m",
     "rpe_metre_deg": "°/m",
 }
-# Poses this close to the reference are the same ones, but for rounding.
+# Poses this close to the reference are the same ones, except for rounding.
 SAME_M = 1e-6
 
 
@@ -51,7 +51,7 @@ class _Compared:
     picture: Path
 
     def json_value(self) -> dict[str, Any]:
-        """As it is shown and printed: millimetres and degrees."""
+        """The printed values, in millimetres and degrees."""
         what = {"with_itself": self.with_itself, "picture": str(self.picture)}
         return {"recording": self.recording, **self.comparison.row(), **what}
 
@@ -73,10 +73,10 @@ def track(
     from kinectbench.cli import console
     from kinectbench.engine.summary import BuiltRecording
 
-    # A file that cannot be read is told before anything is built.
+    # Report an unreadable file before anything is built.
     reference = None if compare is None else _reference(compare)
-    found = build_recordings(common, ids, "track", ("track",) if common.force else ())
-    rows = [each.summary for each in found]
+    built_rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
+    rows = [each.summary for each in built_rows]
     compared: list[_Compared | None] = [None] * len(rows)
     if compare is not None and reference is not None:
         for index, row in enumerate(rows):
@@ -85,8 +85,8 @@ def track(
     if common.as_json:
         values = [row.json_value() for row in rows]
         if compare is not None:
-            told = [one and one.json_value() for one in compared]
-            values = [value | {"comparison": one} for value, one in zip(values, told, strict=True)]
+            comparisons = [one and one.json_value() for one in compared]
+            values = [value | {"comparison": one} for value, one in zip(values, comparisons, strict=True)]
         console.say_json(values)
     else:
         show_rows([BuiltRecording.of(row) for row in rows], "track")
@@ -133,7 +133,7 @@ def _compare(
 
 
 def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
-    """A line per recording whose trajectory is up to date: its verdict, and what would be better."""
+    """A line per recording with a current trajectory: its verdict, and possible improvements."""
     for row in rows:
         # A failed run may have left an older trajectory, of other settings.
         if row.verdict is None or "track" not in (*row.made, *row.current):
@@ -145,7 +145,7 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
 
 
 def _clock_line(recording: str, clock: "ClockOffset") -> str:
-    """How far the reference's clock is off, what that costs, and the setting that says so."""
+    """The clock offset of the reference, its effect, and the setting that corrects it."""
     when = f"{abs(1000 * clock.late_s):.0f} ms {'late' if clock.late_s > 0 else 'early'}"
     return (
         f"{recording}: the stamps of the reference are {when}: moved by that, ATE is "

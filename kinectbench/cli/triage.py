@@ -1,4 +1,4 @@
-"""`kinectbench triage`: which recordings can be trusted, which a person should look at."""
+"""`kinectbench triage`: which recordings are trustworthy, and which need a person's review."""
 
 from textwrap import shorten
 
@@ -22,32 +22,32 @@ def triage(common: Common, ids: Ids = None) -> int:
     from kinectbench.report.triage import write_triage_page
 
     settings, root = common.settings, common.root
-    rows = build_recordings(common, ids, "pairs", told=True)
+    rows = build_recordings(common, ids, "pairs", brief=True)
     if ids:
         chosen = tuple(each for each in settings.recordings if each.id in ids)
         settings = settings.model_copy(update={"recordings": chosen})
-    found = sorted_out(settings, root / "build", built(rows))
+    result = sorted_out(settings, root / "build", built(rows))
     page = root / "triage" / "index.html"
     if not ids:
         page.parent.mkdir(exist_ok=True)
-        with replaced_file(page.parent / found.FILE) as temporary:
-            temporary.write_text(found.text(), encoding="utf-8")
+        with replaced_file(page.parent / result.FILE) as temporary:
+            temporary.write_text(result.text(), encoding="utf-8")
         with console.bar("triage") as progress:
-            write_triage_page(settings.name, found, root / "build", page, progress)
-    console.lines("warning", [pair.line for pair in found.same_object], "yellow")
+            write_triage_page(settings.name, result, root / "build", page, progress)
+    console.lines("warning", [pair.line for pair in result.same_object], "yellow")
     shown = [
         {"recording": row.recording, "decision": row.decision, "reason": _first(row.reasons, row.review)}
-        for row in found.rows
+        for row in result.rows
     ]
     if not common.as_json:
         console.out.print(console.table(shown[:SHOWN_RECORDINGS], COLUMNS, {}))
-    counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())
-    common.tell(found.json_value(), [counts, *([] if ids else [f"wrote {page.resolve()}"])])
+    counts = ", ".join(f"{decision} {count}" for decision, count in result.counts.items())
+    common.tell(result.json_value(), [counts, *([] if ids else [f"wrote {page.resolve()}"])])
     return exit_status(rows)
 
 
 def _first(reasons: tuple[str, ...], review: str | None) -> str:
-    """The first reason, or a person's, and how many more there are."""
+    """The first reason, the rules' or a person's, and the number of others."""
     lines = [*([f"review: {review}"] if review else []), *reasons]
     more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
     return f"{shorten(lines[0], REASON, placeholder=' …')}{more}" if lines else ""

@@ -48,26 +48,26 @@ def verify(
         raise SettingsError(f"--objects {objects}: only with --rebuild, which makes pairs again")
     url = url_of(release)
     with ExitStack() as stack:
-        here, problems = release, list[str]()
+        folder, problems = release, list[str]()
         if url is not None:
             # The folder itself holds the lock by which it is known to be in use.
-            here = stack.enter_context(scratch_folder()) / "release"
-            problems = [] if checksums else _brought(url, here)
+            folder = stack.enter_context(scratch_folder()) / "release"
+            problems = [] if checksums else _brought(url, folder)
         with console.bar("verify") as progress:
             if url is not None and checksums:
-                problems = verify_checksums(url, here, progress)
+                problems = verify_checksums(url, folder, progress)
             else:
-                problems += find_problems(here, progress, checksums_only=checksums)
+                problems += find_problems(folder, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
-            problems = _rebuild(here, rebuild, work, common.workers, objects)
-        first = not problems and is_of_first_identity(here)
+            problems = _rebuild(folder, rebuild, work, common.workers, objects)
+        first = not problems and is_of_first_identity(folder)
     more = "; its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
     common.tell_problems(problems, f"{shown(release)}: all well{more if first else ''}")
     return CANNOT_BE_USED if problems else 0
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Copy a release here as it is; what lies beside it in a line each."""
+    """Copy a release unchanged; returns a line for each file that is not part of it."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release
@@ -80,7 +80,7 @@ def _brought(url: str, folder: Path) -> list[str]:
 def _rebuild(
     release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
 ) -> list[str]:
-    """Build the release's recordings anew and say what differs; only a sound release comes here."""
+    """Build the release's recordings again and say what differs; only a sound release comes here."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job

@@ -1,4 +1,4 @@
-"""A table for terminals of any width: what does not fit beside each other stands below each other."""
+"""A table for terminals of any width: columns that do not fit are continued in a table below."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -18,9 +18,9 @@ TEXT_CELLS = 12
 
 
 class WideTable(Table):
-    """A table that is drawn in as many pieces as the width asks for; its first columns stand in each of them.
+    """A table split into as many pieces as the width requires; each piece repeats the first columns.
 
-    No cell is wrapped or shortened, but for those of the first column. With `whole` nothing is shortened: the
+    Only cells of the first column are wrapped or shortened. With `whole` nothing is shortened: the
     first column takes the room it needs, texts that are longer than the width have more lines.
     """
 
@@ -77,7 +77,7 @@ class WideTable(Table):
         return max((min(each, TEXT_CELLS if text else NAME_CELLS) for each, text in beside), default=0)
 
     def _width(self, index: int) -> int:
-        """Of the widest line in a column."""
+        """Width of the widest line in a column."""
         column = self.columns[index]
         texts = [str(column.header), *(str(cell) for cell in column.cells)]
         return max(cell_len(line) for text in texts for line in [*text.splitlines(), ""])

@@ -17,7 +17,7 @@ COLORS_RGB = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 1
 JUDGED_FRAMES = 60
 JUDGED_POINTS = 1500
 SEEN_M = 0.05
-# The thing is hidden in frames that see less than this share of what the best one sees.
+# An object is occluded in frames that see less than this share of the best frame's view.
 MIN_SEEN = 0.5
 # Among the other frames, the whole box in the image counts more than a few more points seen.
 WHOLE_WEIGHT = 2.0
@@ -187,7 +187,7 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """The surface's greatest height in each cell of the ground, NaN where there is none; its extent."""
+    """The surface's greatest height in each ground cell, NaN without a surface; its extent."""
     cells = np.floor(points_floor[:, :2] / PLAN_CELL_M).astype(int)
     first = cells.min(axis=0)
     shape = cells.max(axis=0) - first + 1

@@ -1,4 +1,4 @@
-"""Encoded images of strangers: what a PNG or a JPEG costs to decode is known from its head, and bounded.
+"""Untrusted encoded images: the head of a PNG or JPEG gives its decoding cost, which is bounded.
 
 OpenCV decodes whatever it is given: a PNG of a few kilobytes may claim a billion pixels, and each scan of a
 progressive JPEG goes over the whole image once more. So heads are read here first, by every room.
@@ -27,7 +27,7 @@ MOST_SCANS = 32
 
 
 class ImageHead(NamedTuple):
-    """What an encoded image says of itself.
+    """The header of an encoded image.
 
     Attributes:
         suffix: of its kind.
@@ -50,7 +50,7 @@ class ImageHead(NamedTuple):
 
 
 def image_head(data: bytes) -> ImageHead:
-    """Read the head of a PNG or JPEG, check that it is whole, and that decoding it is bounded.
+    """Read the header of a PNG or JPEG; check that it is complete and its decoding bounded.
 
     Raises:
         ValueError: it is neither, is cut off, is larger than an image can be, takes too many scans, or (PNG)
@@ -84,7 +84,7 @@ def decoded(data: bytes, mode: int) -> NDArray[np.generic]:
 
 
 def _png_head(data: bytes) -> ImageHead:
-    """The head of a PNG whose every chunk is whole."""
+    """The header of a complete PNG."""
     position, view = len(PNG_MAGIC), memoryview(data)
     for _ in range(MOST_PARTS):
         if position + 12 > len(data):
@@ -116,7 +116,7 @@ def _check_size(width: int, height: int) -> None:
 
 
 def _jpeg_head(data: bytes) -> ImageHead:
-    """The head of a JPEG that has its end marker, and whose decoding is bounded."""
+    """The header of a JPEG with its end marker and bounded decoding."""
     position, size = 2, None
     for _ in range(MOST_PARTS):
         if position + 4 > len(data) or data[position] != 0xFF:

@@ -5,7 +5,7 @@
 
 
 class KinectBenchError(Exception):
-    """Base of all errors with a one-line message: what, where, what to do. The data cannot be used.
+    """Base of all errors with a one-line message: what, where, what to do.
 
     Several arguments are as many lines.
 
@@ -25,7 +25,7 @@ class KinectBenchError(Exception):
 
     @property
     def code(self) -> str:
-        """`<kind>.<what>`: it stays the same where the lines are reworded."""
+        """`<kind>.<what>`, which stays the same if messages are reworded."""
         return f"{self.kind}.{self.what}"
 
     def __str__(self) -> str:
@@ -33,7 +33,7 @@ class KinectBenchError(Exception):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What is to be told, one line each."""
+        """The lines to print."""
         return tuple(map(str, self.args))
 
 
@@ -45,7 +45,7 @@ class SettingsError(KinectBenchError):
 
 
 class RecordingError(KinectBenchError):
-    """A recording cannot be read, or is not what it says."""
+    """A recording is unreadable or malformed."""
 
     kind, what = "recording", "malformed"
 
@@ -109,24 +109,24 @@ class StorageError(KinectBenchError):
 
 
 class ClusterError(KinectBenchError):
-    """A cluster cannot be reached or used any more; what was done on it is kept."""
+    """A cluster became unreachable or unusable; finished work is kept."""
 
     kind, what = "cluster", "task-failed"
 
 
-# The code where there is no error of Python's: a process was killed, or hangs.
+# The code without a Python exception: a process was killed, or hangs.
 KILLED = "run.process-killed"
 
 
 def error_code(error: BaseException) -> str:
-    """The code of any error; of one that is no `KinectBenchError`, that of its cause."""
+    """The code of an error, or of its cause if it is no `KinectBenchError`."""
     if isinstance(error, KinectBenchError):
         return error.code
     return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"
 
 
 def internal_error(error: BaseException) -> str:
-    """One line about an error that nobody foresaw; for some there is advice."""
+    """One line about an unforeseen error, for some with advice."""
     text = " ".join(str(error).split())
     if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
         return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"

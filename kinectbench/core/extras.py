@@ -1,4 +1,4 @@
-"""What is not installed with kinectbench alone, and which extra brings it."""
+"""Optional modules, and the extra that installs each."""
 
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -37,13 +37,13 @@ def package_version(package: str) -> str | None:
 
 
 def missing_module(error: ModuleNotFoundError) -> str | None:
-    """One line about a module that an extra brings; None of any other module."""
+    """A message with the extra that installs a missing module; None for other modules."""
     module = (error.name or "").partition(".")[0]
     return _advice([module], EXTRA_OF[module]) if module in EXTRA_OF else None
 
 
 def missing_extra(extra: str) -> str | None:
-    """One line if something that an extra brings is not installed; else None."""
+    """A message if a module of an extra is not installed; else None."""
     missing = [module for module, of in EXTRA_OF.items() if of == extra and find_spec(module) is None]
     return _advice(missing, extra) if missing else None
 

@@ -31,7 +31,7 @@ def depth_picture(depth_mm: NDArray[np.uint16]) -> Rgb:
 
 
 def overlay_mask(picture: Rgb, mask: Bools) -> Rgb:
-    """Dim what lies outside a mask (height, width) and draw its contour; the picture has the mask's size."""
+    """Dim pixels outside a mask (height, width) and draw its contour; the picture has the mask's size."""
     import cv2
 
     result = np.ascontiguousarray(np.where(mask[..., None], picture, picture * 0.55), dtype=np.uint8)
@@ -41,7 +41,7 @@ def overlay_mask(picture: Rgb, mask: Bools) -> Rgb:
 
 
 def shrunk(picture: Rgb, size_px: int) -> Rgb:
-    """Reduce a picture, if need be, so that neither side is longer than `size_px`."""
+    """Reduce a picture if a side is longer than `size_px`."""
     import cv2
 
     height, width = picture.shape[:2]
@@ -117,11 +117,11 @@ MIN_COARSE_VARIANCE = 0.01
 
 
 def image_sharpness(gray: NDArray[np.uint8]) -> float:
-    """How much fine detail there is for the coarse detail that there is; NaN for an image without any.
+    """Ratio of fine to coarse detail of an image; NaN without any detail.
 
     The variance of the Laplacian (Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR
-    2000) over that of the smoothed image's: so it depends little on what is shown, and not on exposure (own
-    rule).
+    2000) over that of the smoothed image's: so it depends little on what is shown, and not on exposure
+    (chosen here).
 
     Args:
         gray: (height, width) uint8, about 320 wide, where less of its detail is the sensor's noise.
@@ -137,7 +137,7 @@ def image_sharpness(gray: NDArray[np.uint8]) -> float:
 
 
 def relative_blur(sharpness: Float64) -> Float64:
-    """How blurred each frame is, relative to the recording's median frame.
+    """The blur of each frame, relative to the recording's median frame.
 
     Args:
         sharpness: (n,), NaN where unknown.

@@ -1,4 +1,4 @@
-"""A long table on a page: its first rows stand there, and a script shows, searches and filters all."""
+"""A long table on a page: static first rows, and a script that shows, searches and filters all."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -39,30 +39,30 @@ class Listing:
 
     @property
     def first(self) -> Sequence[Sequence[str]]:
-        """The rows that are there without a script."""
+        """The rows that are shown without the script."""
         return self.rows[:PAGE_ROWS]
 
     @property
     def choices(self) -> dict[int, list[str]]:
         """The values of each column that has a choice, sorted."""
-        found = {column: sorted({row[column] for row in self.rows}) for column in self.filters}
-        return {column: values for column, values in found.items() if 1 < len(values) <= MOST_CHOICES}
+        by_column = {column: sorted({row[column] for row in self.rows}) for column in self.filters}
+        return {column: values for column, values in by_column.items() if 1 < len(values) <= MOST_CHOICES}
 
     @property
     def data(self) -> "Markup":
-        """All rows for the script; texts of strangers neither end its element nor steer the page."""
+        """All rows for the script; untrusted text cannot end its element."""
         rows = [[STEERING.sub("?", cell) for cell in row] for row in self.rows]
         return inert_json({"size": PAGE_ROWS, "links": dict(self.links), "rows": rows})
 
 
 def spread(items: Sequence[T], most: int) -> list[T]:
-    """The items, or of more than `most` so many, evenly spread from the first to the last."""
+    """At most `most` of the items, evenly spread from the first to the last."""
     count = min(most, len(items))
     return [items[round(at * (len(items) - 1) / max(1, count - 1))] for at in range(count)]
 
 
 def inert_json(content: Any) -> "Markup":
-    """JSON without a character that could end the element of a page that it stands in.
+    """JSON without characters that could end its element of a page.
 
     Raises:
         ValueError: a number is not finite.

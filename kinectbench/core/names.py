@@ -1,4 +1,4 @@
-"""The names of recordings, objects and categories: what each may be, and which cannot stand together.
+"""The names of recordings, objects and categories: valid forms, and conflicts.
 
 They name folders beside files of ours, and are keys of averages: all that reads or makes them asks here.
 """
@@ -29,8 +29,8 @@ def category_problem(category: str) -> str | None:
 def _checked(problem: Callable[[str], str | None]) -> AfterValidator:
     def check(value: str) -> str:
         """The name itself; ValueError if it is none."""
-        if said := problem(value):
-            raise ValueError(said)
+        if fault := problem(value):
+            raise ValueError(fault)
         return value
 
     return AfterValidator(check)
@@ -39,12 +39,12 @@ def _checked(problem: Callable[[str], str | None]) -> AfterValidator:
 # What a person names a recording, an object or a benchmark; and a category.
 Name = Annotated[str, _checked(name_problem)]
 Category = Annotated[str, _checked(category_problem)]
-# A category as a stranger's file names it: files of ours never lie beside it.
+# A category of an untrusted file: our files never lie beside it.
 StoredCategory = Annotated[str, _checked(reserved_problem)]
 
 
 class Named(NamedTuple):
-    """What a recording is of."""
+    """The names of a recording."""
 
     recording: str
     object: str
@@ -55,7 +55,7 @@ KINDS = ("recordings", "objects", "categories")
 
 
 class Clash(NamedTuple):
-    """Two names that cannot stand together.
+    """Two conflicting names.
 
     Attributes:
         problem: in words.
@@ -69,12 +69,12 @@ class Clash(NamedTuple):
 
 
 def unlike(kind: str, name: str, other: str) -> str:
-    """That two names of a kind, such as "objects", differ by case only, in words."""
+    """The problem that two names of a kind, such as "objects", differ only by case, as text."""
     return f"the {kind} '{other}' and '{name}' differ by case only: rename one of them"
 
 
 def first_clash(rows: Iterable[Named]) -> Clash | None:
-    """The first row whose names do not go with those of a row before; None if all do.
+    """The first row whose names contradict an earlier row; None if there is none.
 
     Recordings, objects and categories that differ by case only are one folder on some disks and one thing to
     whoever reads a table; and an object of two categories would count in both averages.

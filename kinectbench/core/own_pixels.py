@@ -1,4 +1,4 @@
-"""A recording seen through masks: what is left of it is the object; what surely is not says what is free."""
+"""A masked recording: pixels inside masks are the object; pixels certainly outside show free space."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,14 +22,14 @@ class OwnPixels:
 
     Attributes:
         frames: where the recording's frames lie.
-        masks: index -> (height, width) bool, or None for a frame without one, of which nothing is left.
+        masks: index -> (height, width) bool, or None for a frame without one, which is left out.
     """
 
     frames: FrameStore
     masks: Masks
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame within its mask less a pixel: (height, width) uint16, 0 elsewhere."""
+        """Depth of one frame within its mask, eroded by a pixel: (height, width) uint16, 0 elsewhere."""
         import cv2
 
         native, mask = self.frames.depth_native(index), self.masks(index)
@@ -39,7 +39,7 @@ class OwnPixels:
         return np.where(inside > 0, native, np.uint16(0))
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame as it was encoded, whole."""
+        """Encoded colour of one frame, unmasked."""
         return self.frames.color_encoded(index)
 
 
@@ -55,7 +55,7 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
     """
 
     def beside_m(index: int) -> Float32:
-        """Depth of a frame (height, width) in metres, 0 on the mask and beside it."""
+        """Depth of a frame (height, width) in metres, 0 on the mask and around it."""
         import cv2
 
         mask = masks(index)
@@ -68,15 +68,15 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
 
 
 def whole(sequence: Sequence) -> Sequence:
-    """The recording that `by_own_pixels` was given, or the same if it is whole."""
+    """The original recording of `by_own_pixels`, or the same if it is unmasked."""
     own = sequence.frames
     return replace(sequence, frames=own.frames, beside_m=None) if isinstance(own, OwnPixels) else sequence
 
 
 def frames_with_masks(sequence: Sequence, masks: Masks) -> Bools:
-    """Which frames have a mask that is not empty: (n,) bool."""
-    found = (masks(index) for index in range(len(sequence)))
-    return np.array([mask is not None and bool(mask.any()) for mask in found], dtype=bool)
+    """Frames with a mask that is not empty: (n,) bool."""
+    frame_masks = (masks(index) for index in range(len(sequence)))
+    return np.array([mask is not None and bool(mask.any()) for mask in frame_masks], dtype=bool)
 
 
 def _square(reach_px: int) -> NDArray[np.uint8]:

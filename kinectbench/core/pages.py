@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def render_page(template: str, shown: dict[str, Any]) -> str:
     """Lay out a page: HTML text, the same for the same input.
 
-    Names and reasons come from strangers: all text is escaped, and control characters show as `?`, except in
+    Names and reasons are untrusted: all text is escaped, and control characters show as `?`, except in
     the package's own files, which a template names by `packaged("core/page.css")`.
 
     Args:
@@ -32,7 +32,7 @@ def png_uri(png: bytes) -> str:
 
 @cache
 def environment() -> "Environment":
-    """Where templates are found, and how they show values."""
+    """The template environment: where templates are, and how values are escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -48,12 +48,12 @@ def environment() -> "Environment":
 
 
 def _shown(value: Any) -> Any:
-    """A value as a template shows it: a stranger's text does not steer how the page reads."""
+    """A value as a template shows it, without control characters."""
     return value if type(value) is not str else STEERING.sub("?", value)
 
 
 def _packaged(name: str) -> "Markup":
-    """A file of the package as it stands, by its path below the package."""
+    """A file of the package, unchanged, by its path below the package."""
     from markupsafe import Markup
 
     return Markup(resources.files("kinectbench").joinpath(name).read_text(encoding="utf-8"))

@@ -52,7 +52,7 @@ class Viewpoint:
 
 
 def look_along(forward: Float64, up: Float64) -> Float64:
-    """Rotation (3, 3), columns right, down, forward, of one who looks along `forward` (not along `up`)."""
+    """Rotation (3, 3), columns right, down, forward, of a viewer along `forward` (not parallel to `up`)."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -60,7 +60,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of that orientation whose square just holds the points (n, 3), n > 0, with a margin."""
+    """The viewpoint of that orientation whose square just fits the points (n, 3), n > 0, with a margin."""
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)
     size = high - low
@@ -69,18 +69,18 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
 
 
 def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
-    """Viewpoints that just hold the points (n, 3), z up, each from an azimuth and an elevation in degrees."""
-    found = []
+    """Viewpoints that just fit the points (n, 3), z up, each from an azimuth and an elevation in degrees."""
+    viewpoints = []
     for azimuth, elevation in np.radians(looks_deg):
         level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
         up = np.array([0.0, 0.0, 1.0])
         forward = np.cos(elevation) * level - np.sin(elevation) * up
-        found.append(fit_viewpoint(points_m, look_along(forward, up)))
-    return found
+        viewpoints.append(fit_viewpoint(points_m, look_along(forward, up)))
+    return viewpoints
 
 
 def ray_starts(viewpoint: Viewpoint, size_px: int) -> Float64:
-    """Where the rays through the pixels' centres start: (size_px, size_px, 3), the mesh's frame."""
+    """Origins of the rays through the pixels' centres: (size_px, size_px, 3), the mesh's frame."""
     right, down, forward = viewpoint.R_frame_view.T
     offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
     start = viewpoint.center_m - viewpoint.depth_m * forward
@@ -102,7 +102,7 @@ def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float6
 def cast_pieces(
     pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
-    """What `cast` returns of several meshes, and which is hit: (size_px, size_px), their number for none."""
+    """`cast` for several meshes, and the index of the mesh hit: (size_px, size_px); their number for none."""
     scene, tensor = raycaster(*pieces)
     rays = np.empty((size_px, size_px, 6), np.float32)
     rays[..., :3] = ray_starts(viewpoint, size_px)
@@ -157,7 +157,7 @@ def silhouette(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[F
 
 
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
-    """Surface of a grid of densities (nx, ny, nz) where they cross `level`, in metres of its frame."""
+    """The surface where a grid of densities (nx, ny, nz) crosses `level`, in metres of its frame."""
     # A density is larger inside: the faces look inward, which no picture shows.
     surface = isosurface(np.pad(density, 1), level=level)
     return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)
@@ -209,7 +209,7 @@ def new_figure(
 
 
 def figure_png(figure: "Figure", version: bool = False) -> bytes:
-    """A plot as a PNG file; `version` keeps that of the library in it."""
+    """A plot as a PNG file; `version` keeps the plotting library's version in it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata=None if version else {"Software": None})
     return buffer.getvalue()

@@ -14,7 +14,7 @@ from kinectbench.core.types import Bools, Float32, Float64, Int64
 
 @dataclass(frozen=True)
 class GivenTrajectory:
-    """The trajectory that came with a recording, as it was given.
+    """The trajectory of a recording, as given.
 
     Attributes:
         stamps_ns: (m,) int64, nanoseconds, strictly increasing, same clock as the frames.
@@ -25,7 +25,7 @@ class GivenTrajectory:
     T_world_camera: Float64
 
     def equals(self, other: "GivenTrajectory", tolerance_m: float) -> bool:
-        """Whether both hold the same poses at the same stamps, but for rounding.
+        """Whether both have the same poses at the same stamps, up to rounding.
 
         Rotations, whose entries have no unit, may differ by the number that `tolerance_m` is in metres.
         """
@@ -35,14 +35,14 @@ class GivenTrajectory:
 
 
 class FrameStore(Protocol):
-    """Where the frames of a sequence lie: any frame at random."""
+    """Random access to the frames of a sequence."""
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
         """Depth of one frame as recorded: (height, width) uint16, 0 = no measurement."""
         ...
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame as it was encoded: (suffix such as ".jpg", bytes), or None."""
+        """Encoded colour of one frame: (suffix such as ".jpg", bytes), or None."""
         ...
 
 
@@ -73,7 +73,7 @@ class Sequence:
             say.
         up_cameras: up in some frames' own axes, by an accelerometer.
         beside_m: of a recording whose depth is the object's only (`own_pixels`): index -> (height, width)
-            float32 metres, what was measured surely beside the object, 0 = nothing; else None.
+            float32 metres, depth that certainly is not the object's, 0 = nothing; else None.
     """
 
     camera: Camera
@@ -100,14 +100,14 @@ class Sequence:
         return corrected_depth_m(depth_m, self.depth_correction_per_m)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":
-        """The same recording, its depth in metres with a calibration."""
+        """The same recording with calibrated depth in metres."""
         if calibration.is_none:
             return replace(self, depth_correction_per_m=None)
         correction = calibration.correction_per_m(self.camera.width, self.camera.height)
         return replace(self, depth_correction_per_m=correction)
 
     def color_rgb(self, index: int) -> NDArray[np.uint8] | None:
-        """Colour of one frame: (height, width, 3) uint8 RGB, or None if there is none."""
+        """Colour of one frame: (height, width, 3) uint8 RGB; None without colour."""
         import cv2
 
         encoded = self.frames.color_encoded(index)
@@ -128,5 +128,5 @@ def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:
 
 
 def counts_frames(stamps_ns: Int64) -> bool:
-    """Whether stamps (n,) are those of a recording without any: they count frames in whole seconds."""
+    """Whether stamps (n,) only count frames, in whole seconds, as for recordings without times."""
     return bool(len(stamps_ns)) and not (stamps_ns % 10**9).any()

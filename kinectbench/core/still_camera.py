@@ -129,7 +129,7 @@ def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
     """
     ordered = np.sort(values, axis=0)  # NaN comes last
     last = (~np.isnan(values)).sum(axis=0) - 1
-    found = []
+    quantiles = []
     for share in shares:
         place = share * last
         below = np.floor(place).astype(np.intp)
@@ -137,8 +137,8 @@ def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
             np.take_along_axis(ordered, np.minimum(index, last)[None], axis=0)[0]
             for index in (below, below + 1)
         )
-        found.append((a + (b - a) * (place - below)).astype(np.float32))
-    return found
+        quantiles.append((a + (b - a) * (place - below)).astype(np.float32))
+    return quantiles
 
 
 class SomeWatched(NamedTuple):
@@ -190,11 +190,11 @@ def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> f
     """Ratio of the pixels with constant depth whose grey changes little; None without colour."""
     import cv2
 
-    there = [gray for gray in grays if gray is not None]
-    if len(there) < MIN_FRAMES or not still.any():
+    recorded = [gray for gray in grays if gray is not None]
+    if len(recorded) < MIN_FRAMES or not still.any():
         return None
     size = (still.shape[1], still.shape[0])
-    small = np.stack([cv2.resize(gray, size, interpolation=cv2.INTER_AREA)[still] for gray in there])
+    small = np.stack([cv2.resize(gray, size, interpolation=cv2.INTER_AREA)[still] for gray in recorded])
     values = small.astype(np.float32)
     # Exposure that adapts changes all pixels by a factor.
     values *= np.median(values) / np.maximum(np.median(values, axis=1, keepdims=True), 1)

@@ -1,4 +1,4 @@
-"""Where artefacts live, their fingerprints, and how they come to be on disk whole or not at all."""
+"""Storage of artefacts, their fingerprints, and atomic writes."""
 
 import contextlib
 import errno
@@ -50,7 +50,7 @@ def canonical_json(value: Any) -> str:
 
 
 def pretty_json(value: Any) -> str:
-    """JSON for people and files: indented, keys in the order given, ends in a newline."""
+    """Indented JSON with keys in the given order and a final newline."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
@@ -66,13 +66,13 @@ def sha256_file(path: Path) -> str:
 
 
 def write_below(path: Path, content: bytes) -> None:
-    """Write a file; the folders on its way are made where they are missing."""
+    """Write a file; create missing folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
 
 
 def open_to_add(path: Path) -> IO[str]:
-    """Open a plain file that lies there itself, or a new one, to read and to add to, without waiting.
+    """Open a plain file, or create it, to read and append, without blocking.
 
     Raises:
         StorageError: a link, a folder, a pipe or a device is there.
@@ -144,7 +144,7 @@ def reachable(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary sibling folder that takes `folder`'s place when the block ends well."""
+    """Yield a temporary sibling folder that replaces `folder` if the block succeeds."""
     # The name comes first: an interrupt right after the folder is made must find it to take away.
     temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
     _half_filled.add(temporary)
@@ -172,7 +172,7 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_half_filled() -> None:
-    """Remove the temporary folders and files being filled, as the process ends before their blocks do."""
+    """Remove unfinished temporary folders and files when the process ends before their blocks."""
     for temporary in tuple(_half_filled):
         with contextlib.suppress(OSError):  # there is none, or it is a folder
             temporary.unlink()
@@ -181,7 +181,7 @@ def remove_half_filled() -> None:
 
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling, an empty file to write; it takes `path`'s place when the block ends well.
+    """Yield a temporary sibling, an empty file to write; it replaces `path` if the block succeeds.
 
     Raises:
         StorageError: a folder, a pipe or a device is there, or no file can be made or written there.

@@ -1,4 +1,4 @@
-"""The threads that one recording may use; what comes out never depends on how many.
+"""The threads that one recording may use; results never depend on their number.
 
 Threads, as what takes long lets them run side by side: kernels without the interpreter's lock, and the codecs
 of OpenCV and zstandard. Every item is made by a pure function, and every part of an array by one thread.
@@ -26,7 +26,7 @@ _threads: ContextVar[int] = ContextVar("threads", default=1)
 
 @contextmanager
 def using_threads(count: int) -> Iterator[None]:
-    """Let `ahead` and `in_parts` use so many threads within the block."""
+    """Set the number of threads of `ahead` and `in_parts` within the block."""
     token = _threads.set(max(count, 1))
     try:
         yield
@@ -35,7 +35,7 @@ def using_threads(count: int) -> Iterator[None]:
 
 
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """The function's result of each item, in order; threads make the next ones while one is used.
+    """The function's results in order; threads compute the next ones ahead.
 
     One result more than there are threads waits at a time, so that memory is bounded. An error, of the
     function or of the items, is raised where its result would come.
@@ -65,7 +65,7 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
 def _begun(
     pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]
 ) -> Iterator[Future[Result]]:
-    """The next item's result, if there is one; where the items fail, their error in its place."""
+    """The next item's result, or the error that the iterator raised."""
     try:
         item = next(items)
     except StopIteration:

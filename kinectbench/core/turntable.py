@@ -50,7 +50,7 @@ def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None)
 
 
 def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
-    """RGB (n, 3), 0 to 255, of vertices: that of the nearest vertex of the scene, or clay if none is near.
+    """RGB (n, 3), 0 to 255, of vertices: from the nearest vertex of the scene, or clay if none is near.
 
     Args:
         vertices: (n, 3), metres, in the frame of the scene.
@@ -60,23 +60,23 @@ def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
     if scene is None or scene.colors is None:
         return colors
     low, high = vertices.min(axis=0) - NEAR_M, vertices.max(axis=0) + NEAR_M
-    here = ((scene.vertices >= low) & (scene.vertices <= high)).all(axis=1)
-    distance_m, nearest = cKDTree(scene.vertices[here]).query(vertices, distance_upper_bound=NEAR_M)
+    inside = ((scene.vertices >= low) & (scene.vertices <= high)).all(axis=1)
+    distance_m, nearest = cKDTree(scene.vertices[inside]).query(vertices, distance_upper_bound=NEAR_M)
     near = np.isfinite(distance_m)
-    colors[near] = scene.colors[here][nearest[near]]
+    colors[near] = scene.colors[inside][nearest[near]]
     return colors
 
 
 def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
-    """Points (n, 3) of the surface, no farther than a pixel from each other; normals and colours (n, 6)."""
+    """Points (n, 3) of the surface at most a pixel apart; normals and colours (n, 6)."""
     corners = mesh_px.vertices[mesh_px.faces]
     bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)
     longest = np.sqrt((sides[..., 0] ** 2 + sides[..., 1] ** 2 + sides[..., 2] ** 2).max(axis=1))
     parts = np.maximum(1, np.ceil(longest)).astype(int)
-    found: list[tuple[Float64, Float64]] = []
+    samples: list[tuple[Float64, Float64]] = []
     for count in np.unique(parts):
-        here = parts == count
+        selected = parts == count
         # The middles of the count * count triangles that a triangle is cut into.
         i, j = (each.ravel() for each in np.mgrid[:count, :count])
         up = i + j < count
@@ -84,20 +84,20 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
         b = np.concatenate([j[up] + 1 / 3, j[i + j < count - 1] + 2 / 3]) / count
         weights = (1 - a - b)[:, None], a[:, None], b[:, None]
         point, normal = (
-            sum(w * of[here, k][:, None] for k, w in enumerate(weights)).reshape(-1, of.shape[-1])
+            sum(w * of[selected, k][:, None] for k, w in enumerate(weights)).reshape(-1, of.shape[-1])
             for of in (corners, bends)
         )
-        found.append((point, normal))
-    return np.concatenate([p for p, _ in found]), np.concatenate([n for _, n in found])
+        samples.append((point, normal))
+    return np.concatenate([p for p, _ in samples]), np.concatenate([n for _, n in samples])
 
 
 def _frame(
     points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
-    """One picture: each pixel has the nearest of the points that fall on it."""
+    """One picture: each pixel shows its nearest point."""
 
     def seen(of: Float64) -> tuple[Float64, Float64, Float64]:
-        """Right, down and forward of one who looks at the origin from that azimuth and elevation."""
+        """Coordinates right, down and forward for a viewer at an azimuth and elevation."""
         (c, s), (level, steep) = turn, tilt
         towards = c * of[:, 0] + s * of[:, 1]
         right = c * of[:, 1] - s * of[:, 0]
@@ -115,7 +115,7 @@ def _frame(
     length = np.maximum(np.sqrt(facing[0] ** 2 + facing[1] ** 2 + facing[2] ** 2), 1e-9)
     lit = sum(float(to) * each for to, each in zip(LIGHT, facing, strict=True)) / length
     shade = (0.52 + 0.6 * np.clip(lit, 0.0, 1.0)) * (1 - 0.2 * forward[first] / size_px)
-    # Colours as recorded are lit already: they get half of it (own choice, by looking at pictures).
+    # Colours as recorded are lit already: they get half of it (chosen from pictures).
     shade = np.where((looks[first, 3:] == CLAY).all(axis=1), shade, (1 + shade) / 2)
     picture = np.full((size_px * size_px, 3), PAPER, np.float64)
     picture[hit] = shade[:, None] * looks[first, 3:]

@@ -1,4 +1,4 @@
-"""Types that every room uses."""
+"""Types shared by all rooms."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -21,7 +21,7 @@ NamedProgress = Callable[[str, int, int], None]
 
 # The part of a benchmark that a recording belongs to.
 Split = Literal["train", "validation", "test"]
-# What a person says of an object's underside, which no evidence tells where no camera looked at it. Closed:
+# A person's statement on an object's underside that no camera saw. Closed:
 # no space behind it that is open to the air; open: there is; unseen: nobody looked.
 Underside = Literal["closed", "open", "unseen"]
 # How the cube of a pair is placed, and how 4 x 4 x 4 of its cells become one.

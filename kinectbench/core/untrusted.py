@@ -1,4 +1,4 @@
-"""The one place where files of strangers are opened: plain files only, with a bound on what they cost.
+"""The one place that opens untrusted files: plain files only, with a bound on their cost.
 
 A recording, a release, a prediction or a table may come from anybody. A named pipe or a device in it would
 be waited for or read for ever, a file may be larger than memory, a name may lead out of its folder, and a
@@ -20,13 +20,13 @@ from typing import IO, Any
 
 # The first 64 KB tell every format apart.
 HEAD_BYTES = 64 << 10
-# A text whose reader says nothing else: a JSON file of ours, as a million lines of a hundred characters (own
-# choice).
+# A text whose reader says nothing else: a JSON file of ours, as a million lines of a hundred characters
+# (chosen here).
 TEXT_BYTES = 100 << 20
-# What a line for people quotes of a text that came from a file.
+# Characters of an untrusted text that a message quotes.
 QUOTED = 80
-# Of an image, pixels: what `camera:` in benchmark.yaml may say of a side, and twice a 4K camera's in all (own
-# choice). To look at depth or colour takes 14 bytes a pixel: 360 MB for the largest, with Python's libraries.
+# Of an image, pixels: what `camera:` in benchmark.yaml may say of a side, and twice a 4K camera's in all
+# (chosen here). Depth or colour takes 14 bytes a pixel to check: 360 MB for the largest, with the libraries.
 MOST_SIDE_PX, MOST_PIXELS = 8192, 1 << 24
 # An image as it is encoded: four bytes for each pixel of the largest.
 IMAGE_BYTES = 4 * MOST_PIXELS
@@ -45,7 +45,7 @@ COPIED_BYTES = 1 << 20
 
 
 def open_plain(path: Path) -> BufferedReader:
-    """Open a regular file to read, at the end of links, if any; nothing else, and without waiting.
+    """Open a regular file to read, following links, without blocking.
 
     Raises:
         OSError: it is missing or cannot be read; EINVAL: it is a folder, a pipe, a socket or a device.
@@ -61,12 +61,12 @@ def open_plain(path: Path) -> BufferedReader:
 
 
 def size_of(file: IO[bytes]) -> int:
-    """The bytes that an open file has; its path may lead to another meanwhile."""
+    """The size of an open file, whatever its path leads to now."""
     return os.fstat(file.fileno()).st_size
 
 
 def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]"]:
-    """What lies in a folder, one after another, in no order; all names together could fill the memory.
+    """The entries of a folder, unordered, one at a time, so that many names cannot fill the memory.
 
     Args:
         folder: a folder.
@@ -128,7 +128,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     """
     with open_plain(path) as file:
         size = size_of(file)
-        # The loop reads what came to the file meanwhile, and the kernel's own files, which say 0 bytes.
+        # The loop also reads appended data, and the kernel's files, whose stated size is 0.
         content = file.read(size + 1) if size <= most_bytes else b""
         while size < len(content) <= most_bytes and (more := file.read(COPIED_BYTES)):
             content += more
@@ -148,12 +148,12 @@ def read_head(path: Path, count: int = HEAD_BYTES) -> bytes:
 
 
 def is_too_large(width: float, height: float) -> bool:
-    """Whether an image has more pixels than are read; memory is asked for by its size."""
+    """Whether an image has too many pixels to be read."""
     return max(width, height) > MOST_SIDE_PX or width * height > MOST_PIXELS
 
 
 def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:
-    """Copy what a stream unpacks, as far as a bound.
+    """Copy a decompressed stream up to a bound.
 
     Raises:
         OSError: EFBIG: there is more of it.
@@ -167,7 +167,7 @@ def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:
 
 
 def unpacked_bound(packed_bytes: int) -> int:
-    """What a whole file of this size may unpack to, bytes."""
+    """Maximum unpacked size of a file of this size, bytes."""
     return ALWAYS_BYTES + MOST_RATIO * packed_bytes
 
 
@@ -189,7 +189,7 @@ def decoded(content: bytes, most_bytes: int, where: str) -> str:
     Args:
         content: in UTF-8.
         most_bytes: that the text may take in memory.
-        where: what the error names.
+        where: the file in the error.
 
     Raises:
         OSError: EFBIG: it takes more.
@@ -207,7 +207,7 @@ _WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 
 
 def below(folder: Path, name: str) -> Path:
-    """The path of a file that an index names, relative to its folder. A hidden one is no part of anything.
+    """The path of a file that an index names, relative to its folder. Hidden files are ignored.
 
     Args:
         folder: that the names are relative to.
@@ -229,7 +229,7 @@ def below(folder: Path, name: str) -> Path:
 
 
 def lies_below(path: Path, root: Path) -> bool:
-    """Whether a path, its links followed, lies below a folder, whose own links are followed already."""
+    """Whether a path, with its links resolved, lies below a folder that is already resolved."""
     try:
         return path.resolve().is_relative_to(root)
     except (OSError, RuntimeError):  # links that lead to each other
@@ -237,7 +237,7 @@ def lies_below(path: Path, root: Path) -> bool:
 
 
 def followed(path: Path) -> Path:
-    """A path with its links followed; of links that lead to each other itself, which nobody can open."""
+    """A path with its links resolved; a cycle of links is returned as it is, and cannot be opened."""
     try:
         return path.resolve()
     except (OSError, RuntimeError):
@@ -245,7 +245,7 @@ def followed(path: Path) -> Path:
 
 
 def _can_be(way: PurePosixPath) -> bool:
-    """Whether a file can have such a path."""
+    """Whether a path is valid for a file."""
     try:
         return len(str(way)) <= MOST_NAME and all(len(part.encode()) <= MOST_PART_BYTES for part in way.parts)
     except UnicodeEncodeError:  # half of a pair of surrogates, as JSON may hold
@@ -253,19 +253,19 @@ def _can_be(way: PurePosixPath) -> bool:
 
 
 def quoted(value: Any) -> str:
-    """A value that was parsed, as a line for people may quote it: in Python's words, and short."""
+    """A parsed value for messages: its short `repr`."""
     return printable(reprlib.repr(value))
 
 
-# Control characters but for tab and line feed, separators of lines, and what turns the direction of writing.
+# Control characters except tab and line feed, line separators, and marks of the writing direction.
 STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def printable(text: str, most: int = QUOTED) -> str:
-    """A text from a file as a line for people may quote it: without control characters, and short.
+    """A text from a file for messages: short, without control characters.
 
     Characters that move the cursor, change the direction of writing or cannot be printed (Unicode's
-    categories C and line separators) become `?`; what is longer than `most` characters is cut in the middle.
+    categories C and line separators) become `?`; texts longer than `most` characters are cut in the middle.
     """
     half = most // 2
     short = text if len(text) <= most else f"{text[: half - 1]}…{text[-half:]}"
@@ -275,7 +275,7 @@ def printable(text: str, most: int = QUOTED) -> str:
 
 
 def cell(value: Any) -> Any:
-    """A value as a cell of a table for people: a text that a spreadsheet would take for a formula is quoted.
+    """A table cell; text that a spreadsheet would take for a formula is quoted.
 
     Numbers stay as they are, also those in a text. The signs are those of OWASP's "CSV Injection".
     """

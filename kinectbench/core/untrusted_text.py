@@ -1,7 +1,7 @@
-"""Texts of strangers as values, JSON and CSV: what they cost is known before they are parsed.
+"""Parse untrusted values, JSON and CSV; their cost is bounded before parsing.
 
-A text is bounded by who reads the file (`untrusted.py`). Here it is bounded what a short text becomes: a list
-in JSON takes three characters and fifty bytes of memory.
+Readers bound the text (`untrusted.py`). Here the parsed size of a short text is bounded: a list in
+JSON takes three characters and fifty bytes of memory.
 """
 
 import csv
@@ -15,8 +15,7 @@ from typing import Any, NoReturn
 from kinectbench.core.untrusted import printable
 
 # Values in one text: those of a quarter of a million lines of targets.csv, or of a benchmark.json of eleven
-# thousand recordings. Read as a model, a value takes 150 bytes, and
-# an object 700: it counts as three.
+# thousand recordings. Read as a model, a value takes 150 bytes, and an object 700: it counts as three.
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3
 # A key takes 330 bytes where it is first seen: ids of recordings, or pairs.
@@ -27,7 +26,7 @@ _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
 def strict_json(text: str, most_values: int = MOST_VALUES) -> Any:
-    """`parsed_json` without NaN and infinities, which are no JSON, and without a key twice: which counts?"""
+    """`parsed_json` without NaN, infinities and repeated keys."""
     return parsed_json(text, constants=False, most_values=most_values)
 
 
@@ -59,7 +58,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON, with no key twice."""
+    """A JSON object without repeated keys."""
     values = dict(pairs)
     if len(values) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -68,7 +67,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _counting(to_object: Callable[[list[tuple[str, Any]]], dict[str, Any]]) -> Callable[..., dict[str, Any]]:
-    """The same, with the keys of all objects of one text counted."""
+    """The same, counting the keys of all objects of a text."""
     keys = set[str]()
 
     def counted(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -99,15 +98,15 @@ def csv_rows(text: str) -> list[list[str]]:
             rows.append(row)
             begun = reader.line_num
     except csv.Error as error:
-        said = {
+        message = {
             "unexpected end of data": "a quote that is opened there is not closed",
             "',' expected after '\"'": "a quote is followed by neither a comma nor the end of the line",
         }.get(str(error), str(error))
-        raise ValueError(f"line {begun + 1}: {said}") from error
+        raise ValueError(f"line {begun + 1}: {message}") from error
     return rows
 
 
 def _check_values(text: str, signs: str, most: int = MOST_VALUES) -> None:
-    """Refuse a text with so many of the signs that stand between values."""
+    """Refuse a text with too many separators of values."""
     if len(text) > most and sum(text.count(sign) for sign in signs) > most:
         raise ValueError(f"it has more than {most} values")

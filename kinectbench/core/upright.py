@@ -1,4 +1,4 @@
-"""A recording whose rolling shutter is undone: its images as they would be, each taken at once."""
+"""A recording with its rolling shutter undone: its images as a global shutter would take them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class UprightFrames:
         frames: as they were recorded.
         camera: of them.
         depth_scale: native units per metre.
-        shutter: what is undone.
+        shutter: the shutter to undo.
         color_registered: colour pixels lie on depth pixels; other colour stays as it is.
     """
 
@@ -39,14 +39,14 @@ class UprightFrames:
     color_registered: bool
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame, upright: (height, width) uint16, 0 = no measurement."""
+        """Corrected depth of one frame: (height, width) uint16, 0 = no measurement."""
         native, shutter = self.frames.depth_native(index), self.shutter
         if not shutter.readout_s:
             return native
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame, upright and together with its depth: (suffix, bytes), or None."""
+        """Corrected colour of one frame, registered to its depth: (suffix, bytes), or None."""
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter
@@ -70,7 +70,7 @@ class UprightFrames:
 
 
 def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
-    """The same recording with its rolling shutter undone, in its masks, too; None: as it is."""
+    """The same recording with its rolling shutter undone, masks included; unchanged for None."""
     if shutter is None:
         return sequence
     frames = UprightFrames(
@@ -81,7 +81,7 @@ def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
 
 
 def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> Callable[[int], Bools | None]:
-    """Masks of a recording's frames as they were recorded, for a sequence whose frames may be upright."""
+    """Masks of recorded frames, for a sequence that may have its rolling shutter undone."""
     frames = sequence.frames
     if not isinstance(frames, UprightFrames):
         return masks

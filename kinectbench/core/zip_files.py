@@ -1,4 +1,4 @@
-"""Zip files of strangers: how much one holds is known from its end record, before its directory is read."""
+"""Untrusted zip files: the end record bounds the content before the directory is read."""
 
 import os
 import struct
@@ -11,7 +11,7 @@ _END, _LOCATOR, _END_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 _END_BYTES, _LOCATOR_BYTES, _END_64_BYTES = 22, 20, 56
 # The format counts its bytes in 16 bits.
 MOST_COMMENT_BYTES = 0xFFFF
-# A file's row in the directory: 46 bytes, its name and times (own choice; long names are no part of ours).
+# A file's row in the directory: 46 bytes, its name and times (chosen here; ours have no long names).
 ROW_BYTES = 1 << 10
 # By how much the directory of a few files may be larger.
 SLACK_BYTES = 64 << 10
@@ -32,7 +32,7 @@ DAMAGED_ZIP = (
 def open_zip(
     file: IO[bytes], most_files: int, most_bytes: int | None = None, row_bytes: int = ROW_BYTES
 ) -> zipfile.ZipFile:
-    """Open a zip whose directory is worth reading. The files themselves are not looked at.
+    """Open a zip after checking its directory; the entries are not checked.
 
     Args:
         file: open to read; it stays open.
@@ -43,7 +43,7 @@ def open_zip(
 
     Raises:
         ValueError: it holds more; the message says what.
-        zipfile.BadZipFile: it is no zip, or its directory is damaged.
+        zipfile.BadZipFile: it is not a zip, or its directory is damaged.
     """
     count, directory_bytes = _listed(file)
     if count > most_files:
@@ -64,7 +64,7 @@ def open_zip(
 
 
 def _listed(file: IO[bytes]) -> tuple[int, int]:
-    """The number of files and the bytes of the directory, as the end of a zip says.
+    """The number of files and size of the directory, from the zip's end record.
 
     It is found as zipfile does, where the record for large files lies right before its locator.
     """

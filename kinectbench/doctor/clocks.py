@@ -79,7 +79,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """The period at which frames are missing, if it is regular; else 0."""
+    """The period of regularly missing frames; else 0."""
     gaps = np.diff(np.flatnonzero(periods == 2))
     return int(gaps[0]) if len(gaps) > 3 and (gaps == gaps[0]).mean() > 0.9 else 0
 
@@ -122,7 +122,7 @@ def _doubled(probe: Probe) -> Iterator[Finding]:
 
 
 def check_partners(probe: Probe) -> Iterator[Finding]:
-    """Whether depth frames have colour, where there is colour at all."""
+    """Check that depth frames have colour, if the recording has colour."""
     depth_ns, color_ns = probe.recording.recorded_stamps_ns
     without = [frame.index for frame in probe.frames if frame.gray is None]
     share = 1 - len(without) / max(len(probe.frames), 1)

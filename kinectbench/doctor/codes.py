@@ -30,11 +30,11 @@ EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
 
 @dataclass(frozen=True)
 class Code:
-    """One way to read 16-bit depth.
+    """An encoding of 16-bit depth.
 
     Attributes:
         name: the name of the finding.
-        words: what the values mean.
+        words: the meaning of the values.
         advice: the setting to write, or how to export the values.
         metres: converts values (height, width) uint16, 0 = none, and their camera to metres.
     """
@@ -46,7 +46,7 @@ class Code:
 
 
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
-    """Report the scale or encoding under which the given poses fit, if they do not fit as it is.
+    """Report a scale or encoding that makes the given poses fit, if they do not fit now.
 
     Nothing is tried without poses, or if a depth code is set already. For float depth only the distance along
     the ray is tried, because its values are no longer those of the files.
@@ -63,12 +63,12 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     # Poses that fit as they are determine the scale, but distance along the ray differs by little.
     as_given = poses is not None and poses.fits and poses.convention.changes == 0
     codes = _along_the_ray(probe) if as_given or not _is_stored(probe) else _codes(probe)
-    found = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
+    fits = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
-        found = [each for each in found if each[1].residual_m < BETTER * poses.residual_m]
-    if not found:
+        fits = [each for each in fits if each[1].residual_m < BETTER * poses.residual_m]
+    if not fits:
         return
-    code, fit = min(found, key=lambda each: each[1].best)
+    code, fit = min(fits, key=lambda each: each[1].best)
     what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm"
     if as_given and poses is not None:  # by another scale the figures could not be compared
         what += f", and {1000 * poses.residual_m:.1f} mm as it is read"

@@ -32,12 +32,12 @@ ODD_BY, BESIDE_AGREE = 0.4, 0.55
 # In seven ordered recordings, real and simulated, neighbouring frames agree in 0.90 to 1.00 of their pixels,
 # which is at least 0.24 more than frames half the recording apart. In a shuffled one they agree in 0.63,
 # which is 0.03 less. In a static recording all frames agree. A few frames are not judged.
-MORE_ALIKE, STILL_ALIKE, FEWEST_IN_ORDER = 0.1, 0.9, 20
+MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """How well edges agree.
+    """The agreement of edges.
 
     Attributes:
         here: the score without a shift. `best`: the score at `shift_px`. `mirrored`: the best score with
@@ -84,7 +84,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Compare the result of the edges with what the recording states about its colour."""
+    """Compare the result of the edge test with the recording's claims about colour."""
     if fit is None:
         if probe.recording.color_registered and any(f.bgr is not None for f in probe.whole):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
@@ -112,7 +112,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
-    """1 where depth (height, width; 0 = none) jumps between measured neighbours, else 0, at a size (w, h)."""
+    """1 where depth (height, width; 0 = none) jumps between measured neighbours, else 0, at size (w, h)."""
     import cv2
 
     pixels = depth.astype(np.float32)
@@ -176,7 +176,7 @@ def _exposure(probe: Probe) -> Iterator[Finding]:
     jumps = [
         second.index
         for first, second in probe.neighbours()
-        if _brightness_ratio(first, second) > JUMP_RATIO and _alike(_thumb(first), _thumb(second)) > 0.8
+        if _brightness_ratio(first, second) > JUMP_RATIO and _match(_thumb(first), _thumb(second)) > 0.8
     ]
     if len(jumps) > FEW * len(grays):
         what = f"the brightness jumps before {len(jumps)} frames, such as {jumps[0]}"
@@ -207,17 +207,17 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
     if given is not None and not in_order_of_time(given.T_world_camera):
         return  # views in no order of time are not like those beside them
     if given is None and _shuffled(probe):
-        what = "frames that follow each other are no more alike than any two: they are in no order of time"
+        what = "frames that follow each other are no more similar than any two: they are in no order of time"
         advice = "number them in the order in which they were recorded, or give their poses"
         yield Finding("frame_order", "warning", what, probe.where, advice)
         return
     odd = []
-    for index, here in thumbs.items():
+    for index, thumb in thumbs.items():
         before, after = thumbs.get(index - 1), thumbs.get(index + 1)
         if before is None or after is None:
             continue
-        beside = _alike(before, after)
-        if beside > BESIDE_AGREE and max(_alike(before, here), _alike(here, after)) < beside - ODD_BY:
+        beside = _match(before, after)
+        if beside > BESIDE_AGREE and max(_match(before, thumb), _match(thumb, after)) < beside - ODD_BY:
             odd.append(index)
     if odd:
         what = (
@@ -233,10 +233,10 @@ def _shuffled(probe: Probe) -> bool:
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
     beside, apart = (
-        np.mean([_alike(first, second) for first, second in zip(thumbs, thumbs[step:], strict=False)])
+        np.mean([_match(first, second) for first, second in zip(thumbs, thumbs[step:], strict=False)])
         for step in (1, len(thumbs) // 2)
     )
-    return bool(beside < apart + MORE_ALIKE and beside < STILL_ALIKE)
+    return bool(beside < apart + MORE_SIMILAR and beside < STILL_SIMILAR)
 
 
 def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
@@ -245,7 +245,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(frame.depth_m, THUMB_PX, interpolation=cv2.INTER_NEAREST), np.float32)
 
 
-def _alike(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Ratio of the pixels measured in both images whose depths agree; 1 if there are none."""
     both = (first > 0) & (second > 0)
     if not both.any():

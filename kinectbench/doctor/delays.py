@@ -24,7 +24,7 @@ SMALL_PX = (80, 60)
 
 @dataclass(frozen=True)
 class Motion:
-    """How the image moves over time.
+    """Image motion over time.
 
     Attributes:
         times_ns: (n,) int64, increasing: the middle between two frames.
@@ -87,8 +87,8 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
         return -1.0
     # Relative times, because nanoseconds since 1970 exceed the precision of a float.
     at, known = (times[common] - second.times_ns[0]) / 1e9, (second.times_ns - second.times_ns[0]) / 1e9
-    there = np.stack([np.interp(at, known, second.shift_px_s[:, axis]) for axis in (0, 1)], axis=1)
-    a, b = (values - values.mean(axis=0) for values in (first.shift_px_s[common], there))
+    shifted = np.stack([np.interp(at, known, second.shift_px_s[:, axis]) for axis in (0, 1)], axis=1)
+    a, b = (values - values.mean(axis=0) for values in (first.shift_px_s[common], shifted))
     size = float(np.sqrt((a**2).sum() * (b**2).sum()))
     return float((a * b).sum()) / size if size > 0 else -1.0
 
@@ -184,14 +184,14 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
     depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
     color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
     middle = len(depth.times_ns) // 2
-    found: list[int] = []
+    delays_ns: list[int] = []
     for part in (slice(None), slice(middle), slice(middle, None)):
         delay_ns = estimate_delay_ns(Motion(depth.times_ns[part], depth.shift_px_s[part]), color)
         if delay_ns is None:
             return None
-        found.append(delay_ns)
+        delays_ns.append(delay_ns)
     apart_ns = max(LEAST_NS, float(np.median(np.diff(stamps_ns))))
-    return found[0] if max(abs(half_ns - found[0]) for half_ns in found[1:]) <= apart_ns else None
+    return delays_ns[0] if max(abs(half_ns - delays_ns[0]) for half_ns in delays_ns[1:]) <= apart_ns else None
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:

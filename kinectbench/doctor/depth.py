@@ -165,9 +165,9 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     """Detect an invalid code: the highest value, frequent, and far beyond all others."""
     highest = int(measured.max())
-    rest = measured[measured < highest]
-    share = 1 - len(rest) / len(measured)
-    if share > CODE_SHARE and len(rest) and highest > CODE_BEYOND * float(np.quantile(rest, 0.999)):
+    below = measured[measured < highest]
+    share = 1 - len(below) / len(measured)
+    if share > CODE_SHARE and len(below) and highest > CODE_BEYOND * float(np.quantile(below, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
         severity: Severity = "stops" if share > 0.02 else "warning"
         yield Finding("invalid_code", severity, what, probe.where, "write 0 there")

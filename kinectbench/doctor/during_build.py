@@ -29,37 +29,37 @@ def refuse_hopeless(recording: Recording) -> None:
         RecordingError: exchanged bytes, a code read as depth, intrinsics of another size.
     """
     probe = probe_recording(recording, few=True)
-    for found in (*check_depth(probe), *check_intrinsics(probe)):
-        if found.severity == "stops" and found.name in CHECKED:
+    for finding in (*check_depth(probe), *check_intrinsics(probe)):
+        if finding.severity == "stops" and finding.name in CHECKED:
             raise RecordingError(
-                f"{found.where}: {found.what}; {found.advice} (`kinectbench inspect` says more)",
+                f"{finding.where}: {finding.what}; {finding.advice} (`kinectbench inspect` says more)",
                 what="implausible",
             )
 
 
 def likely_cause(recording: Recording) -> str:
-    """One line by `inspect` about a wrong pose convention or depth scale; "" if there is none.
+    """A hint by `inspect` at a wrong pose convention or depth scale; "" if there is none.
 
     Depth of a small object looks like depth with a wrong scale. This is no reason to refuse a recording, but
     it is the likely cause if a build fails.
     """
     probe = probe_recording(recording)
-    by_depth = [found for found in check_depth(probe) if found.name == "depth_scale"]
+    by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
     # Poses determine the scale; depth alone only shows that it is unlikely.
     fit = fit_trajectory(probe)
-    for found in check_codes(probe, fit):
-        suspicion = "the depth's scale may be wrong" if found.name == "depth_scale" else "depth may be coded"
-        return f"{found.where}: {suspicion}: {found.what}; {found.advice}{IN_CAMERA}"
+    for each in check_codes(probe, fit):
+        suspicion = "the depth's scale may be wrong" if each.name == "depth_scale" else "depth may be coded"
+        return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}"
     of_poses = list(check_trajectory(probe, fit))
-    for found in of_poses:
-        if found.name in POSES:
-            return f"{found.where}: {found.what}; {found.advice}"
+    for each in of_poses:
+        if each.name in POSES:
+            return f"{each.where}: {each.what}; {each.advice}"
     if not by_depth:
         return ""
     if fit is not None and fit.proven:
         return ""
-    found = next((found for found in of_poses if found.name == "depth_scale"), by_depth[0])
-    return f"{found.where}: the depth's scale may be wrong: {found.what}; {found.advice}{IN_CAMERA}"
+    each = next((each for each in of_poses if each.name == "depth_scale"), by_depth[0])
+    return f"{each.where}: the depth's scale may be wrong: {each.what}; {each.advice}{IN_CAMERA}"
 
 
 class OffsetWatch:
@@ -76,16 +76,16 @@ class OffsetWatch:
 
     def warnings(self) -> list[str]:
         """One line for each offset, with the setting for benchmark.yaml or other advice."""
-        reported = (found for found in self._findings if found.severity == "warning")
+        reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
-            _line(found)
-            for found in reported
-            if found.name in ("color_drift", LENGTHS) or "delay_s" in found.advice
+            _line(finding)
+            for finding in reported
+            if finding.name in ("color_drift", LENGTHS) or "delay_s" in finding.advice
         ]
 
-    def doubts(self) -> list[str]:
+    def scale_warnings(self) -> list[str]:
         """Evidence against depth_scale and intrinsics, one line each, without a path, for releases."""
-        return [f"{found.what}; {found.advice}" for found in self._findings if found.name == LENGTHS]
+        return [f"{finding.what}; {finding.advice}" for finding in self._findings if finding.name == LENGTHS]
 
     @cached_property
     def _findings(self) -> tuple[Finding, ...]:
@@ -103,5 +103,5 @@ class OffsetWatch:
             yield from late or check_lengths(probe, fit.lengths)
 
 
-def _line(found: Finding) -> str:
-    return f"{found.where}: {found.what}; {found.advice}"
+def _line(finding: Finding) -> str:
+    return f"{finding.where}: {finding.what}; {finding.advice}"

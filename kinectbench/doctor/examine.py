@@ -52,10 +52,10 @@ HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 def open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
-    """Open a recording; if only its intrinsics are missing or wrong, use those of a Kinect.
+    """Open a recording; replace missing or wrong intrinsics by those of a Kinect.
 
     Returns:
-        The recording, or None; and what was found.
+        The recording, or None; and the findings.
     """
     try:
         return open_recording(path, settings, follow_links=follow_links), []
@@ -67,10 +67,10 @@ def open_anyhow(
         return None, [Finding("unreadable", "stops", complaint, str(path))]
     focal = KINECT_FOCAL_RATIO * size.width
     assumed = {"fx": focal, "fy": focal, "cx": (size.width - 1) / 2, "cy": (size.height - 1) / 2}
-    found = Finding(
+    finding = Finding(
         "intrinsics", "stops", complaint, str(path), "all else is judged with intrinsics like a Kinect's"
     )
-    return open_recording(path, _with(settings, assumed), follow_links=follow_links), [found]
+    return open_recording(path, _with(settings, assumed), follow_links=follow_links), [finding]
 
 
 def _with(settings: CameraSettings | None, values: dict[str, float]) -> CameraSettings:
@@ -108,27 +108,27 @@ def inspect(
     Returns:
         The diagnosis; and the probe, None if the recording cannot be opened.
     """
-    recording, found = open_anyhow(path, settings, follow_links=follow_links)
+    recording, findings = open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
-        return Diagnosis({"path": str(path), "format": None}, gravest_first(found)), None
+        return Diagnosis({"path": str(path), "format": None}, gravest_first(findings)), None
     ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
     if mode == "ignore":
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)
-    found += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
+    findings += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
     early = [*check_clock(probe), *check_depth(probe)]
-    if not any(finding.name == "intrinsics" for finding in found):
+    if not any(finding.name == "intrinsics" for finding in findings):
         early += check_intrinsics(probe)
-    found += early
+    findings += early
     facts = _facts(probe)
     if probe.frames and not HOPELESS & {finding.name for finding in early}:
-        more, found = _examined(probe, ground, found, fusion, own_pixels=own_pixels)
+        more, findings = _examined(probe, ground, findings, fusion, own_pixels=own_pixels)
         facts |= more
         # Unusable poses, or poses of a still camera, are not graded.
-        hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in found)
+        hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in findings)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
-            found += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
-    return Diagnosis(facts, gravest_first(found)), probe
+            findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
+    return Diagnosis(facts, gravest_first(findings)), probe
 
 
 def _by_own_pixels(probe: Probe) -> Finding:
@@ -137,7 +137,7 @@ def _by_own_pixels(probe: Probe) -> Finding:
 
 
 def _examined(
-    probe: Probe, ground: Ground, found: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
+    probe: Probe, ground: Ground, findings: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
     """Checks that need valid depth: further facts, and all findings that poses do not rule out."""
     # Poses of a still camera fit equally well by every convention, so they prove nothing.
@@ -147,7 +147,7 @@ def _examined(
     code = [] if stands else list(check_codes(probe, poses))
     if code:
         # All other checks would use wrong depth.
-        kept = [finding for finding in found if finding.name not in EXPLAINED]
+        kept = [finding for finding in findings if finding.name not in EXPLAINED]
         return {}, [*kept, *code]
     depth_range = range_by_look(probe, None if poses is None else poses.T_world_camera, fusion)
     floor = seen_floor(probe, ground, poses, depth_range.max_depth_m)
@@ -156,16 +156,16 @@ def _examined(
         late += [*check_floor(probe, floor, ground), *still]
     if poses is not None and poses.proven:
         # A build refuses implausible depth, even if the poses are in the same unit.
-        found, late = (
+        findings, late = (
             [f for f in each if f.name not in SETTLED_BY_POSES or f.severity == "stops"]
-            for each in (found, late)
+            for each in (findings, late)
         )
-        found = [replace(f, advice=SAME_UNIT) if f.name == "depth_scale" else f for f in found]
+        findings = [replace(f, advice=SAME_UNIT) if f.name == "depth_scale" else f for f in findings]
     # Poses cannot fit wrong depth or a moving object, so only the cause is reported.
-    explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in found)
-    if any(f.name == "depth_scale" for f in found):
+    explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in findings)
+    if any(f.name == "depth_scale" for f in findings):
         late = [f for f in late if f.name != "far_depth"]
-    found = found + [
+    findings = findings + [
         finding
         for finding in late
         if not (explained and finding.name == "trajectory_wrong")
@@ -174,7 +174,7 @@ def _examined(
     facts = _late_facts(edges, poses, floor.heights_m)
     if poses is not None:
         facts |= {name: getattr(depth_range, name) for name in ("max_depth_m", "beyond_share")}
-    return facts, found
+    return facts, findings
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:

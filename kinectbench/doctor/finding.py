@@ -15,7 +15,7 @@ SIZE = ("width", "height")
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding.
+    """One result of a check.
 
     Attributes:
         name: the kind of finding, a word for machines.
@@ -47,11 +47,11 @@ class Diagnosis:
     @property
     def stops(self) -> bool:
         """Whether a build would fail or be wrong."""
-        return any(found.severity == "stops" for found in self.findings)
+        return any(finding.severity == "stops" for finding in self.findings)
 
     @property
     def verdict(self) -> str:
-        """One line."""
+        """The verdict in one line."""
         stops, warnings = (
             [f.name for f in self.findings if f.severity == severity] for severity in SEVERITIES[:2]
         )
@@ -69,11 +69,11 @@ def camera_line(key: str, value: float) -> str:
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """The findings by severity, otherwise in their order, without duplicates."""
-    return tuple(sorted(dict.fromkeys(findings), key=lambda found: SEVERITIES.index(found.severity)))
+    return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
 def figures(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Each known fact as (name, value), in their order, for people to read.
+    """The known facts as (name, value), in order, to print.
 
     Args:
         facts: of a `Diagnosis`: plain JSON values by name; a name ends in its unit.
@@ -96,8 +96,8 @@ def _value(name: str, value: object, unit: str) -> str:
     if isinstance(value, Mapping):
         size = " x ".join(f"{value[key]}" for key in SIZE if key in value)
         known = [(key, number) for key, number in value.items() if key not in SIZE and number is not None]
-        rest = [f"{key} {_number(number)}{unit}" for key, number in known]
-        return ", ".join([f"{size} px", *rest] if size else rest)
+        parts = [f"{key} {_number(number)}{unit}" for key, number in known]
+        return ", ".join([f"{size} px", *parts] if size else parts)
     if isinstance(value, Sequence) and not isinstance(value, str):
         return (" x " if "size" in name else ", ").join(map(_number, value)) + unit
     return _number(value) + unit

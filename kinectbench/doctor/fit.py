@@ -49,7 +49,7 @@ FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 @dataclass(frozen=True)
 class PoseConvention:
-    """One convention of poses.
+    """One pose convention.
 
     Attributes:
         inverse: the poses map the world to the camera.
@@ -163,7 +163,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Frames after a frame, or before it at the end of the recording; negative if there is none."""
+    """Indices of later frames, or earlier ones at the end of the recording; negative without any."""
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
 
@@ -205,7 +205,7 @@ def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
     Returns:
         (k, pairs).
     """
-    found = np.empty((len(T_world_camera), len(pairs)))
+    residuals = np.empty((len(T_world_camera), len(pairs)))
     for column, pair in enumerate(pairs):
         points, rows, columns, inside = _project(pair, T_world_camera)
         expected_m, measured_m = points[..., 2], pair.depth_m[rows, columns]
@@ -214,13 +214,13 @@ def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
         off = np.abs(measured_m - expected_m)[known] / (WRONG_SHARE * expected_m[known])
         wrong = np.where(inside, 0.0, 1.0)
         wrong[known] = np.minimum(off, 1.0)
-        found[:, column] = wrong.sum(axis=-1) / np.maximum((~silent).sum(axis=-1), 1)
-    return found
+        residuals[:, column] = wrong.sum(axis=-1) / np.maximum((~silent).sum(axis=-1), 1)
+    return residuals
 
 
 def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
     """Median point-to-plane distance of points to the surface, metres; NaN if no point overlaps."""
-    found = [np.zeros(0)]
+    all_m = [np.zeros(0)]
     for pair in pairs:
         points, rows, columns, inside = _project(pair, T_world_camera)
         surface = pair.camera.rays() * pair.depth_m[..., None]
@@ -228,8 +228,8 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
         rows, columns = rows[inside], columns[inside]
         p, q, n = points[inside], surface[rows, columns], normals[rows, columns]
         near = (np.abs(p - q)[:, 2] < WRONG_SHARE * p[:, 2]) & np.isfinite(n).all(axis=1)
-        found.append(np.abs(((p - q) * n).sum(axis=1))[near])
-    distances_m = np.concatenate(found)
+        all_m.append(np.abs(((p - q) * n).sum(axis=1))[near])
+    distances_m = np.concatenate(all_m)
     return float(np.median(distances_m)) if len(distances_m) else float("nan")
 
 

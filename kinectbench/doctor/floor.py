@@ -37,7 +37,7 @@ SEEN_SHARE = 0.3
 MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 
 # Largest scatter of combined frames about a floor, in multiples of a Kinect's depth noise at that distance.
-# Above it the poses, the intrinsics or the plane are reported as doubtful. Measured: 0.4 to 2.4 if they are
+# Above it the poses, the intrinsics or the plane are reported as uncertain. Measured: 0.4 to 2.4 if they are
 # correct (50 simulated recordings, 5 real ones), 5.3 to 6.6 if they are wrong (3).
 SCATTER_TIMES = 4.0
 SCATTERS = (
@@ -203,7 +203,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """The floor in one frame, in camera axes, metres; None if there is none."""
+    """The floor in one frame, camera axes, metres; None without a floor."""
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented

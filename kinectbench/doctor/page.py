@@ -21,7 +21,7 @@ TONES = {"stops": "bad", "warning": "warn", "note": ""}
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture of the sheet: index of the frame, what it shows, and the image as an address."""
+    """One picture of the sheet: frame index, caption, and the image as a `data:` address."""
 
     index: int
     what: str
@@ -34,7 +34,7 @@ def write_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
     Raises:
         StorageError: it cannot be written.
     """
-    grave = {found.severity for found in diagnosis.findings}
+    grave = {finding.severity for finding in diagnosis.findings}
     shown = {
         "title": Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
         "diagnosis": diagnosis,

@@ -92,7 +92,7 @@ class Probe:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the recording has no stamps of its own, so that its stamps only count frames."""
+        """Whether the recording has no times, so that its stamps only count frames."""
         return counts_frames(self.recording.stamps_ns)
 
     def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
@@ -113,7 +113,7 @@ class Probe:
 
 
 class ProbeBuilder:
-    """Builds a probe: takes frames as they are read, and keeps what the checks need."""
+    """Builds a probe: gathers from read frames the data that the checks need."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
         """Gather the frames with these indices (increasing), and `whole` of them at full size."""
@@ -154,7 +154,7 @@ class ProbeBuilder:
 
 
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
-    """Read some frames of a recording: all of up to 250, else runs of frames; or only eight."""
+    """Read sample frames of a recording: all up to 250, else runs of frames; or only eight."""
     count = len(recording)
     indices = (
         np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)

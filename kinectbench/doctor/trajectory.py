@@ -82,7 +82,7 @@ class PoseFit:
 
 
 def fit_trajectory(probe: Probe) -> PoseFit | None:
-    """Try conventions of the given trajectory; None if there is no basis to judge it."""
+    """Fit pose conventions to the given trajectory; None without data to decide."""
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
         return None
@@ -132,7 +132,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 def _disagreements(
     conventions: list[PoseConvention], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(readings, pairs)."""
+    """Disagreement of each convention with each pair: (conventions, pairs)."""
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]
     return disagreements(pairs, np.stack([convention.apply(paired) for convention in conventions]))

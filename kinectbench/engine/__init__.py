@@ -1,1 +1,1 @@
-"""Runs the stages: what is current is skipped, what fails is told, what is killed goes on."""
+"""Runs the stages: skips current artefacts, reports failures, continues after a kill."""

@@ -1,4 +1,4 @@
-"""What a build keeps: artefacts with the fingerprint of all they depend on, and source hashes.
+"""Build artefacts with a fingerprint of all their inputs, and hashes of sources.
 
 An artefact is a folder that one stage makes.
 """
@@ -21,8 +21,8 @@ FORMAT_VERSION = 1
 # recording less than ten times smaller.
 HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 
-# Versions of what is kept on disk and used again. What was written by another version is made again; what was
-# written by the same version is kept, whatever version the package has. A change of what an algorithm writes
+# Versions of files that are kept on disk and reused. Artefacts of another version are made again; those
+# of the same version are kept, whatever the package's version. A change of an algorithm's output
 # raises its version here by one. A change that only reaches it by its inputs does not: their versions say so.
 # A test finds a forgotten version by one small sample (`tests/support/stage_sample.py`): a recording of one
 # format, with trusted, refined and tracked poses, with and without a box and masks; baselines and scores of
@@ -56,7 +56,7 @@ class Artefact:
     Attributes:
         folder: where it lies.
         stage: name of the stage.
-        version: of the stage: what it writes differs from one to the next.
+        version: of the stage's output.
         settings: the settings it depends on, as plain JSON values.
         inputs: fingerprint of each thing it is made from.
     """
@@ -69,7 +69,7 @@ class Artefact:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What the manifest must hold for the folder to be this artefact."""
+        """The manifest content that identifies the artefact in a folder."""
         return fingerprint(self.stage, self.version, self.settings, self.inputs)
 
     def is_current(self) -> bool:
@@ -79,7 +79,7 @@ class Artefact:
 
     @contextlib.contextmanager
     def write(self) -> Iterator[Path]:
-        """Yield an empty folder to fill; on success it takes the artefact's place, on failure it goes.
+        """Yield an empty folder to fill; on success it replaces the artefact, on failure it is deleted.
 
         Raises:
             StorageError: the disk is full or read-only.
@@ -104,7 +104,7 @@ class Artefact:
 
 
 def whole_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder that holds every file at its size; None if it does not."""
+    """The manifest of a folder with every file at its size; None if a file is missing."""
     if not folder.is_dir():  # as of most stages of thousands of recordings before they are built
         return None
     try:
@@ -117,9 +117,9 @@ def whole_manifest(folder: Path) -> Manifest | None:
 
 
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
-    """One hash over the names and contents of files.
+    """Hash of the names and contents of files.
 
-    Contents are hashed once: a file whose size and modification time are as the cache says is believed.
+    Contents are hashed once: a file with the size and modification time in the cache is not read again.
 
     Args:
         files: the files.
@@ -152,7 +152,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
 
 def whole_hash(sources: Sources) -> str:
-    """One hash over the names and contents of files whose hashes are known."""
+    """Hash of the names and known content hashes of files."""
     return sha256_text(canonical_json(sources.sha256))
 
 
@@ -167,16 +167,16 @@ def _relative(path: Path, root: Path) -> str:
 
 
 def _refuse_holes(path: Path, stat: os.stat_result) -> None:
-    """Refuse a file that says it is large and holds next to nothing: reading its zeros may take hours."""
-    there = 512 * stat.st_blocks
-    if stat.st_size > HOLES_FROM_BYTES and there * MOST_SPARSENESS < stat.st_size:
+    """Refuse a sparse file with almost no content: reading its zeros may take hours."""
+    on_disk = 512 * stat.st_blocks
+    if stat.st_size > HOLES_FROM_BYTES and on_disk * MOST_SPARSENESS < stat.st_size:
         raise RecordingError(
-            f"{path}: of its {stat.st_size} bytes the disk holds {there}, the rest is a hole; copy it again"
+            f"{path}: of its {stat.st_size} bytes the disk holds {on_disk}, the rest is a hole; copy it again"
         )
 
 
 def _known(folder: Path) -> dict[str, SourceFile]:
-    """What the cache says; a damaged one is as good as none."""
+    """The content of the cache; empty if it is damaged."""
     try:
         return Sources.read(folder).files
     except StorageError:

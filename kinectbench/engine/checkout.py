@@ -1,7 +1,7 @@
-"""A recording whose benchmark lies in a store is checked out: what is needed of it comes to a folder here.
+"""Checks out a recording whose benchmark lies in a store: copies what is needed into a local folder.
 
-Nothing is locked there. `sources/` keeps the hashes of a recording's files by what the store's listing says
-of them, so that what is current is known without fetching the recording.
+Nothing is locked there. `sources/` keeps the hashes of a recording's files by the store's listing
+of them, so that current artefacts are known without fetching the recording.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Checkout:
-    """A recording of a store and its folder here.
+    """A recording of a store and its local folder.
 
     Attributes:
         store: of the benchmark's root.
@@ -52,12 +52,12 @@ class Checkout:
 
 
 def nobody(stage: str, done: int, total: int) -> None:
-    """Whoever does not want to know how far it is."""
+    """A progress callback that does nothing."""
 
 
 @contextlib.contextmanager
 def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Iterator[Checkout]:
-    """A recording of a store, with a folder here for as long as the block runs; nothing built is fetched yet.
+    """A recording of a store, with a local folder within the block; nothing built is fetched yet.
 
     The recording itself is fetched only if the hashes of its files are not known.
 
@@ -71,11 +71,11 @@ def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Itera
 
 
 def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody) -> Checkout:
-    """`checked_out` in a folder that is there."""
+    """`checked_out` in an existing folder."""
     listing, job = _listing(job), replace(job, root=root)
-    found = _of_known_files(listing, job, upto)
-    if found is not None:
-        return found
+    recording = _of_known_files(listing, job, upto)
+    if recording is not None:
+        return recording
     store = listing.store
     fetch_recording(store, job, listing.files, report)
     STAGES[0].sources(job)  # hashes the files, and keeps the hashes
@@ -87,7 +87,7 @@ def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody)
 
 @dataclass(frozen=True)
 class _Listing:
-    """What a store's listings say of a recording.
+    """The store's listings of a recording.
 
     Attributes:
         store: of the benchmark's root.
@@ -117,7 +117,7 @@ def _listing(job: Job) -> _Listing:
 
 
 def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
-    """The recording as it lies in the store; None if nobody has hashed its files yet."""
+    """The recording with the hashes kept in the store; None if nobody has hashed its files yet."""
     if listing.sources not in listing.built:
         return None
     text = listing.store.read(listing.sources)
@@ -127,7 +127,7 @@ def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
 
 
 def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
-    """The recording, with what else is read of it: a person's masks, and why it failed."""
+    """The recording with its other inputs: a person's masks, and its last failure."""
     store, name = listing.store, job.recording.id
     if job.masks is not None:
         fetch_files(store, job.root, store.objects(str(job.recording.masks)))
@@ -141,25 +141,25 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The stages of a recording that its store holds, and why its last run failed; nothing is fetched for it.
+    """The stages of a recording in its store, and why its last run failed; downloads nothing.
 
     Of a recording whose files have not been hashed none is known to be current.
     """
     try:
         listing = _listing(job)
         with scratch_folder() as root, named_as_there(listing.store, root):
-            found = _of_known_files(listing, replace(job, root=root), STAGES[-1].name)
+            known = _of_known_files(listing, replace(job, root=root), STAGES[-1].name)
     except (RecordingError, SettingsError) as error:
         return (), Failed(stage=None, error=str(error), code=error.code)
     name, failed = f"build/{job.recording.id}/{Failed.FILE}", None
     if name in listing.built:
         text = listing.store.read(name, MOST_FAILED_BYTES)
         failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name))
-    return () if found is None else found.current, failed
+    return () if known is None else known.current, failed
 
 
 def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: Report) -> None:
-    """Fetch a recording's files to where the job has them."""
+    """Download a recording's files to the job's place."""
     if not Path(job.recording.path).is_absolute():
         fetch_files(store, job.root, listed, lambda done: report("fetch", done, len(listed)))
 
@@ -167,7 +167,7 @@ def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], repo
 def fetch_files(
     store: Store, root: Path, listed: Sequence[StoredObject], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Fetch files to the same names below a folder; hidden ones are left."""
+    """Download files to the same names below a folder; hidden ones are skipped."""
     seen = [each for each in listed if not _hidden(each.name)]
     try:
         files = [(each.name, below(root, each.name), each.size) for each in seen]
@@ -178,7 +178,7 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """What the store has of a recording: the file, or all below the folder and known files beside it."""
+    """A recording's files in the store: the file, or all below the folder and known files beside it."""
     path = PurePosixPath(job.recording.path)
     if path.is_absolute():
         return []  # on a disk that every machine has
@@ -203,7 +203,7 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """Where the hashes of a recording's files lie, by what the store says of these files.
+    """The name for the hashes of a recording's files, from the store's listing of them.
 
     Another version of ingest may read other files.
     """
@@ -218,7 +218,7 @@ def _hidden(name: str) -> bool:
 
 @contextlib.contextmanager
 def named_as_there(store: Store, root: Path) -> Iterator[None]:
-    """Errors within the block have the store's names in the place of those of the scratch folder."""
+    """Within the block, errors name the store in place of the scratch folder."""
     try:
         yield
     except KinectBenchError as error:
@@ -226,7 +226,7 @@ def named_as_there(store: Store, root: Path) -> Iterator[None]:
 
 
 def as_there(store: Store, root: Path, text: str) -> str:
-    """A message with the store's names in the place of those of a folder here.
+    """A message with the store's names in place of those of a local folder.
 
     A disk of this machine that cannot be written keeps its own name.
     """

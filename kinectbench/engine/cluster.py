@@ -1,7 +1,7 @@
-"""A cluster as an executor: Dask's scheduler hands tasks to workers, here or on other machines.
+"""A cluster as an executor: Dask's scheduler assigns tasks to workers, local or remote.
 
-The scheduler keeps nothing but what is in flight: what is done lies on disk. Whatever part of the cluster
-dies, the same command goes on from there.
+The scheduler keeps only running tasks: results are on disk. If any part of the cluster
+dies, the same command resumes.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from kinectbench.core.errors import ClusterError, SettingsError
 from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.core.untrusted_text import strict_json
 from kinectbench.engine.cluster_run import Run, one_line
-from kinectbench.engine.executor import Audience, Outcomes, Result, Say, Task
+from kinectbench.engine.executor import Listener, Outcomes, Result, SendMessage, Task
 from kinectbench.engine.interrupts import interrupts_held
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ OF_LOCAL = {
 
 @contextmanager
 def cluster(address: str) -> Iterator["Cluster"]:
-    """Connect to a cluster, or start one here; TLS is as Dask's own configuration says.
+    """Connect to a cluster, or start a local one; Dask's configuration sets up TLS.
 
     Args:
         address: `tcp://HOST:PORT`, `tls://HOST:PORT`, a scheduler's file, or `local:N`.
@@ -91,27 +91,27 @@ def cluster(address: str) -> Iterator["Cluster"]:
 
 
 def _check_scheduler_file(address: str) -> None:
-    """Refuse what is no address and no file that a scheduler wrote."""
-    said = f"--cluster {printable(address, 200)}"
+    """Refuse a value that is neither an address nor a scheduler file."""
+    option = f"--cluster {printable(address, 200)}"
     if not Path(address).is_file():
         missing = "no such file; " if address.endswith(".json") else ""
-        raise SettingsError(f"{said}: {missing}{WANTED}")
+        raise SettingsError(f"{option}: {missing}{WANTED}")
     try:
         content = strict_json(read_plain_text(Path(address), MOST_FILE_BYTES))
     except (OSError, ValueError, RecursionError):
         content = None
     if not isinstance(content, dict) or not isinstance(content.get("address"), str):
-        raise SettingsError(f"{said}: no file of a scheduler; {WANTED}")
+        raise SettingsError(f"{option}: no file of a scheduler; {WANTED}")
 
 
 def _connected(address: str, local: int, stack: ExitStack) -> "Client":
-    """A client of the scheduler at an address, or of one with so many processes that is started here."""
+    """A client of the scheduler at an address, or of a new local one with this many processes."""
     from distributed import Client, LocalCluster
 
     _be_quiet()  # not before: the levels of its loggers are set when it is imported
 
     class OwnClient(Client):  # type: ignore[misc]
-        """Waits for a scheduler no longer than told; closed by us.
+        """Waits for a scheduler for a limited time; we close it.
 
         At its own end one that never connected waits for 40 s and prints a traceback.
         """
@@ -131,7 +131,7 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
 
     where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
     if local:
-        here = LocalCluster(
+        local_cluster = LocalCluster(
             n_workers=local,
             threads_per_worker=1,
             memory_limit=0,  # as much as there is, like the pool's processes
@@ -139,15 +139,15 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         )
-        stack.callback(here.close, timeout=CONNECT_S)
-        where = {"address": here}
+        stack.callback(local_cluster.close, timeout=CONNECT_S)
+        where = {"address": local_cluster}
     client = OwnClient(**where, timeout=CONNECT_S, set_as_default=False)
     stack.callback(client.close, timeout=CONNECT_S)
     return client
 
 
 def _be_quiet() -> None:
-    """What goes wrong is told by us, in one line."""
+    """Silence Dask's logs: we report errors ourselves, in one line."""
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -165,7 +165,7 @@ class Cluster:
 
     @property
     def dashboard(self) -> str:
-        """Address of Dask's page about the cluster; "" if none answers there.
+        """Address of Dask's dashboard; "" if it does not answer.
 
         The scheduler names an address also where it was started with `--no-dashboard` (404), and answers
         without `bokeh` that it needs it.
@@ -178,15 +178,15 @@ class Cluster:
             return ""
 
     def slots(self) -> int:
-        """How many threads the workers have, as it was a second ago at most."""
+        """The number of worker threads, at most a second old."""
         self._look()
         return self._slots
 
     def outcomes(
         self,
-        function: Callable[[Task, Say], Result],
+        function: Callable[[Task, SendMessage], Result],
         tasks: Sequence[Task],
-        audience: Audience,
+        listener: Listener,
         memory_gb: Callable[[Task], float] | None = None,
         *,
         slowest_twice: bool = False,
@@ -195,13 +195,13 @@ class Cluster:
 
         Args:
             function: of the task.
-            tasks: what is to be done.
-            audience: who hears of it.
-            memory_gb: what a task is expected to need, where workers have a resource `memory_gb`; alone it
+            tasks: to run.
+            listener: receives the messages.
+            memory_gb: expected memory of a task, where workers have a resource `memory_gb`; alone it
                 may have twice as much.
             slowest_twice: see `Executor`.
         """
-        run = Run(self._client, self.largest_gb, self.gone, function, tasks, audience, memory_gb)
+        run = Run(self._client, self.largest_gb, self.gone, function, tasks, listener, memory_gb)
         try:
             while run.waiting or run.running or run.killed:
                 slots = self.slots()
@@ -218,12 +218,12 @@ class Cluster:
             run.close()
 
     def largest_gb(self) -> float:
-        """The largest resource `memory_gb` of a worker there was in the last minute; 0: none has it."""
+        """The largest resource `memory_gb` of a worker in the last minute; 0: no worker has it."""
         self._look()
         return self._largest_gb
 
     def gone(self) -> ClusterError:
-        """What is told when the scheduler does not answer any more."""
+        """The message for a scheduler that has stopped answering."""
         return ClusterError(
             f"--cluster {self._address}: lost the scheduler; start it again and run the same command again: "
             "what is done is kept",

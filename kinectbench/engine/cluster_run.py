@@ -1,4 +1,4 @@
-"""Tasks in flight on a cluster: submitted, listened to, begun again where a worker dies."""
+"""Tasks on a cluster: submits them, receives messages, resubmits them if a worker dies."""
 
 import pickle
 import time
@@ -10,7 +10,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Generic
 
 from kinectbench.core.errors import ClusterError, KinectBenchError
-from kinectbench.engine.executor import Audience, Lost, Result, Say, Task
+from kinectbench.engine.executor import Listener, Result, SendMessage, Task, WorkerLost
 from kinectbench.engine.on_worker import call, package_versions
 
 if TYPE_CHECKING:
@@ -31,11 +31,11 @@ class Run(Generic[Task, Result]):
     Attributes:
         client: of the scheduler.
         largest_gb: the largest resource `memory_gb` of a worker.
-        gone: what is told when the scheduler does not answer any more.
+        gone: the message for a scheduler that has stopped answering.
         function: of a task.
         tasks: all of them.
-        audience: who hears of it.
-        memory_gb: what a task is expected to need.
+        listener: receives the messages.
+        memory_gb: expected memory of a task.
         events: what tasks and the scheduler say, and the futures that have ended.
         running: number of a task by its future; two of one that is tried twice.
         asked_gb: what each was submitted with.
@@ -49,9 +49,9 @@ class Run(Generic[Task, Result]):
     client: "Client"
     largest_gb: Callable[[], float]
     gone: Callable[[], ClusterError]
-    function: Callable[[Task, Say], Result]
+    function: Callable[[Task, SendMessage], Result]
     tasks: Sequence[Task]
-    audience: Audience
+    listener: Listener
     memory_gb: Callable[[Task], float] | None
     events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
     running: "dict[Future, int]" = field(default_factory=dict)
@@ -90,7 +90,7 @@ class Run(Generic[Task, Result]):
         future.add_done_callback(self.events.put)
 
     def ask_for_less(self) -> None:
-        """Submit again what asks for more memory than any worker has since one went: nobody would do it."""
+        """Resubmit tasks that request more memory than any remaining worker has."""
         largest_gb = self.largest_gb()
         for future, number in list(self.running.items()):
             if self.asked_gb[number] > largest_gb:
@@ -99,7 +99,7 @@ class Run(Generic[Task, Result]):
                 self.submit(number, alone=number in self.alone)
 
     def submit_slowest(self) -> None:
-        """Give the task that has been running longest to a second worker, if it is slower than most were."""
+        """Give the longest running task to a second worker, if it is slower than most were."""
         copies = Counter(self.running.values())
         single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
         slowest = min(single, key=self.begun.__getitem__, default=None)
@@ -107,7 +107,7 @@ class Run(Generic[Task, Result]):
         if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:
             self.submit(slowest)
 
-    def ended(self) -> Iterator[tuple[Task, Result | Lost]]:
+    def ended(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
         """Wait a moment for what happens, and yield the tasks that have ended."""
         self._tell_orphaned()
         try:
@@ -115,7 +115,7 @@ class Run(Generic[Task, Result]):
         except Empty:
             return
         if isinstance(event, tuple | list):
-            self.audience.heard(tuple(event))
+            self.listener.heard(tuple(event))
             return
         if isinstance(event, dict):
             self._note_orphaned(event)
@@ -139,7 +139,7 @@ class Run(Generic[Task, Result]):
         yield self.tasks[number], outcome
 
     def _note_orphaned(self, event: dict[str, Any]) -> None:
-        """Take note of the tasks of a worker that went, if that is what the scheduler says."""
+        """Record the tasks of a worker that the scheduler reports as gone."""
         if event.get("action") != "remove-worker":
             return
         gone = {*event.get("processing-tasks", ()), *event.get("lost-computed-tasks", ())}
@@ -149,15 +149,15 @@ class Run(Generic[Task, Result]):
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
     def _tell_orphaned(self, ended: int | None = None) -> None:
-        """Say whose worker went a moment ago, or before the task that has ended now, and was not given up."""
+        """Warn of workers that were lost a moment ago, and of the lost worker of the ended task."""
         for number, (since, why) in list(self.orphaned.items()):
             if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
                 line = f"{{id}}: its worker {why}; the recording is tried again"
-                self.audience.warn(line, self.tasks[number])
+                self.listener.warn(line, self.tasks[number])
 
-    def _outcome(self, future: "Future", number: int) -> Result | Lost | None:
-        """What has become of a task; None if it is to be tried once more, at the end, or runs elsewhere.
+    def _outcome(self, future: "Future", number: int) -> Result | WorkerLost | None:
+        """The outcome of a task; None if it is retried at the end, or runs elsewhere.
 
         Raises:
             TimeoutError: its result does not come; the future ends again.
@@ -168,12 +168,12 @@ class Run(Generic[Task, Result]):
             result: Result = future.result(timeout=RESULT_S)
             return result
         except (KilledWorker, NoValidWorkerError):
-            self.orphaned.pop(number, None)  # what comes of it is told below
+            self.orphaned.pop(number, None)  # its outcome is reported below
             if number in self.running.values():
                 return None
             if number in self.alone:
-                return Lost(KILLED_ALONE)
-            self.audience.warn(
+                return WorkerLost(KILLED_ALONE)
+            self.listener.warn(
                 "{id}: its workers died one after another, perhaps for lack of memory; the recording is "
                 "tried once more at the end, alone",
                 self.tasks[number],
@@ -195,12 +195,12 @@ class Run(Generic[Task, Result]):
             ) from error
 
     def close(self) -> None:
-        """Let go of what still runs: it is stopped with its worker, or ends by itself unheard."""
+        """Cancel the remaining tasks; those without a killable process end unobserved."""
         for future in self.running:
             future.cancel()
         self.running.clear()
 
 
 def one_line(error: BaseException) -> str:
-    """What an error of Dask says, in one line."""
+    """The message of a Dask error, in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

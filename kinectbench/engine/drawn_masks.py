@@ -1,6 +1,6 @@
-"""What a person's masks were drawn on: masks.json says it, and a mask is applied to that image or refused.
+"""The images of a person's masks: masks.json names them, and a mask of another image is refused.
 
-A mask without an entry was drawn on what lies in `build/` when it is first seen, before anything is made
+A mask without an entry belongs to the images in `build/` when it is first seen, before anything is made
 again; without a build, on the frame of its number. A view's number alone says nothing: views change. Nor does
 the frame alone: its pictures among the views change with the poses and the corrections of its depth.
 """
@@ -30,7 +30,7 @@ OTHERS_DRAWN = (
     "drawn on other pictures than the views of these frames are now, by other poses or another correction"
 )
 VIEWS_DRAWN = "`segment_by: masks` takes masks of frames as they were recorded, and these were drawn on views"
-# While masks change names each has one of its own: its old name between these.
+# Temporary name of a mask during renaming: its old name between these.
 CARRIED = (".", ".carried")
 
 
@@ -42,7 +42,7 @@ class Shown(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What became of masks that were to be carried over.
+    """The outcome of carrying masks over.
 
     Attributes:
         moved: (old name, new name) of each that has another name now.
@@ -61,7 +61,7 @@ class DrawnMasks:
         recording: its id.
         folder: where they lie.
         names: what each file's name says.
-        entries: by file name, what it was drawn on, of those where that is known.
+        entries: by file name, the image of each mask, if known.
         of_recorded: they are of frames as they were recorded, not of the pictures of views.
     """
 
@@ -73,7 +73,7 @@ class DrawnMasks:
 
     @classmethod
     def of(cls, job: Job) -> Self | None:
-        """Those in the folder that benchmark.yaml names, or will once it is told that it does not; or None.
+        """The masks in the folder that benchmark.yaml names or is advised to name; or None.
 
         Raises:
             StorageError: masks.json is damaged.
@@ -90,15 +90,15 @@ class DrawnMasks:
                 what="stale-masks",
             )
         by_frames = job.recording.segment_by == "masks"
-        found = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
-        names = {file: name for file, name in sorted(found) if name is not None}
+        named = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
+        names = {file: name for file, name in sorted(named) if name is not None}
         stored = MasksFile.read_if_there(folder)
         return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on, by_frames)
 
-    def tied_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
+    def bound_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
         """Write down which images and pictures in `build/<recording>/` masks without an entry were drawn on.
 
-        It comes before anything is made again: what lies there is what the person saw.
+        It comes before anything is made again: the person saw the existing content.
 
         Returns:
             The masks with what was written; lines to tell: the frames that those named by views are for.
@@ -107,8 +107,8 @@ class DrawnMasks:
         manifest = whole_manifest(build / "sequence") if new else None
         if manifest is None:
             return self, ()
-        found, told = dict[str, DrawnOn](), list[str]()
-        with contextlib.suppress(KinectBenchError):  # a damaged build says nothing of a mask
+        entries, seen = dict[str, DrawnOn](), list[str]()
+        with contextlib.suppress(KinectBenchError):  # a damaged build has no image of a mask
             sequence = read_sequence(build / "sequence")
             shown = _shown_of(build / "views", manifest.fingerprint)
             for file in new:
@@ -117,20 +117,20 @@ class DrawnMasks:
                 frame = view.frame if view else number if of_frame else None
                 if frame is not None and frame < len(sequence):
                     picture = RECORDED if self.of_recorded else self._picture(build / "views", view)
-                    found[file] = DrawnOn(image=image_digest(sequence, frame), picture=picture)
-                    told += [] if of_frame else [f"{file} on frame {frame}"]
-        lines = (f"{self.folder}: taken as drawn on views of the build: {first_of(told)}",) if told else ()
-        return self._with(found), lines
+                    entries[file] = DrawnOn(image=image_digest(sequence, frame), picture=picture)
+                    seen += [] if of_frame else [f"{file} on frame {frame}"]
+        lines = (f"{self.folder}: taken as drawn on views of the build: {first_of(seen)}",) if seen else ()
+        return self._with(entries), lines
 
     @staticmethod
     def _picture(views: Path, view: Shown | None) -> str | None:
-        """The digest of a view's pictures in a build; None: there are none, or they are damaged."""
+        """The digest of a view's pictures in a build; None if they are missing or damaged."""
         with contextlib.suppress(StorageError):
             return None if view is None else picture_digest(read_pictures(views, view.name))
         return None
 
     def check_known(self) -> None:
-        """Refuse masks named by views if nobody knows the images that they were drawn on.
+        """Refuse masks named by views if their images are unknown.
 
         Raises:
             SettingsError: there is one; the line says what to do.
@@ -170,17 +170,17 @@ class DrawnMasks:
         Raises:
             SettingsError: there are some; the line says what to do.
         """
-        found, wrong = dict[str, DrawnOn](), list[str]()
+        entries, wrong = dict[str, DrawnOn](), list[str]()
         for file, (number, of_frame, _) in self.names.items():
             if of_frame and number >= len(sequence):
                 wrong.append(f"{file} (the last frame is {len(sequence) - 1})")
             elif of_frame and file not in self.entries:
-                found[file] = DrawnOn(image=image_digest(sequence, number))
+                entries[file] = DrawnOn(image=image_digest(sequence, number))
             elif of_frame and not self._is(file, sequence, number):
                 wrong.append(file)
         if wrong:
             raise self._refusal(f"not drawn on what these frames are now: {first_of(wrong)}")
-        drawn = self._with(found)
+        drawn = self._with(entries)
         if not self.of_recorded:
             return drawn
         frames = {file: (name.number, RECORDED) for file, name in self.names.items()}
@@ -191,7 +191,7 @@ class DrawnMasks:
     def check_views(self, sequence: Sequence, views: Path) -> Self:
         """Refuse masks of views that are other images, or other pictures, than they were drawn on.
 
-        Of those whose picture nobody knows, this is it from now on.
+        Masks without a recorded picture get this one.
 
         Args:
             sequence: the recording.
@@ -225,19 +225,19 @@ class DrawnMasks:
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks of other pictures; these are the pictures of those of which nobody knows it.
+        """Refuse masks of other pictures; record these pictures for masks without a record.
 
         Args:
             sequence: the recording.
             frames: of each mask that is used its frame, and the picture of it that it is used on.
-            drawn: what the line says of masks that are refused.
+            drawn: the message's words for refused masks.
             look: how to look at them again.
         """
-        found, other = dict[str, DrawnOn](), list[str]()
+        entries, other = dict[str, DrawnOn](), list[str]()
         for file, (frame, now) in frames.items():
             image, was = self.entries[file].image, self.entries[file].picture
             if was is None:
-                found[file] = DrawnOn(image=image, picture=now)
+                entries[file] = DrawnOn(image=image, picture=now)
             elif was != now and not (RECORDED in (was, now) and _as_recorded(sequence, frame) in (was, now)):
                 other.append(file)
         if other:
@@ -246,7 +246,7 @@ class DrawnMasks:
                 f"and remove its entry from {MasksFile.FILE}",
                 what="stale-masks",
             )
-        return self._with(found)
+        return self._with(entries)
 
     def carry(self, sequence: Sequence) -> Carried:
         """Name each mask by the frame of the recording that is the image it was drawn on."""
@@ -275,12 +275,12 @@ class DrawnMasks:
         return Carried(tuple(moves.items()), tuple(left))
 
     def _clashes(self, moves: Mapping[str, str]) -> list[str]:
-        """Files that would get the name that another has or gets."""
+        """Files whose new name another file has or gets."""
         files = Counter(moves.get(file, file) for file in self.names)
         return [file for file, new in moves.items() if files[new] > 1]
 
     def _rename(self, moves: Mapping[str, str]) -> None:
-        """Give files their new names; one may take the name that another still has."""
+        """Rename files; a new name may still belong to another one."""
         for file in moves:
             (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
@@ -291,18 +291,18 @@ class DrawnMasks:
         on = self.entries.get(file)
         return on is not None and on.image == image_digest(sequence, frame)
 
-    def _with(self, found: Mapping[str, DrawnOn]) -> Self:
-        """The same with these entries, written down if there are any."""
-        if not found:
+    def _with(self, new_entries: Mapping[str, DrawnOn]) -> Self:
+        """A copy with these entries, saved if there are any."""
+        if not new_entries:
             return self
-        entries = {**self.entries, **found}
+        entries = {**self.entries, **new_entries}
         self._write(entries)
         return replace(self, entries=entries)
 
     def _write(self, entries: Mapping[str, DrawnOn], renamed: Mapping[str, str] | None = None) -> None:
-        """Write masks.json, without masks that are gone."""
-        there = {(renamed or {}).get(file, file) for file in self.names}
-        kept = MasksFile.of({file: entries[file] for file in sorted(there & entries.keys())})
+        """Write masks.json, without missing masks."""
+        present = {(renamed or {}).get(file, file) for file in self.names}
+        kept = MasksFile.of({file: entries[file] for file in sorted(present & entries.keys())})
         with replaced_file(self.folder / MasksFile.FILE) as temporary:
             temporary.write_text(kept.text(), encoding="utf-8")
 
@@ -315,7 +315,7 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Tie masks to the images in the recording's build, before anything is made again.
+    """Record which images of the build masks belong to, before anything is made again.
 
     Args:
         job: the recording.
@@ -325,12 +325,12 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
         Lines for people: which images masks were taken as drawn on, and which files are no masks by name.
 
     Raises:
-        SettingsError: they are to be used, and nobody knows which images they were drawn on.
+        SettingsError: masks are in use, but their images are unknown.
     """
     drawn = DrawnMasks.of(job)
     if drawn is None:
         return ()
-    drawn, lines = drawn.tied_to_build(job.build)
+    drawn, lines = drawn.bound_to_build(job.build)
     if used and job.masks is not None:
         drawn.check_known()
         lines += _unnamed(drawn)
@@ -338,7 +338,7 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
 
 
 def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
-    """A line that names the PNGs beside masks that are masks of no frame or view by their names, if any."""
+    """A line about PNGs beside masks whose names denote no frame or view, if any."""
     pngs = (path.name for path in listed(drawn.folder) if path.suffix.lower() == ".png")
     others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
     if not others:
@@ -373,7 +373,7 @@ def image_digest(sequence: Sequence, frame: int) -> str:
 
 
 def _as_recorded(sequence: Sequence, frame: int) -> str:
-    """The digest of a frame's pictures as a view of it would show them, if nothing were corrected."""
+    """The digest of a frame's pictures as an uncorrected view."""
     return picture_digest(pictures_of(sequence, frame))
 
 
@@ -384,6 +384,6 @@ def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
 
 
 def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """The views by what the name of a mask says: (view's number, False), and (frame, True)."""
-    found = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
-    return {key: view for view in found for key in ((int(view.name), False), (view.frame, True))}
+    """The views that mask names refer to: (view's number, False), or (frame, True)."""
+    shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
+    return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}

@@ -1,4 +1,4 @@
-"""Where tasks are carried out: in this process, on processes of this machine, or on a cluster.
+"""Executors of tasks: this process, processes of this machine, or a cluster.
 
 Whoever has many tasks is written once, against `Executor`; the result does not depend on which one it is.
 """
@@ -9,13 +9,13 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-# How a task says how far it is; what it says is a tuple of texts and numbers.
-Say = Callable[[Any], None]
+# A task's progress callback, called with texts and numbers.
+SendMessage = Callable[[Any], None]
 
 
 @dataclass(frozen=True)
-class Lost:
-    """In place of a result: the task's process was killed, in the end with nothing beside it, or must be.
+class WorkerLost:
+    """In place of a result: the task's process was killed although it ran alone at last, or hangs.
 
     A task whose process hangs returns it itself; the process ends soon after.
 
@@ -27,35 +27,35 @@ class Lost:
 
 
 # What an executor yields.
-Outcomes: TypeAlias = Generator[tuple[Task, Result | Lost], None, None]
+Outcomes: TypeAlias = Generator[tuple[Task, Result | WorkerLost], None, None]
 
 
-class Audience(Protocol):
-    """Who hears what is to be told while tasks are carried out, always in this process."""
+class Listener(Protocol):
+    """Receives the messages of running tasks, always in this process."""
 
     def heard(self, message: Any) -> None:
-        """What a task said of itself."""
+        """Receive a task's message."""
 
     def warn(self, message: str, task: Any = None) -> None:
-        """Something that concerns all tasks, or one, in one line; `{id}` in it stands for its recording."""
+        """Receive a warning about all tasks, or one, in one line; `{id}` in it stands for its recording."""
 
 
 class Executor(Protocol):
     """Carries out tasks, several at a time."""
 
     def slots(self) -> int:
-        """How many tasks can be carried out at a time now."""
+        """The number of tasks that can run at once now."""
 
     def outcomes(
         self,
-        function: Callable[[Task, Say], Result],
+        function: Callable[[Task, SendMessage], Result],
         tasks: Sequence[Task],
-        audience: Audience,
+        listener: Listener,
         memory_gb: Callable[[Task], float] | None = None,
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """Yield each task with its result as soon as it is there, in any order.
+        """Yield each finished task with its result, in any order.
 
         Whoever stops before the end closes the iterator: then what still runs is stopped, or left to end by
         itself on other machines.
@@ -63,19 +63,19 @@ class Executor(Protocol):
         Args:
             function: module-level, or a partial of one; may be called several times for a task.
             tasks: picklable.
-            audience: told here what the tasks say.
-            memory_gb: what a task is expected to need at most, in GB, where somebody hands memory out.
+            listener: receives the messages of the tasks.
+            memory_gb: expected memory of a task at most, in GB, where somebody hands memory out.
             slowest_twice: whether the last tasks may be given to idle workers once more, and the first result
                 counts: only for tasks that do not wait for each other.
 
         Raises:
-            Exception: what the function raises.
+            Exception: that of the function.
             ClusterError: the cluster cannot be used any more.
         """
 
 
-class Here:
-    """One task after another, in this process."""
+class SerialExecutor:
+    """Runs one task after another, in this process."""
 
     def slots(self) -> int:
         """One."""
@@ -83,13 +83,13 @@ class Here:
 
     def outcomes(
         self,
-        function: Callable[[Task, Say], Result],
+        function: Callable[[Task, SendMessage], Result],
         tasks: Sequence[Task],
-        audience: Audience,
+        listener: Listener,
         memory_gb: Callable[[Task], float] | None = None,
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
         """See `Executor`; nothing can be lost."""
         for task in tasks:
-            yield task, function(task, audience.heard)
+            yield task, function(task, listener.heard)

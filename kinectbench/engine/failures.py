@@ -1,4 +1,4 @@
-"""Failures that are kept, so that what failed is not tried again before something it depends on changes."""
+"""Stored failures: a failed stage is not repeated until one of its inputs changes."""
 
 import contextlib
 from collections.abc import Collection, Iterator
@@ -20,12 +20,12 @@ from kinectbench.engine.artefact import Artefact
 
 # What the recording and the settings are to blame for: the same code would fail again.
 OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError)
-# What the machine is to blame for, behind whatever it was told as: it may be well at the next run.
+# Faults of the machine, whichever error reported them: the next run may succeed.
 OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """Why a stage would fail again: it did, and nothing that it depends on has changed since.
+    """Why a stage would fail again: it failed before, with the same inputs.
 
     Args:
         build: `build/<recording>/`.
@@ -37,7 +37,7 @@ def failed_before(build: Path, artefact: Artefact) -> Failed | None:
     try:
         failed = Failed.read_if_there(build)
     except StorageError:
-        return None  # damaged: nobody can read what failed
+        return None  # damaged: the failure is unreadable
     if (
         failed is not None
         and failed.stage == artefact.stage
@@ -55,14 +55,14 @@ def keep_failure(
     failure: BaseException | None = None,
     tried: Artefact | None = None,
 ) -> None:
-    """Write failed.json. A disk that takes nothing more keeps no reason.
+    """Write failed.json, unless the disk is full.
 
     Args:
         build: `build/<recording>/`.
         stage: the name of the stage that failed; None if its process was killed.
-        error: why, one line, as people are told.
-        failure: what was raised, if it is known.
-        tried: what was to be made, if it had come so far.
+        error: the reason, one line, as printed.
+        failure: the exception, if known.
+        tried: the artefact in work, if any.
     """
     failed = Failed(stage=stage, error=error, code=error_code(failure) if failure else KILLED)
     if tried is not None and failure is not None and _would_repeat(failure):
@@ -89,7 +89,7 @@ def forget_failure(build: Path, stages: Collection[str]) -> None:
 
 
 def _would_repeat(failure: BaseException) -> bool:
-    """Whether the recording is to blame, and no error of the machine lies behind it."""
+    """Whether the recording, not the machine, caused the failure."""
     behind = any(isinstance(each, OF_THE_MACHINE) for each in _chain(failure))
     return isinstance(failure, OF_THE_RECORDING) and not behind
 

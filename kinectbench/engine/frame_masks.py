@@ -23,7 +23,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 
     Args:
         sequence: the recording.
-        by: what says what the object is; None: nothing but its place.
+        by: the source of the masks; None: only the object's place is known.
         folder: of a person's masks of frames; None: the recording's own are meant.
 
     Raises:
@@ -48,7 +48,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """What the object stands on, in its world: a person's plane, or the one that it was seen to turn on."""
+    """The plane below the object: a person's, or the detected turntable; world frame."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)
@@ -90,7 +90,7 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
         )
 
     def mask(index: int) -> Bools | None:
-        """The mask of a frame: (height, width) bool, or None if nobody drew one."""
+        """The mask of a frame: (height, width) bool; None without a mask."""
         if index not in names:
             return None
         own, size = given.read(names[index]), (sequence.camera.height, sequence.camera.width)

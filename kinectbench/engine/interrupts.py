@@ -18,7 +18,7 @@ from typing import Any
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 # Python answers no signal while a library computes: so many seconds after one the process is ended all the
-# same (own choice: with what the end takes, two seconds).
+# same (with the time that ending takes, two seconds).
 ANSWER_S = 1.5
 # So often the watch looks whether Python has seen a signal that it did not wait for; bytes read at once.
 LOOK_EVERY_S, MANY = 0.5, 4096
@@ -32,7 +32,7 @@ _seen: list[int] = []
 def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> Iterator[None]:
     """Within the block an interrupt or SIGTERM raises KeyboardInterrupt, and is remembered.
 
-    One that comes in a callback that cannot raise, such as the import system's, is remembered without a word.
+    One that comes in a callback that cannot raise, such as the import system's, is remembered silently.
 
     Args:
         unanswered: called with the signal, on another thread, where Python has not seen it after 1.5 s: a
@@ -44,14 +44,14 @@ def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> It
 
 def _remembered() -> Iterator[None]:
     previous = [signal.signal(number, _remember) for number in STOP_SIGNALS]
-    told = sys.unraisablehook
-    sys.unraisablehook = _without_interrupts(told)
+    hook = sys.unraisablehook
+    sys.unraisablehook = _without_interrupts(hook)
     try:
         yield
     finally:
         for number, handler in zip(STOP_SIGNALS, previous, strict=True):
             signal.signal(number, handler)
-        sys.unraisablehook = told
+        sys.unraisablehook = hook
 
 
 @contextmanager
@@ -77,9 +77,9 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
 
 
 def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
-    """Wait for each signal until Python has seen one more than before it came: at first, so many."""
+    """Wait for signals, and pass on those that Python does not handle in time."""
     while True:
-        # Counted before the pipe is looked at: what Python sees from here on may be the answer to what comes.
+        # Count before reading the pipe, as Python may answer a later signal.
         counted = len(_seen)
         if not select.select([reading], [], [], LOOK_EVERY_S)[0]:
             before = counted
@@ -101,29 +101,29 @@ def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int
 
 
 def ignore_interrupts() -> None:
-    """For the end of the process: from here on no interrupt or SIGTERM is answered."""
+    """Ignore interrupts and SIGTERM from here on, for the end of the process."""
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def interrupted_status() -> int:
-    """The exit status of a process that was interrupted: 143 if by SIGTERM, else 130, as shells count."""
+    """The exit status of an interrupted process: 143 after SIGTERM, else 130, as in shells."""
     return 128 + (signal.SIGTERM if signal.SIGTERM in _asked else signal.SIGINT)
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if there was one, even if somebody has swallowed it."""
+    """Raise KeyboardInterrupt if one occurred, even if other code swallowed it."""
     if _asked:
         raise KeyboardInterrupt
 
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Within the block no interrupt is answered, at its end it is; processes started in it never answer any.
+    """Delay interrupts to the end of the block; processes started in it never receive any.
 
     Ctrl-C reaches all processes of a terminal. Workers must not answer it, each with a traceback of its own:
     they inherit that the signal is blocked, and their parent stops them. The parent needs the handler too,
-    for threads of libraries take the signal although it is blocked here. SIGTERM ends workers without a word,
+    for threads of libraries take the signal although it is blocked here. SIGTERM ends workers silently,
     and is how their parent stops them: they do not inherit that it is held.
 
     A signal to the whole group ends workers that start, too, and what the block does fails by that: the
@@ -153,9 +153,9 @@ def interrupts_held() -> Iterator[None]:
             signal.raise_signal(asked[0])
 
 
-def _without_interrupts(told: Callable[[Any], object]) -> Callable[[Any], object]:
-    """A hook that hands on what could not be raised, but for interrupts: they are remembered."""
-    return lambda unraisable: None if unraisable.exc_type is KeyboardInterrupt else told(unraisable)
+def _without_interrupts(hook: Callable[[Any], object]) -> Callable[[Any], object]:
+    """A hook that passes unraisable errors on, except interrupts, which are remembered."""
+    return lambda unraisable: None if unraisable.exc_type is KeyboardInterrupt else hook(unraisable)
 
 
 def _remember(number: int, frame: object) -> None:

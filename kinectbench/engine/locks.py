@@ -1,7 +1,7 @@
-"""One run at a time in a folder: who holds its lock, and what killed runs left in it.
+"""One run at a time in a folder: its lock, and what killed runs left.
 
 The lock is the operating system's (flock): it goes with the process that holds it, however that ends, so
-there is no stale lock. The file `.lock` only says who holds it.
+there is no stale lock. The file `.lock` only names its holder.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ COMMAND_CHARS = 100
 def locked(
     folder: Path, *, wait: bool = True, waiting: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Hold the folder's lock. Leftovers of runs that were killed are swept away once it is held.
+    """Hold the folder's lock. Once it is held, leftovers of killed runs are removed.
 
     Args:
         folder: made if it is not there.
@@ -67,9 +67,9 @@ def locked(
 
 
 def sweep(path: Path) -> None:
-    """Clear away what killed runs left beside `path`, whose name may be a pattern. Nobody may be writing it.
+    """Remove leftovers of killed runs beside `path`, whose name may be a pattern and must not be in use.
 
-    What was moved aside to be replaced is moved back if nothing has taken its place.
+    A file that was moved aside is moved back if its replacement is missing.
     """
 
     def is_left(name: str) -> bool:
@@ -116,7 +116,7 @@ def _write(lock: IO[str], text: str) -> None:
 
 
 def _myself() -> str:
-    """One line: process, machine, command and time. A worker goes by the name of its parent."""
+    """One line: process, machine, command and time. A worker has the name of its parent."""
     parent = multiprocessing.parent_process()
     command = shlex.join(["kinectbench", *sys.argv[1:]])
     if len(command) > COMMAND_CHARS:

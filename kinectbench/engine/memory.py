@@ -1,4 +1,4 @@
-"""How much memory the stages of a recording are expected to need, by what is known before they are built."""
+"""The expected memory of a recording's stages, from facts known before they are built."""
 
 from itertools import islice
 from math import prod
@@ -23,17 +23,17 @@ UNKNOWN_VOXELS = 13e6
 # colour. It is an upper bound for other forms, so that at most a thousand frames of 640 x 480 are expected.
 BYTES_OF_FILE_PER_PIXEL = 0.4
 UNKNOWN_PIXELS = 1000 * 640 * 480
-# Files of a folder that are looked at (own choice: a thousand frames have some thousands).
+# Files of a folder that are looked at (a thousand frames have some thousands).
 MOST_FILES = 10_000
 
 
 def expected_gb(job: Job) -> float:
-    """Peak resident memory of the stages of a recording, GB; about as much, not a bound."""
+    """Peak resident memory of a recording's stages, GB; an estimate, not a bound."""
     return LIBRARIES_GB + (BYTES_PER_PIXEL * _pixels(job) + BYTES_PER_VOXEL * _voxels(job)) / 1e9
 
 
 def _pixels(job: Job) -> float:
-    """Of all depth images, as ingest counted them, or else as large as the recording's files allow."""
+    """Pixels of all depth images, as counted by ingest, or estimated from the size of the files."""
     if url_of(job.root) is not None:
         return UNKNOWN_PIXELS
     try:
@@ -51,7 +51,7 @@ def _pixels(job: Job) -> float:
 
 
 def _voxels(job: Job) -> float:
-    """Of the grid from the floor around a person's box; without one of what is usually found at most."""
+    """Voxels of the grid from the floor around a person's box; without a box, a typical maximum."""
     from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box

@@ -1,4 +1,4 @@
-"""What a worker of a cluster does with a task: it checks its own versions, and says how far the task is."""
+"""A task on a cluster's worker: checks the worker's versions, and reports progress."""
 
 import contextlib
 import ctypes
@@ -28,7 +28,7 @@ MMAP_BYTES = 32 << 20
 
 @cache
 def package_versions() -> Mapping[str, str]:
-    """The versions here of all that the result of a task depends on; "none" for what is not installed."""
+    """The local versions of all packages that decide results; "none" if not installed."""
     return {"kinectbench": __version__, "Python": python_version()} | {
         name: package_version(name) or "none" for name in PACKAGES
     }
@@ -36,7 +36,7 @@ def package_versions() -> Mapping[str, str]:
 
 @cache
 def keep_freed_memory() -> None:
-    """Let this process keep the memory of freed arrays for the next ones, as any process does by itself.
+    """Let this process keep freed memory for later arrays, as is the default elsewhere.
 
     Dask starts workers with MALLOC_TRIM_THRESHOLD_=65536, by which it goes back to the system at once. Builds
     of four simulated recordings took 141 s of CPU with that, 101 s without, and 93 s in kinectbench's pool.
@@ -48,11 +48,11 @@ def keep_freed_memory() -> None:
 
 
 def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
-    """Carry out a task on this worker.
+    """Run a task on this worker.
 
     Args:
         packed: the function and the task, pickled.
-        topic: by which the client hears what the task says.
+        topic: of the task's messages to the client.
         versions: of the client's packages.
 
     Raises:
@@ -74,12 +74,12 @@ def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
             "it makes the same bytes",
             what="other-versions",
         )
-    said: dict[Any, float] = {}
+    reported_s: dict[Any, float] = {}
 
     def say(message: Any) -> None:
         what, now = message[:2], time.monotonic()
-        if now - said.get(what, float("-inf")) >= SAY_S:
-            said[what] = now
+        if now - reported_s.get(what, float("-inf")) >= SAY_S:
+            reported_s[what] = now
             worker.log_event(topic, list(message))
 
     function, task = pickle.loads(packed)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from kinectbench.core.errors import KILLED
 from kinectbench.core.threads import using_threads
-from kinectbench.engine.executor import Executor, Here, Lost, Say
+from kinectbench.engine.executor import Executor, SendMessage, SerialExecutor, WorkerLost
 from kinectbench.engine.memory import expected_gb
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.place import (
@@ -30,16 +30,16 @@ MOST_THREADS = 8
 
 
 class Watcher(Protocol):
-    """Whoever wants to know how far the recordings are."""
+    """Receives the progress of recordings."""
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
-        """A recording is so far in a stage."""
+        """Report the progress of a recording in a stage."""
 
     def ended(self, outcome: Outcome) -> None:
         """A recording is up to date, or has failed."""
 
     def warn(self, message: str) -> None:
-        """Something that concerns all of them."""
+        """Receive a warning that concerns all recordings."""
 
 
 class _Nobody:
@@ -48,7 +48,7 @@ class _Nobody:
     def warn(self, message: str) -> None: ...
 
 
-# `build_at_its_place` with all but the job and who is told how far it is.
+# `build_at_its_place` with all arguments but the job and the progress callback.
 BuildOne = Callable[..., Outcome]
 
 
@@ -63,7 +63,7 @@ def build(
     limit_s: float | None = None,
     executor: Executor | None = None,
 ) -> list[Outcome]:
-    """Bring recordings up to date, each for itself; one that fails does not stop the others.
+    """Bring recordings up to date independently; a failure does not stop the others.
 
     A recording whose process is killed, in the end with nothing beside it, or hangs, fails, and its
     `failed.json` says so.
@@ -71,10 +71,10 @@ def build(
     Args:
         jobs: the recordings.
         upto: name of the last stage.
-        force: names of stages to make anew even if they are current.
+        force: names of stages to make again even if they are current.
         workers: processes, or threads of a recording that is alone, at most eight; the results do not depend
             on how many.
-        watcher: told in this process how far each recording is.
+        watcher: called in this process with the progress of each recording.
         wait_for_others: whether to wait for another run that is at the same recording, or to let it fail.
         limit_s: how long a recording may take, seconds; None: as long as it does.
         executor: where they are built, in place of `workers` processes here.
@@ -91,8 +91,8 @@ def build(
     )
     alone = executor is None and (workers <= 1 or len(jobs) <= 1)
     tasks = [job.alone if executor is None else for_elsewhere(job.alone) for job in jobs]
-    where = executor or (Here() if alone else Pool(min(workers, len(jobs))))
-    found = where.outcomes(
+    where = executor or (SerialExecutor() if alone else Pool(min(workers, len(jobs))))
+    results = where.outcomes(
         partial(_build if alone or limit_s is None else _build_watched, build_one),
         tasks,
         outcomes,
@@ -100,9 +100,9 @@ def build(
         slowest_twice=not any(map(waits_for_others, jobs)),
     )
     try:
-        with using_threads(min(workers, MOST_THREADS)) if alone else nullcontext(), closing(found):
-            for job, outcome in found:
-                outcomes.add(_killed(job, outcome) if isinstance(outcome, Lost) else outcome)
+        with using_threads(min(workers, MOST_THREADS)) if alone else nullcontext(), closing(results):
+            for job, outcome in results:
+                outcomes.add(_killed(job, outcome) if isinstance(outcome, WorkerLost) else outcome)
     except BaseException:
         for job in jobs if not alone else ():
             clear_away(job)
@@ -112,13 +112,13 @@ def build(
     return [outcomes.by_id[job.recording.id] for job in jobs]
 
 
-def _build_watched(build_one: BuildOne, job: Job, say: Say) -> Outcome | Lost:
+def _build_watched(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome | WorkerLost:
     """Build a recording in a worker process, which ends if the recording hangs."""
     return watched(lambda hung: _build(partial(build_one, hung=hung), job, say))
 
 
-def _build(build_one: BuildOne, job: Job, say: Say) -> Outcome:
-    """Build a recording wherever a task is carried out."""
+def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
+    """Build a recording on whichever worker runs the task."""
 
     def report(stage: str, done: int, total: int) -> None:
         say((job.recording.id, stage, done, total))
@@ -128,7 +128,7 @@ def _build(build_one: BuildOne, job: Job, say: Say) -> Outcome:
 
 @dataclass(frozen=True)
 class _Outcomes:
-    """What has become of the recordings so far."""
+    """The outcomes of recordings so far."""
 
     watcher: Watcher
     by_id: dict[str, Outcome] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class _Outcomes:
         self.watcher.ended(outcome)
 
 
-def _killed(job: Job, lost: Lost) -> Outcome:
+def _killed(job: Job, lost: WorkerLost) -> Outcome:
     error = lost.reason.format(id=job.recording.id)
     keep_killed(job, error)
     return Outcome(job.recording.id, (), (), error, 0.0, code=KILLED)

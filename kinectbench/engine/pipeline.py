@@ -1,4 +1,4 @@
-"""Running the stages of one recording: what is current is skipped, errors are told, not raised."""
+"""Running the stages of one recording: current artefacts are skipped, errors are reported, not raised."""
 
 import os
 import time
@@ -35,7 +35,7 @@ NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording: the stages made and those still current, the error or None.
+    """The outcome of one recording: stages made and stages still current, the error or None.
 
     `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
     `row`: its figures, of a recording in a store; None: they are read in its folder.
@@ -68,7 +68,7 @@ def build_recording(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Bring one recording up to date as far as a stage. Its errors are told, not raised.
+    """Bring one recording up to date as far as a stage. Errors are reported, not raised.
 
     A stage that failed is tried again once something that it depends on has changed, or if it is forced.
     Not even an unforeseen error may stop the other recordings (but does with KINECTBENCH_DEBUG set).
@@ -76,11 +76,11 @@ def build_recording(
     Args:
         job: the recording.
         upto: name of the last stage.
-        force: names of stages to make anew even if they are current.
+        force: names of stages to make again even if they are current.
         progress: called with (stage, done, total); a run that waits for another says so as its stage.
         wait: whether to wait for another run that is at this recording; else that is the error.
         limit_s: how long it may take, seconds, without that wait; None: as long as it does.
-        hung: called with the reason, on another thread, if it neither ends nor goes on long after that.
+        hung: called with the reason, on another thread, if it neither ends nor continues long after that.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
@@ -113,7 +113,7 @@ def build_recording(
             if not repeated:
                 forget_failure(job.build, (*made, *current))
     except Exception as failure:
-        error, code = told(failure), error_code(failure)
+        error, code = error_line(failure), error_code(failure)
     if error is not None:
         check_interrupt()  # an interrupt in the midst of an import may look like an error
     seconds, done = time.monotonic() - started, (tuple(made), tuple(current))
@@ -121,7 +121,7 @@ def build_recording(
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Refuse masks of a person that cannot be used, before what takes long; lines to tell of others."""
+    """Refuse unusable masks of a person before slow work; returns warnings about others."""
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
         if samples:
@@ -134,7 +134,7 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 
 def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
-    """Refuse masks of frames that are not there, before what takes long; `ingest` has counted the frames."""
+    """Refuse masks of missing frames before slow work; `ingest` has counted the frames."""
     from kinectbench.engine.drawn_masks import check_mask_numbers
 
     with _failure_kept(job, stages[-1], {}):
@@ -143,18 +143,18 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """Keep on disk why a stage failed, for the page; of `suggest` it shows nothing."""
+    """Store why a stage failed, for the page; a failure of `suggest` is not shown there."""
     try:
         yield
     except Exception as failure:
         check_interrupt()
         if stage.name in STAGE_NAMES:
-            keep_failure(job.build, stage.name, told(failure), failure, artefacts.get(stage.name))
+            keep_failure(job.build, stage.name, error_line(failure), failure, artefacts.get(stage.name))
         raise
 
 
-def told(failure: Exception) -> str:
-    """What people are told of an error, in one line; an unforeseen one goes on with KINECTBENCH_DEBUG set."""
+def error_line(failure: Exception) -> str:
+    """An error as one line to print; an unforeseen one is raised again if KINECTBENCH_DEBUG is set."""
     if isinstance(failure, KinectBenchError):
         return str(failure)
     if isinstance(failure, MemoryError):
@@ -170,7 +170,7 @@ def is_current(job: Job, upto: str) -> bool:
 
 
 def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
-    """What each stage up to the named one is to make, by the stages' names in their order."""
+    """The artefacts of each stage up to the named one, by stage in order."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, stage.sources(job), artefacts)
@@ -178,7 +178,7 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:
-    """The settings that what lies on disk was made with and that are others now: {key: (then, now)}.
+    """Settings of the artefacts on disk that have changed: {key: (then, now)}.
 
     Args:
         job: the recording, with the settings of now.
@@ -197,10 +197,10 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:
 
 def _by_key(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     """Nested settings by their keys as `--set` names them, such as fusion.voxel_size_m."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in settings.items():
-        found |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
-    return found
+        flat |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
+    return flat
 
 
 def listed_box(job: Job, number: int) -> BoxPart:
@@ -237,7 +237,7 @@ def _make(
     artefact: Artefact,
     report: Callable[[str, int, int], None],
 ) -> None:
-    """Make an artefact; its step is given what is in its fingerprint and nothing else, so not the job."""
+    """Make an artefact; its step gets only the values in its fingerprint, not the job."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
@@ -259,7 +259,7 @@ def _make(
 
 
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:
-    """Refuse masks of frames that are other images now; what checks those of views in the folder of views.
+    """Refuse masks of frames whose images have changed; returns the check of masks of views.
 
     It can only refuse, and changes nothing that a step makes: so masks.json is in no fingerprint, and the
     refusal is not one that is kept.

@@ -1,4 +1,4 @@
-"""Where a recording is built: in its folder of this machine, or in a store if its root is a URL."""
+"""Where a recording is built: in its local folder, or for a store if its root is a URL."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ def build_at_its_place(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """`build_recording`, wherever the benchmark lies."""
+    """`build_recording`, for local benchmarks and for those in stores."""
     if url_of(job.root) is None:
         return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
     from kinectbench.engine.stored_build import build_stored
@@ -33,7 +33,7 @@ def build_at_its_place(
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The stages of a recording that are made and current, and why its last run failed, if it did."""
+    """The current stages of a recording, and why its last run failed, if it did."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
@@ -57,17 +57,17 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """The job as processes that started in other folders must be given it."""
+    """The job in a form for processes with other working folders."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 
 def waits_for_others(job: Job) -> bool:
-    """Whether a recording is built by one run at a time; in a store nobody waits, and all write the same."""
+    """Whether one run at a time builds a recording; in a store runs do not wait and write equal files."""
     return url_of(job.root) is None
 
 
 def clear_away(job: Job) -> None:
-    """Remove what killed workers left of a recording here, but not where another run is at work."""
+    """Remove what killed workers left of a recording, unless another run works on it."""
     if url_of(job.root) is not None or not job.build.is_dir():
         return
     with contextlib.suppress(StorageError), locked(job.build, wait=False):

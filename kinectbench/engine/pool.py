@@ -9,7 +9,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from kinectbench.engine.executor import Audience, Lost, Outcomes, Result, Say, Task
+from kinectbench.engine.executor import Listener, Outcomes, Result, SendMessage, Task, WorkerLost
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.processes import CONTEXT, submit_all, worker_pool
 
@@ -17,13 +17,13 @@ KILLED_ALONE = (
     "its process was killed although no other ran beside it, perhaps for lack of memory; "
     "free some memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
 )
-# Seconds between two looks at what the tasks say.
+# Seconds between two polls of the tasks' messages.
 LISTEN_S = 0.2
 
 
 @dataclass(frozen=True)
 class Pool:
-    """So many processes of this machine, which end with this one.
+    """A pool of processes on this machine, which end with this one.
 
     Where one is killed (by the system, for lack of memory), the tasks that were not done are carried out on
     half as many, and in the end one at a time: then it is known which one cannot be, and the others are
@@ -33,42 +33,42 @@ class Pool:
     processes: int
 
     def slots(self) -> int:
-        """As many as processes."""
+        """The number of processes."""
         return self.processes
 
     def outcomes(
         self,
-        function: Callable[[Task, Say], Result],
+        function: Callable[[Task, SendMessage], Result],
         tasks: Sequence[Task],
-        audience: Audience,
+        listener: Listener,
         memory_gb: Callable[[Task], float] | None = None,
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """See `Executor`; nothing is carried out twice, as another process here is no faster."""
+        """See `Executor`; no task runs twice, as another local process is no faster."""
         left, at_once = list(tasks), self.processes
         while left:
-            left, hangs = yield from _until_killed(function, left, at_once, audience)
+            left, hangs = yield from _until_killed(function, left, at_once, listener)
             check_interrupt()  # a SIGTERM to the whole group ends the workers, too
             if left and hangs:
-                audience.warn("the process of a recording that hangs was ended; those beside it begin again")
+                listener.warn("the process of a recording that hangs was ended; those beside it begin again")
             elif left and at_once == 1:
                 # A single process takes them in their order: the first that is left killed it.
                 culprit, *left = left
                 at_once = self.processes
-                yield culprit, Lost(KILLED_ALONE)
+                yield culprit, WorkerLost(KILLED_ALONE)
             elif left:
                 at_once = max(at_once // 2, 1)
-                audience.warn(
+                listener.warn(
                     "a worker process was killed, perhaps for lack of memory; "
                     f"going on with {at_once} recording{'s' * (at_once > 1)} at a time"
                 )
 
 
 def _until_killed(
-    function: Callable[[Task, Say], Result], tasks: Sequence[Task], processes: int, audience: Audience
-) -> Generator[tuple[Task, Result | Lost], None, tuple[list[Task], bool]]:
-    """Carry them out; returns those that were not done when a process was killed, and whether one hangs."""
+    function: Callable[[Task, SendMessage], Result], tasks: Sequence[Task], processes: int, listener: Listener
+) -> Generator[tuple[Task, Result | WorkerLost], None, tuple[list[Task], bool]]:
+    """Run tasks until a process is killed; returns the remaining ones, and whether one hangs."""
     messages = CONTEXT.Queue()
     undone, hangs = dict(enumerate(tasks)), False
     try:
@@ -80,9 +80,9 @@ def _until_killed(
                 numbers[future] = number
                 future.add_done_callback(done.put)
             for _ in tasks:
-                future = _next_done(done, messages, audience)
+                future = _next_done(done, messages, listener)
                 result = future.result()
-                hangs = isinstance(result, Lost)
+                hangs = isinstance(result, WorkerLost)
                 yield undone.pop(numbers[future]), result
                 if hangs:
                     raise BrokenProcessPool
@@ -91,14 +91,14 @@ def _until_killed(
     return list(undone.values()), hangs
 
 
-def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, audience: Audience) -> "Future[Result]":
-    """The next task that is done; until then what the tasks say is told."""
+def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, listener: Listener) -> "Future[Result]":
+    """The next finished task; messages of the tasks are reported until then."""
     while True:
         ended = None
         with contextlib.suppress(Empty):
             ended = done.get(timeout=LISTEN_S)
         for message in _drained(messages):
-            audience.heard(message)
+            listener.heard(message)
         if ended is not None:
             return ended
 
@@ -112,7 +112,7 @@ def _keep_queue(messages: Any) -> None:
     _messages.append(messages)
 
 
-def _call(function: Callable[[Task, Say], Result], task: Task) -> Result:
+def _call(function: Callable[[Task, SendMessage], Result], task: Task) -> Result:
     return function(task, _messages[-1].put)
 
 

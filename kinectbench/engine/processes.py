@@ -25,7 +25,7 @@ CONTEXT = multiprocessing.get_context("spawn")
 def worker_pool(
     workers: int, prepare: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of spawned processes; if the block ends by an exception, whatever they do is stopped at once.
+    """A pool of spawned processes; if the block raises an exception, they are stopped at once.
 
     Args:
         workers: most processes at a time.
@@ -74,7 +74,7 @@ def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[Any, ...
 
 
 def _end_with_parent() -> None:
-    """A killed parent cannot say so, and an orphan would wait for work for ever."""
+    """End with the parent: a killed parent cannot stop its workers, which would wait for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

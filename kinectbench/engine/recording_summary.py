@@ -1,4 +1,4 @@
-"""A row of the table at the end of a build: what a run made of a recording."""
+"""A row of the table at the end of a build: the result of one recording."""
 
 from pydantic import Field, field_serializer
 
@@ -7,7 +7,7 @@ from kinectbench.core.artefacts.stored import Part
 
 
 class RecordingSummary(Part):
-    """What a run made of a recording; a figure is null where its stage is not made and current."""
+    """The result of a run on one recording; a figure is null unless its stage is current."""
 
     recording: str = Field(description="its id")
     frames: int | None = Field(description="their number")
@@ -40,5 +40,5 @@ class RecordingSummary(Part):
 
     @field_serializer("residual_m")
     def _millimetres(self, residual_m: float | None) -> float | None:
-        # With all its decimals, or what is shown would be rounded twice.
+        # Unrounded, as it is rounded when shown.
         return None if residual_m is None else round(1000 * residual_m, 6)

@@ -44,19 +44,19 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def clear_scratch() -> None:
-    """Remove what worker processes of this one left there when they were ended."""
+    """Remove what ended worker processes of this one left there."""
     for folder in Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir()).glob(f"{_prefix()}*"):
         _remove(folder)
 
 
 def _prefix() -> str:
-    """Names what a process and its workers make: by the number of the process that is not one of ours."""
+    """The name prefix of this process and its workers: the number of the main process."""
     parent = multiprocessing.parent_process()
     return f"{PREFIX}{os.getpid() if parent is None else parent.pid}-"
 
 
 def _sweep(base: Path) -> None:
-    """Remove our own folders that nobody works in."""
+    """Remove our unused folders."""
     for folder in base.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
             if time.time() - folder.lstat().st_mtime > YOUNG_S:
@@ -64,9 +64,9 @@ def _sweep(base: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of ours, unless somebody works in it."""
+    """Remove one of our folders unless it is in use."""
     with contextlib.suppress(OSError, StorageError):
-        found = folder.lstat()
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid():
+        status = folder.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid():
             with locked(folder, wait=False):
                 shutil.rmtree(folder)

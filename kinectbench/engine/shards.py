@@ -13,7 +13,7 @@ WANTED = f"give I/N, such as 3/40 for the third of 40 parts, with I from 1 to N,
 
 @dataclass(frozen=True)
 class Shard:
-    """One of several parts that together are all recordings, each in exactly one of them.
+    """One of several disjoint parts that together are all recordings.
 
     Which part a recording belongs to depends on its id alone: it stays there when others come or go. Parts
     have about as many recordings each; one may have none.
@@ -40,8 +40,8 @@ def parse_shard(text: str) -> Shard:
     Raises:
         SettingsError: the text is something else, or there is no such part.
     """
-    found = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text, re.ASCII)
-    number, of = map(int, found.groups()) if found else (0, 0)
+    match = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text, re.ASCII)
+    number, of = map(int, match.groups()) if match else (0, 0)
     if not 1 <= number <= of <= MOST_SHARDS:
         raise SettingsError(f"--shard {text}: {WANTED}")
     return Shard(number, of)

@@ -1,4 +1,4 @@
-"""A recording whose scan is deleted once it was built: what is kept is what releases and reports need.
+"""A recording whose scan is deleted after the build: keeps what releases and reports need.
 
 Its stages stay current. What would have to be made from the deleted frames is refused until the scan is back.
 """
@@ -16,7 +16,7 @@ SLIMMED, KEPT = ("sequence", "reconstruction"), ".json"
 
 
 def slim(build: Path) -> int:
-    """Delete the frames and the scene's volume of what was built; returns how many bytes went.
+    """Delete the frames and the scene's volume of a build; returns the bytes freed.
 
     So it is with a recording that failed on the way.
 
@@ -31,7 +31,7 @@ def slim(build: Path) -> int:
             continue
         kept = {file: size for file, size in manifest.files.items() if file.endswith(KEPT)}
         gone = len(manifest.files) - len(kept) + (manifest.removed or 0)
-        # First what is to stay: a run that is killed here leaves files that nobody misses.
+        # First write the files to keep, so that a kill here loses nothing.
         with replaced_file(folder / Manifest.FILE) as temporary:
             slimmed = manifest.model_copy(update={"files": kept, "removed": gone})
             temporary.write_text(slimmed.text(), encoding="utf-8")
@@ -43,7 +43,7 @@ def slim(build: Path) -> int:
 
 
 def keep_failed_source(build: Path) -> None:
-    """Keep in failed.json what the scan was that is deleted, so that its reason is said again without it.
+    """Keep the deleted scan's identity in failed.json, so that its reason can be repeated.
 
     Args:
         build: `build/<recording>/` of a recording that could not be read; of another nothing is changed.

@@ -1,4 +1,4 @@
-"""What of the settings each stage depends on: one value per stage, and its step is given nothing else.
+"""The settings of each stage: one value per stage, which is all that its step receives.
 
 The value's JSON is the settings in the stage's fingerprint, so that a step cannot read a setting that is not
 in it. `stages` makes them of a job.
@@ -30,13 +30,13 @@ Section = TypeVar("Section", bound=Settings)
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
-    """The part of a section that a stage depends on; what is beyond it cannot be reached through the part."""
+    """The part of a section that a stage depends on, as an object with only these keys."""
     kept = (name for name, field in wanted.model_fields.items() if not field.exclude)
     return wanted.model_validate({name: getattr(section, name) for name in kept})
 
 
 class StageSettings(Settings):
-    """Base of what a stage depends on.
+    """Base of the settings of a stage.
 
     Attributes:
         ADDED: keys, with dots where nested, that came when artefacts of the stage's version lay on disks
@@ -59,7 +59,7 @@ class StageSettings(Settings):
 
 
 class IngestSettings(StageSettings):
-    """Of `ingest`."""
+    """Settings of `ingest`."""
 
     ADDED = ("needs_trajectory", "own_pixels", "camera.sensor")
 
@@ -71,7 +71,7 @@ class IngestSettings(StageSettings):
 
 
 class TrackSettings(StageSettings):
-    """Of `track`."""
+    """Settings of `track`."""
 
     ADDED = ("segment_by",)
 
@@ -81,19 +81,19 @@ class TrackSettings(StageSettings):
 
 
 class SceneFusion(FusionSettings):
-    """What fuses the scene: the object's voxels are no affair of it."""
+    """Settings of the scene's fusion, without the object's voxels."""
 
     voxel_size_m: None = Field(None, exclude=True)
 
 
 class ObjectFusion(FusionSettings):
-    """What fuses the object: the scene's voxels are no affair of it."""
+    """Settings of the object's fusion, without the scene's voxels."""
 
     scene_voxel_size_m: None = Field(None, exclude=True)
 
 
 class FuseSettings(StageSettings):
-    """Of `fuse`."""
+    """Settings of `fuse`."""
 
     ADDED = ("segment_by",)
 
@@ -102,7 +102,7 @@ class FuseSettings(StageSettings):
 
 
 class SuggestSettings(StageSettings):
-    """Of `suggest`."""
+    """Settings of `suggest`."""
 
     ADDED = ("segment_by", "floor")
 
@@ -112,7 +112,7 @@ class SuggestSettings(StageSettings):
 
 
 class SegmentSettings(StageSettings):
-    """Of `segment`."""
+    """Settings of `segment`."""
 
     ADDED = (
         *("segment_by", "floor", "underside"),
@@ -129,7 +129,7 @@ class SegmentSettings(StageSettings):
 
 
 class SampleSettings(StageSettings):
-    """Of `sample-views`; the floor's cuts, which `segment` depends on alike, are those of masks, too."""
+    """Settings of `sample-views`; masks use the floor's cuts of `segment`, too."""
 
     ADDED = ("segment_by", "segmentation.seed", "segmentation.floor_cut_m", "segmentation.low_cut_m")
 
@@ -140,7 +140,7 @@ class SampleSettings(StageSettings):
 
 
 class PairsSettings(StageSettings):
-    """Of `pairs`; limits that only views have to keep are among those that `sample-views` depends on."""
+    """Settings of `pairs`; limits on views alone are among those of `sample-views`."""
 
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 

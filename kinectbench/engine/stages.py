@@ -1,4 +1,4 @@
-"""The stages in their order: what each stands on, and which settings it depends on. `steps` runs them."""
+"""The stages in order: inputs and settings of each. `steps` runs them."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -62,30 +62,30 @@ class Job:
 
     @property
     def masks(self) -> Path | None:
-        """The folder of a person's masks, if there is one."""
+        """The folder of a person's masks, or None."""
         return None if self.recording.masks is None else self.root / self.recording.masks
 
     @property
     def alone(self) -> "Job":
-        """The same without the other recordings: thousands would be sent to a process with each of them."""
+        """A copy without the other recordings, as it is sent to many processes."""
         return replace(self, settings=self.settings.model_copy(update={"recordings": [self.recording]}))
 
     @property
     def unused_masks(self) -> Path | None:
-        """`masks/<recording>/`, if it is there and benchmark.yaml names no masks of the recording."""
+        """`masks/<recording>/`, if it exists and benchmark.yaml names no masks of the recording."""
         folder = self.root / "masks" / self.recording.id
         return folder if self.recording.masks is None and folder.is_dir() else None
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One arrow of the way through.
+    """One stage of the pipeline.
 
     Attributes:
         name: of the command.
         folder: of the artefact, below `build/<recording>/`.
         inputs: names of the stages it stands on.
-        needs: what of the settings it depends on; its step is given nothing else of them.
+        needs: the settings that it depends on; its step gets no others.
         sources: what outside `build/` it depends on, by name.
     """
 
@@ -97,11 +97,11 @@ class Stage:
 
     @property
     def version(self) -> int:
-        """Of what it writes; artefacts of another version are made again."""
+        """Version of its output; artefacts of another version are made again."""
         return VERSIONS[self.name]
 
     def settings(self, job: Job) -> Mapping[str, Any]:
-        """What of the settings it depends on, as plain JSON values."""
+        """The settings that it depends on, as plain JSON values."""
         return self.needs(job).fingerprinted()
 
 
@@ -155,7 +155,7 @@ def _pairs(job: Job) -> StageSettings:
 
 
 def check_masks(job: Job) -> None:
-    """Refuse a folder of masks that is not there.
+    """Refuse a missing folder of masks.
 
     Raises:
         RecordingError: it is named in benchmark.yaml, but missing.
@@ -183,7 +183,7 @@ def _masks(job: Job) -> Mapping[str, Source]:
 
 
 def _frame_masks(job: Job) -> Mapping[str, Source]:
-    """A person's masks of frames; nothing where those of views are meant."""
+    """A person's masks of frames; none if the folder holds masks of views."""
     return _masks(job) if job.recording.segment_by == "masks" else {}
 
 
@@ -222,9 +222,9 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
-    """The folders of `build/<recording>/` by their stages, of those that are current there.
+    """The folders of current stages in `build/<recording>/`, by stage.
 
-    Such a folder is whole, and the stage's present version made it from what lies there now of the stages
+    Such a folder is complete, and the stage's present version made it from the present artefacts of stages
     that it stands on. Whether the recording itself changed since is not looked at.
 
     Args:

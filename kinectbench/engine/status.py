@@ -1,4 +1,4 @@
-"""How far a benchmark is: which recordings are built, which failed, and which are to be built yet."""
+"""The progress of a benchmark: which recordings are built, failed, or remain."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -15,7 +15,7 @@ State = Literal["done", "failed", "missing"]
 
 
 class RecordingStatus(Part):
-    """How far one recording is."""
+    """The progress of one recording."""
 
     recording: str = Field(description="its id")
     state: State = Field(
@@ -29,7 +29,7 @@ class RecordingStatus(Part):
 
 
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
-    """How far each recording is, as the settings are now; nothing is built, and no recording is read.
+    """The progress of each recording under the present settings; builds and reads nothing.
 
     Whether a recording's own files changed since is therefore not seen here; `build` looks at them.
     """
@@ -51,6 +51,6 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:
-    """One line over all of them."""
+    """A summary line."""
     counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
     return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"

@@ -1,4 +1,4 @@
-"""What each stage does: it reads what it stands on, calls one function, and writes the result.
+"""The steps of the stages: each reads its inputs, calls one function, and writes the result.
 
 Import late: the functions load numba.
 """
@@ -49,7 +49,7 @@ NOTHING_TO_CHOOSE = (
 )
 
 
-# By the stage's name: files of `build/<recording>/` that show what it is about to replace.
+# By the stage's name: files of `build/<recording>/` that show results that it replaces.
 OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
 
 
@@ -69,7 +69,7 @@ def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
 
 
 def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
-    """As `read_tracked`; of what is segmented by masks, with the object's own depth only."""
+    """Like `read_tracked`, with only the object's depth if masks segment it."""
     sequence, trajectory = _tracked(work.stages)
     masks = frame_masks(sequence, work.settings.segment_by, work.masks)
     return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory
@@ -115,8 +115,8 @@ def _suggest(work: Work[SuggestSettings]) -> None:
         raise SegmentationError(NOTHING_TO_CHOOSE, what="no-candidates")
     sequence, trajectory = _tracked(work.stages)
     hint = floor_hint(sequence, trajectory, settings.floor)
-    found = find_candidates(_scene(work.stages), trajectory, settings.segmentation, hint)
-    write_candidates(found, sequence, trajectory, work.folder)
+    candidates = find_candidates(_scene(work.stages), trajectory, settings.segmentation, hint)
+    write_candidates(candidates, sequence, trajectory, work.folder)
 
 
 def _segment(work: Work[SegmentSettings]) -> None:

@@ -1,7 +1,7 @@
-"""A recording whose benchmark lies in a store: checked out and built here, its stages put back.
+"""A recording whose benchmark lies in a store: checked out, built here, and its stages uploaded.
 
-In the store nothing is locked or renamed: what a stage makes lies under its fingerprint. Whoever makes it
-again makes the same; a machine that makes other bytes goes on from those that were there first.
+In the store nothing is locked or renamed: an artefact lies under its fingerprint. Whoever makes it
+again makes the same; a machine that makes other bytes continues from those that were there first.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ from kinectbench.engine.checkout import (
     store_of,
 )
 from kinectbench.engine.failures import failed_before, forget_failure
-from kinectbench.engine.pipeline import Outcome, build_recording, told
+from kinectbench.engine.pipeline import Outcome, build_recording, error_line
 from kinectbench.engine.stages import STAGES, Job, Stage, stages_upto
 from kinectbench.engine.stored_stage import fetch_file, fetch_stage, put_stage
 from kinectbench.engine.summary import summary
@@ -57,12 +57,12 @@ def build_stored(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """`build_recording` of a recording whose root is a URL; its outcome holds its row of the table.
+    """`build_recording` for a recording at a URL; the outcome includes its row of the table.
 
     Args:
         job: the recording.
         upto: name of the last stage.
-        force: names of stages to make anew even if they are current.
+        force: names of stages to make again even if they are current.
         progress: called with (stage, done, total); `fetch` and `put` are stages, too.
         limit_s: how long its stages may take, seconds; None: as long as they do.
         hung: see `build_recording`.
@@ -80,7 +80,7 @@ def build_stored(
     except StoreGoneError:  # nor would the next recordings find it
         raise
     except Exception as failure:
-        outcome = Outcome(job.recording.id, (), (), told(failure), 0.0, code=error_code(failure))
+        outcome = Outcome(job.recording.id, (), (), error_line(failure), 0.0, code=error_code(failure))
         if isinstance(failure, RecordingError):
             with contextlib.suppress(StorageError):
                 put_failure(job, Failed(stage=STAGES[0].name, error=str(failure), code=failure.code))
@@ -96,82 +96,80 @@ def _once(
     limit_s: float | None,
     hung: Hung | None,
 ) -> Outcome | None:
-    with checked_out(job, upto, report) as found:
-        build = partial(build_recording, found.job, upto, force, report, limit_s=limit_s, hung=hung)
-        return _built(found, upto, force, build, report)
+    with checked_out(job, upto, report) as copy:
+        build = partial(build_recording, copy.job, upto, force, report, limit_s=limit_s, hung=hung)
+        return _built(copy, upto, force, build, report)
 
 
 def _built(
-    found: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
+    copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
 ) -> Outcome | None:
-    """The outcome; None if a stage was there first with other bytes, from which the next are to be made."""
-    missing = [each for each in stages_upto(upto) if each.name not in found.current or each.name in force]
+    """The outcome; None if another run stored a stage with other bytes, from which to continue."""
+    missing = [each for each in stages_upto(upto) if each.name not in copy.current or each.name in force]
     if not missing:
-        if found.failed:
-            forget_failure(found.job.build, found.current)
-            _put_failure(found)
-        return _nothing_made(found, None)
+        if copy.failed:
+            forget_failure(copy.job.build, copy.current)
+            _put_failure(copy)
+        return _nothing_made(copy, None)
     if missing[0].name not in force:
-        failed = failed_before(found.job.build, found.artefacts[missing[0].name])
+        failed = failed_before(copy.job.build, copy.artefacts[missing[0].name])
         if failed is not None:
-            return _nothing_made(found, failed)
-    _fetch_needed(found, missing, report)
-    drawn = _masks_file(found)
+            return _nothing_made(copy, failed)
+    _fetch_needed(copy, missing, report)
+    drawn = _masks_file(copy)
     outcome = build()
-    if _masks_file(found) != drawn:
-        place = PurePosixPath(f"{found.job.recording.masks}", MasksFile.FILE)
-        found.store.put(str(place), _masks_file(found).encode())
+    if _masks_file(copy) != drawn:
+        place = PurePosixPath(f"{copy.job.recording.masks}", MasksFile.FILE)
+        copy.store.put(str(place), _masks_file(copy).encode())
     if outcome.error is not None:
-        outcome = replace(outcome, error=as_there(found.store, found.job.root, outcome.error))
-    outcome = replace(outcome, row=summary(found.job, outcome))
+        outcome = replace(outcome, error=as_there(copy.store, copy.job.root, outcome.error))
+    outcome = replace(outcome, row=summary(copy.job, outcome))
     for number, name in enumerate(outcome.made):
         report("put", number, len(outcome.made))
-        if not put_stage(found.store, found.job.recording.id, found.artefacts[name]):
+        if not put_stage(copy.store, copy.job.recording.id, copy.artefacts[name]):
             return None
-    _put_failure(found)
+    _put_failure(copy)
     return outcome
 
 
-def _masks_file(found: Checkout) -> str:
-    """What masks.json says here, which a build may add to; "" if there is none."""
-    masks = None if found.job.masks is None else MasksFile.read_if_there(found.job.masks)
+def _masks_file(copy: Checkout) -> str:
+    """The local masks.json, which a build may extend; "" if there is none."""
+    masks = None if copy.job.masks is None else MasksFile.read_if_there(copy.job.masks)
     return "" if masks is None else masks.text()
 
 
-def _nothing_made(found: Checkout, failed: Failed | None) -> Outcome:
-    """Of a recording that is up to date, or failed before: only what the table shows is fetched."""
+def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
+    """For a recording that is current or failed before, download only the table's figures."""
     in_parallel(
-        partial(
-            fetch_file, found.store, found.job.recording.id, found.artefacts[name], SHOWN[name], found.built
-        )
-        for name in found.current
+        partial(fetch_file, copy.store, copy.job.recording.id, copy.artefacts[name], SHOWN[name], copy.built)
+        for name in copy.current
         if name in SHOWN
     )
     error, code = (failed.error, failed.code) if failed else (None, None)
-    outcome = Outcome(found.job.recording.id, (), found.current, error, 0.0, failed is not None, code=code)
-    return replace(outcome, row=summary(found.job, outcome))
+    outcome = Outcome(copy.job.recording.id, (), copy.current, error, 0.0, failed is not None, code=code)
+    return replace(outcome, row=summary(copy.job, outcome))
 
 
-def _fetch_needed(found: Checkout, missing: Sequence[Stage], report: Report) -> None:
-    """Fetch the recording, if it is read again and not here already, and what was built of it before."""
-    job = found.job
+def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: Report) -> None:
+    """Download the recording if it must be read again, and its earlier artefacts."""
+    job = copy.job
     if any(stage.name == "ingest" for stage in missing) and not job.source.exists():
-        fetch_recording(found.store, job, files_of_recording(found.store, job), report)
-    for number, name in enumerate(found.current):
-        report("fetch", number, len(found.current))
-        fetch_stage(found.store, job.recording.id, found.artefacts[name])
+        fetch_recording(copy.store, job, files_of_recording(copy.store, job), report)
+    for number, name in enumerate(copy.current):
+        report("fetch", number, len(copy.current))
+        fetch_stage(copy.store, job.recording.id, copy.artefacts[name])
 
 
-def _put_failure(found: Checkout) -> None:
-    """Leave in the store why the recording failed, as it is kept here; or that it does not any more."""
-    name, kept = f"build/{found.job.recording.id}/{Failed.FILE}", Failed.read_if_there(found.job.build)
+def _put_failure(copy: Checkout) -> None:
+    """Store the local failure of the recording, or delete it after success."""
+    name, kept = f"build/{copy.job.recording.id}/{Failed.FILE}", Failed.read_if_there(copy.job.build)
     if kept is not None:
-        told_there = kept.model_copy(update={"error": as_there(found.store, found.job.root, kept.error)})
-        found.store.put(name, told_there.text().encode())
-    elif found.failed:
-        found.store.delete([name])
+        stored = kept.model_copy(update={"error": as_there(copy.store, copy.job.root, kept.error)})
+        copy.store.put(name, stored.text().encode())
+    elif copy.failed:
+        copy.store.delete([name])
 
 
 def put_failure(job: Job, failed: Failed) -> None:
-    """Leave in the store why a recording could not be built."""
+    """Store why a recording could not be built."""
     store_of(job).put(f"build/{job.recording.id}/{Failed.FILE}", failed.text().encode())

@@ -24,11 +24,11 @@ ARCHIVE = "files.tar"
 PACKED = ("ingest", "sample-views", "pairs")
 # A tar's share beyond its files: two blocks of 512 bytes a file, and its end.
 TAR_BYTES = 1024
-ANEW = "remove the folder and build again"
+REBUILD = "remove the folder and build again"
 
 
 def stored_folder(recording: str, artefact: Artefact) -> str:
-    """Where an artefact lies, relative to the benchmark's root."""
+    """The place of an artefact relative to the benchmark's root."""
     return f"build/{recording}/{artefact.stage}/{artefact.fingerprint}"
 
 
@@ -38,24 +38,24 @@ def is_stored(names: Collection[str], recording: str, artefact: Artefact) -> boo
 
 
 def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
-    """Put an artefact that was made here, unless there is one: what is finished is believed and stays.
+    """Upload a local artefact unless one exists: a finished one is kept.
 
     Returns:
-        Whether what lies there holds the same bytes; False: another run was first, and made other ones.
+        Whether the stored bytes are equal; False: another run stored other ones first.
 
     Raises:
-        StorageError: the store fails, or what lies there is damaged.
+        StorageError: the store fails, or the stored artefact is damaged.
     """
     manifest, where = Manifest.read(artefact.folder), stored_folder(recording, artefact)
     ours = manifest.model_copy(update={"content": _content(artefact.folder, manifest)})
     place = f"{where}/{Manifest.FILE}"
-    there = store.read_if_there(place)
-    if there is None:
+    stored = store.read_if_there(place)
+    if stored is None:
         _put_files(store, f"{where}/{ours.content}", artefact, manifest)
-        if store.put_new(place, ours.text().encode(), same=lambda there, ours: True):
+        if store.put_new(place, ours.text().encode(), same=lambda stored, ours: True):
             return True
-        there = store.read(place)
-    return _parsed(there, store.place(place), artefact).content == ours.content
+        stored = store.read(place)
+    return _parsed(stored, store.place(place), artefact).content == ours.content
 
 
 def _put_files(store: Store, where: str, artefact: Artefact, manifest: Manifest) -> None:
@@ -71,7 +71,7 @@ def _put_files(store: Store, where: str, artefact: Artefact, manifest: Manifest)
 
 
 def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
-    """Fetch a stored artefact into its folder here.
+    """Download a stored artefact into its local folder.
 
     Raises:
         StorageError: it is damaged, is no such artefact, or the store fails.
@@ -90,13 +90,13 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
         try:
             fetch_all(store, files)
         except MissingObjectError as error:
-            raise StorageError(f"{store.place(where)}: a file is missing; {ANEW}") from error
+            raise StorageError(f"{store.place(where)}: a file is missing; {REBUILD}") from error
         if packed:
             unpack(archive, folder, sizes)
     if any((folder / name).stat().st_size != size for name, size in manifest.files.items()) or (
         manifest.content is not None and manifest.content != _content(folder, manifest)
     ):
-        raise StorageError(f"{store.place(where)}: its files are not those of its {Manifest.FILE}; {ANEW}")
+        raise StorageError(f"{store.place(where)}: its files are not those of its {Manifest.FILE}; {REBUILD}")
     _written(manifest, folder)
 
 
@@ -116,10 +116,10 @@ def fetch_file(
     if name == Manifest.FILE:
         _written(_manifest(store, where, artefact), folder)
         return
-    found = [each for each in names if each.startswith(f"{where}/") and each.endswith(f"/{name}")]
-    if len(found) != 1:
-        found = [f"{files_folder(where, _manifest(store, where, artefact))}/{name}"]
-    store.fetch(found[0], folder / name, 100 << 20)
+    matches = [each for each in names if each.startswith(f"{where}/") and each.endswith(f"/{name}")]
+    if len(matches) != 1:
+        matches = [f"{files_folder(where, _manifest(store, where, artefact))}/{name}"]
+    store.fetch(matches[0], folder / name, 100 << 20)
 
 
 def files_folder(where: str, manifest: Manifest) -> str:
@@ -128,7 +128,7 @@ def files_folder(where: str, manifest: Manifest) -> str:
 
 
 def _content(folder: Path, manifest: Manifest) -> str:
-    """One hash over the names and bytes of an artefact's files."""
+    """Hash of the names and bytes of an artefact's files."""
     return sha256_text(canonical_json({name: sha256_file(folder / name) for name in manifest.files}))
 
 
@@ -138,14 +138,14 @@ def _manifest(store: Store, where: str, artefact: Artefact) -> Manifest:
 
 
 def _written(manifest: Manifest, folder: Path) -> None:
-    """Write a manifest as it was made, without what is of the store alone."""
+    """Write a manifest as made, without the store's own keys."""
     Manifest.model_validate(manifest.model_dump(exclude={"content"})).write(folder)
 
 
 def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
     manifest = Manifest.parse(text.decode("utf-8", errors="replace"), place)
     if (manifest.stage, manifest.fingerprint) != (artefact.stage, artefact.fingerprint):
-        raise StorageError(f"{place}: is of another artefact; {ANEW}")
+        raise StorageError(f"{place}: is of another artefact; {REBUILD}")
     try:
         for name in manifest.files:
             below(artefact.folder, name)
@@ -155,7 +155,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """Names of the files that travel in one tar, and of those that travel alone."""
+    """Names of the files that are packed in one tar, and of the others."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

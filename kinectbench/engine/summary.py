@@ -1,4 +1,4 @@
-"""What a run made of a recording, as the table at the end of a build shows it."""
+"""The result of a run for a recording, as in the table at the end of a build."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class BuiltRecording:
-    """What became of a recording; its figures, in five files, are read when they are asked for.
+    """The outcome of one recording; its figures, in five files, are read on request.
 
     Attributes:
         recording: its id.
@@ -38,7 +38,7 @@ class BuiltRecording:
 
     @classmethod
     def of(cls, row: RecordingSummary) -> Self:
-        """One whose figures are read already."""
+        """A recording with figures that are already read."""
         return cls(row.recording, row.error, row.made, lambda: row)
 
     @cached_property
@@ -48,13 +48,13 @@ class BuiltRecording:
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
-    """The figures of what a run made or found up to date; what lies there of other stages is older."""
+    """The figures of a run's new and current stages; older stages are left out."""
     if outcome.row is not None:
         return outcome.row
     stages = (*outcome.made, *outcome.current)
 
     def read(stage: str, model: type[File]) -> File | None:
-        """A stage's file; None if it is not made or not readable."""
+        """A stage's file; None if missing or unreadable."""
         try:
             return model.read(job.build / FOLDERS[stage]) if stage in stages else None
         except KinectBenchError:
@@ -107,15 +107,15 @@ def _to_do_first(
 ) -> str | None:
     """The warning to see to first; None without any.
 
-    What makes the rest wrong comes first: lengths, then poses, then the floor and what is the object; then
-    what nobody saw; then the rest, stage by stage.
+    Causes come first: lengths, then poses, then the floor and the choice of the object; then
+    unseen parts; then all others, stage by stage.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)
     ranked = (
         *(sequence.doubts if sequence else ()),
         *(poses if health is not None and health.grade == "not good" else ()),
-        *(quality.known_doubts if quality else ()),
+        *(quality.measurement_warnings if quality else ()),
         *(quality.advice if quality else ()),
         *of_object,
         *(line for part in (health, sequence, views) if part for line in part.warnings),

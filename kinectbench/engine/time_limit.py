@@ -1,4 +1,4 @@
-"""A limit to the time that a recording may take: it fails by itself, and the others go on."""
+"""A time limit per recording: one that exceeds it fails, and others continue."""
 
 import multiprocessing
 import os
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from kinectbench.core.errors import KinectBenchError
-from kinectbench.engine.executor import Lost
+from kinectbench.engine.executor import WorkerLost
 
 # A recording that gives no sign of life for as long again and this much more hangs.
 HANG_S = 600.0
@@ -22,22 +22,22 @@ Result = TypeVar("Result")
 
 
 class TimeLimitError(KinectBenchError):
-    """A recording takes longer than it may; the next run tries it again, perhaps with more time."""
+    """A recording exceeds its time limit; the next run tries it again, perhaps with more time."""
 
     what = "time-limit"
 
 
 @contextmanager
 def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:
-    """Yield `report` as it is to be called in the block: it raises once the block takes too long.
+    """Yield a `report` that raises once the block exceeds its time.
 
     A stage reports for every frame or pair, so that it stops between two of them. One that hangs in the midst
-    of one cannot be stopped: `hung` is told.
+    of one cannot be stopped: `hung` is called.
 
     Args:
         limit_s: how long the block may take, seconds; None: as long as it does.
         report: called with (stage, done, total).
-        hung: called once with the reason, one line, on another thread; None: nobody is told.
+        hung: called once with the reason, one line, on another thread; None: no report.
 
     Raises:
         TimeLimitError: it took too long.
@@ -48,7 +48,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
     end, latest = time.monotonic() + limit_s, "its start"
 
     def checked(stage: str, done: int, total: int) -> None:
-        """`report`, unless it takes too long: then `TimeLimitError`."""
+        """`report`, which raises `TimeLimitError` after the limit."""
         nonlocal latest
         latest = stage
         if time.monotonic() > end:
@@ -59,7 +59,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
         report(stage, done, total)
 
     def tell() -> None:
-        """Say that the block hangs, and in which stage."""
+        """Report that the block hangs, and its stage."""
         if hung is not None:
             hung(
                 f"{latest}: hangs: did not end or go on for {2 * limit_s + HANG_S:g} s, with --time-limit "
@@ -76,19 +76,19 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
         hangs.cancel()
 
 
-def watched(function: Callable[[Hung], Result]) -> Result | Lost:
-    """Call a function on a thread of its own, and leave it there if it hangs.
+def watched(function: Callable[[Hung], Result]) -> Result | WorkerLost:
+    """Run a function on its own thread, and abandon it if it hangs.
 
     A worker process that holds such a thread ends soon: whatever it has begun meanwhile is lost.
 
     Args:
-        function: is given what it must call if it hangs (`time_limit` does).
+        function: gets a callback for when it hangs (`time_limit` uses it).
 
     Returns:
-        What it returns, or `Lost` with the reason.
+        What it returns, or `WorkerLost` with the reason.
 
     Raises:
-        Exception: what it raises.
+        Exception: that of the function.
     """
     worked, hangs = Future[Result](), Future[str]()
 
@@ -107,4 +107,4 @@ def watched(function: Callable[[Hung], Result]) -> Result | Lost:
         ends = threading.Timer(HAND_OVER_S, os._exit, (1,))
         ends.daemon = True
         ends.start()
-    return Lost(hangs.result())
+    return WorkerLost(hangs.result())

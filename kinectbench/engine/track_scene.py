@@ -1,4 +1,4 @@
-"""Tracking against all that is in view, and a word about turntables, of which that is the wrong way."""
+"""Track the camera against the whole scene; warn if the camera is static (turntable), where this fails."""
 
 from dataclasses import replace
 
@@ -46,5 +46,5 @@ def track_scene(
 
 
 def _moves(given: GivenTrajectory) -> bool:
-    """Whether the camera's places are farther apart than noise."""
+    """Whether the camera's positions vary by more than noise."""
     return bool(np.ptp(given.T_world_camera[:, :3, 3], axis=0).max() > STRAY_M)

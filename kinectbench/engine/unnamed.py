@@ -1,4 +1,4 @@
-"""What a store holds of a build that no manifest names: remains of runs that were killed."""
+"""Stored files of a build that no manifest names: remains of killed runs."""
 
 import re
 import time
@@ -11,7 +11,7 @@ from kinectbench.core.store.store import Store, StoredObject, in_parallel
 from kinectbench.engine.stages import STAGES, SUGGEST
 from kinectbench.engine.stored_stage import ARCHIVE, files_folder
 
-# What is younger may be of a run that goes on, on a machine whose clock is wrong by hours.
+# Younger files may belong to a running run on a machine whose clock is wrong by hours.
 YOUNG_S = 86_400.0
 
 _STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))
@@ -19,10 +19,9 @@ _ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
 
 
 def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
-    """Every file of an artefact's folder that its manifest does not name, and all where there is none.
+    """Files of an artefact's folder that its manifest does not name; all of them without a manifest.
 
-    Only folders of artefacts are looked into: recordings, releases and whatever else is there is nobody's to
-    remove.
+    Only folders of artefacts are looked into: recordings, releases and other files are not ours to remove.
 
     Args:
         store: of the benchmark's root.
@@ -36,19 +35,19 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
         if match := _ARTEFACT.fullmatch(each.name):
             folders.setdefault(match[1], []).append(each)
     now = time.time()
-    found = in_parallel(partial(_unnamed_of, store, folder, files) for folder, files in folders.items())
+    by_folder = in_parallel(partial(_unnamed_of, store, folder, files) for folder, files in folders.items())
     return [
         each
-        for files in found
+        for files in by_folder
         for each in files
         if young or all(now - other.modified_s > YOUNG_S for other in files)
     ]
 
 
-def remove(store: Store, found: Iterable[StoredObject]) -> int:
-    """Remove what `unnamed` found, unless a manifest has come since; the number of files removed."""
+def remove(store: Store, orphans: Iterable[StoredObject]) -> int:
+    """Delete the files of `unnamed`, unless a manifest has appeared since; returns their number."""
     folders: dict[str, list[StoredObject]] = {}
-    for each in found:
+    for each in orphans:
         match = _ARTEFACT.fullmatch(each.name)
         assert match, "only files of artefacts are found"
         folders.setdefault(match[1], []).append(each)
@@ -63,7 +62,7 @@ def _remove_of(store: Store, folder: str, files: list[StoredObject]) -> int:
 
 
 def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
-    """Of the files of one folder those that its manifest does not name."""
+    """Files of one folder that its manifest does not name."""
     place = f"{folder}/{Manifest.FILE}"
     if not any(each.name == place for each in files):
         return files

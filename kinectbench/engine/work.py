@@ -1,4 +1,4 @@
-"""All that the step of a stage is given: nothing in it that is not in the stage's fingerprint."""
+"""The input of a stage's step: only values in the stage's fingerprint."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Needed = TypeVar("Needed", bound=StageSettings)
 
 @dataclass(frozen=True)
 class Source:
-    """What lies outside of `build/` and a stage depends on: the recording, or a person's masks.
+    """An input of a stage from outside `build/`: the recording, or a person's masks.
 
     Attributes:
         path: the file or folder.
@@ -28,7 +28,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Work(Generic[Needed]):
-    """What one stage is to be made from.
+    """The inputs of one stage.
 
     Attributes:
         settings: those that the stage depends on.

@@ -1,1 +1,1 @@
-"""Recordings with known truth, and builds held against it."""
+"""Recordings with known truth, and the comparison of builds with it."""

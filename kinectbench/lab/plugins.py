@@ -1,4 +1,4 @@
-"""What installed packages add to the laboratory: families of objects, formats of recordings."""
+"""Plug-ins of the laboratory: families of objects and formats of recordings."""
 
 from collections.abc import Mapping
 from importlib.metadata import entry_points
@@ -10,7 +10,7 @@ Kind = TypeVar("Kind")
 
 
 def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, Kind]:
-    """Collect what the entry points of a group add.
+    """The plug-ins of a group of entry points.
 
     An entry point names a mapping: name -> `kind`. In `pyproject.toml` of a package of one's own:
 
@@ -20,7 +20,7 @@ def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, 
     Args:
         group: "kinectbench.families" or "kinectbench.formats".
         kind: class of each value.
-        own: what is there without plug-ins.
+        own: entries without plug-ins.
 
     Returns:
         Name -> value: `own`, then packages in the order of their entry points' names.
@@ -28,7 +28,7 @@ def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, 
     Raises:
         SettingsError: an entry point cannot be imported, is no such mapping, or repeats a name.
     """
-    found = dict(own)
+    by_name = dict(own)
     for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
         where = f"plug-in '{point.name}' of {group} ({point.value})"
         try:
@@ -42,10 +42,10 @@ def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, 
                 f"{where}: is no mapping from names to {kind.__name__}; mend or uninstall it",
                 what="bad-plugin",
             )
-        if twice := sorted(found.keys() & given.keys()):
+        if twice := sorted(by_name.keys() & given.keys()):
             raise SettingsError(
                 f"{where}: '{twice[0]}' is there already; rename it, or uninstall this plug-in",
                 what="bad-plugin",
             )
-        found.update(given)
-    return found
+        by_name.update(given)
+    return by_name

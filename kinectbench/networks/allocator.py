@@ -1,4 +1,4 @@
-"""Memory of the C library that is kept between the steps of a network, not given back each time."""
+"""Keep memory of the C library between the steps of a network, instead of freeing it each time."""
 
 import ctypes
 import sys

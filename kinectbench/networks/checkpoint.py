@@ -1,4 +1,4 @@
-"""checkpoint.pt: a training as it is, in PyTorch's own format. It may come from anybody, or be damaged.
+"""checkpoint.pt: the state of a training, in PyTorch's format. It is untrusted and may be damaged.
 
 What is read is bounded by the network that it is for, and nothing of it is taken before all was looked at.
 """
@@ -47,13 +47,13 @@ Loss = Annotated[float, Field(ge=-MOST_LOSS, le=MOST_LOSS)]
 
 
 class _Checked(BaseModel):
-    """Of exactly these keys and types, without NaN or infinity."""
+    """Accepts exactly these keys and types, without NaN or infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
 class StoredState(_Checked):
-    """How far a training is; validated with the steps of the whole training as `context`."""
+    """Progress of a training; validated with the number of all steps as `context`."""
 
     step: Count
     rows: list[TrainingRow]
@@ -93,7 +93,7 @@ class StoredState(_Checked):
 
 
 class Checkpoint(_Checked):
-    """The whole content; `state` and the tensors are looked at by `checked_state` and `set_values`.
+    """The whole content; `checked_state` and `set_values` check `state` and the tensors.
 
     Attributes:
         benchmarks_sha256: releases that are learnt from, in order.
@@ -111,7 +111,7 @@ class Checkpoint(_Checked):
 
 
 def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Checkpoint:
-    """Read a checkpoint that may come from anybody.
+    """Read an untrusted checkpoint.
 
     Args:
         path: of the file.
@@ -143,7 +143,7 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
 
 
 def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
-    """How far a training of so many steps is.
+    """The progress of a training with this many steps.
 
     Raises:
         ValueError: as no such training can be.
@@ -175,7 +175,7 @@ def set_values(
 
 
 def _check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
-    """Refuse what Adam does not keep of each parameter after so many steps."""
+    """Refuse an optimiser state that Adam cannot have after this many steps."""
     parameters = optimiser.param_groups[0]["params"]
     if not isinstance(state, dict) or not set(state) <= set(range(len(parameters))):
         raise ValueError("an optimiser of other parameters")
@@ -190,7 +190,7 @@ def _check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None
 
 
 def _check(values: Any, like: Tensor, positive: bool = False) -> None:
-    """Refuse what is no tensor of this shape and kind with finite values."""
+    """Refuse a value that is not a finite tensor of this shape and kind."""
     if not isinstance(values, Tensor) or values.layout != torch.strided:
         raise ValueError("no tensor")
     if (values.shape, values.dtype) != (like.shape, like.dtype):
@@ -200,7 +200,7 @@ def _check(values: Any, like: Tensor, positive: bool = False) -> None:
 
 
 def _lay_out(optimiser: torch.optim.Optimizer) -> None:
-    """Have what an optimiser keeps lie in memory as its parameters do, as if it had been made with them.
+    """Give an optimiser's state the memory layout of its parameters, as if it had been created with them.
 
     Otherwise sums are rounded in another order, and the course is another one.
     """

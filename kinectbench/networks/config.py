@@ -17,7 +17,7 @@ GENERATORS = ("3d-recgan++", "3d-recae")
 
 
 class NetworkSettings(Settings):
-    """Which network, and how large."""
+    """The network and its size."""
 
     kind: Literal[NetworkName, "own"] = Field(description="the network, by the paper's name; own: a class")
     class_path: str | None = Field(
@@ -53,7 +53,7 @@ class NetworkSettings(Settings):
 
 
 class LossSettings(Settings):
-    """What is minimised."""
+    """The loss function."""
 
     kind: Literal["cross-entropy", "weighted-cross-entropy"] = Field(
         "weighted-cross-entropy", description="of each voxel; weighted: by alpha"
@@ -70,7 +70,7 @@ class LossSettings(Settings):
     tile_cells: Literal[32, 64, 128] | None = Field(
         None,
         description="3d-recae beyond 64^3: the loss is that of one tile of so many cells a pair and step, "
-        "drawn anew; default: of the whole output",
+        "drawn again; default: of the whole output",
     )
 
     @model_validator(mode="after")
@@ -82,7 +82,7 @@ class LossSettings(Settings):
 
 
 class AdversarialSettings(Settings):
-    """How the discriminator takes part (3d-recgan++)."""
+    """The discriminator's part (3d-recgan++)."""
 
     beta: float = Field(ge=0, le=1, description="weight of the reconstruction; 1 - beta of the discriminator")
     loss_scale: float = Field(1.0, gt=0, description="the generator's loss is multiplied by it")
@@ -97,7 +97,7 @@ class AdversarialSettings(Settings):
 
 
 class TrainingSettings(Settings):
-    """How it is trained."""
+    """The training."""
 
     batch: int = Field(4, ge=1, le=4096, description="pairs of a step")
     epochs: float = Field(
@@ -159,5 +159,5 @@ class MethodSettings(Settings):
 
     @property
     def sha256(self) -> str:
-        """Of the values that are not the defaults: a setting that is added later changes no hash."""
+        """Hash of the values that differ from the defaults, so that new settings change no hash."""
         return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))

@@ -1,4 +1,4 @@
-"""A configuration as a YAML file: read with one line for every error, and written whole."""
+"""A configuration as a YAML file: read with one line for every error, and written completely."""
 
 from pathlib import Path
 

@@ -30,13 +30,13 @@ from kinectbench.networks.weights import FILE, write_weights
 # The name of the method that comes out, and the packaged configuration that it follows.
 NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code"
 SUFFIX = ".index"
-# What Adam keeps of each value, and of its own steps: needed to train on only.
+# Adam's state of each value and its steps, needed only to continue training.
 OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_power_1", "beta2_power_1")
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """How a tensor of the checkpoint becomes one of the network.
+    """The conversion of a checkpoint's tensor to the network's.
 
     Attributes:
         name: in the network.
@@ -49,7 +49,7 @@ class Mapped:
     rows: int | None = None
 
     def arranged(self, values: Float32) -> Float32:
-        """The values in the network's order."""
+        """The values in the network's order of axes."""
         if self.axes is not None:
             return np.ascontiguousarray(values.transpose(self.axes))
         if self.rows is not None:
@@ -57,7 +57,7 @@ class Mapped:
         return np.ascontiguousarray(values.T)  # of a vector it is the vector
 
     def stored_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """The shape in the checkpoint of what has `shape` in the network."""
+        """The checkpoint's shape of a tensor with `shape` in the network."""
         if self.axes is not None:
             return tuple(shape[self.axes.index(axis)] for axis in range(len(shape)))
         return tuple(reversed(shape))
@@ -72,7 +72,7 @@ def _channels_first(values: Float32, axis: int) -> Float32:
 
 @dataclass(frozen=True)
 class Conversion:
-    """What became of a checkpoint.
+    """The result of converting a checkpoint.
 
     Attributes:
         folder: of the method.
@@ -91,7 +91,7 @@ class Conversion:
 
     @property
     def lines(self) -> list[str]:
-        """What is to be told, one line each."""
+        """The lines to print."""
         fitted = (
             f"{self.tensors} tensors fit: generator {self.generator:,}, discriminator {self.discriminator:,}"
         )
@@ -109,17 +109,17 @@ def mapping() -> dict[str, Mapped]:
     A convolution is [x, y, z, in, out] there and [out, in, x, y, z] here; a transposed one [x, y, z, out, in]
     and [in, out, x, y, z].
     """
-    found: dict[str, Mapped] = {}
+    mapped: dict[str, Mapped] = {}
     parts = [(f"aeu/e{k + 1}", f"down.{k}") for k in range(len(ENCODER))]
     parts += [(f"aeu/d{k + 1}", f"up.{k}") for k in range(len(DECODER))]
     parts += [("aeu/dlast", f"up.{len(DECODER)}")]
     parts += [(f"dis/d{k + 1}", f"discriminator.layers.{k}") for k in range(len(CHANNELS))]
     for theirs, ours in parts:
-        found |= {
+        mapped |= {
             f"{theirs}_w": Mapped(f"{ours}.weight", CHANNELS_FIRST),
             f"{theirs}_b": Mapped(f"{ours}.bias"),
         }
-    return found | {
+    return mapped | {
         "aeu/fc1_w": Mapped("to_vector.weight", rows=0),
         "aeu/fc1_b": Mapped("to_vector.bias"),
         "aeu/fc2_w": Mapped("from_vector.weight", rows=1),
@@ -171,13 +171,13 @@ def find_index(model: Path) -> Path:
         return model
     if not model.is_dir():
         raise StorageError(f"{model}: no such folder; wanted one that holds a checkpoint")
-    found = sorted(model.glob(f"*{SUFFIX}"))
-    if len(found) != 1:
-        what = f"{len(found)} checkpoints" if found else "no checkpoint"
+    indices = sorted(model.glob(f"*{SUFFIX}"))
+    if len(indices) != 1:
+        what = f"{len(indices)} checkpoints" if indices else "no checkpoint"
         raise StorageError(
             f"{model}: {what} there; wanted one <name>{SUFFIX} with its <name>.data-00000-of-00001"
         )
-    return found[0]
+    return indices[0]
 
 
 def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSettings:

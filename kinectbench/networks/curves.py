@@ -1,4 +1,4 @@
-"""The course of a training as a picture: losses above, validation IoU below."""
+"""The progress of a training as a picture: losses above, validation IoU below."""
 
 from collections.abc import Sequence
 

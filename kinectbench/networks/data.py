@@ -1,4 +1,4 @@
-"""The pairs of a release as batches, in an order that the seed alone decides: any step can be repeated."""
+"""The pairs of a release as batches, in an order given by the seed, so that any step can be repeated."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -37,7 +37,7 @@ class Batch:
 
 
 class PairFile(NamedTuple):
-    """Where a pair of a release lies, and what it must be."""
+    """The file of a pair in a release, and its expected hash."""
 
     path: Path
     sha256: str
@@ -46,7 +46,7 @@ class PairFile(NamedTuple):
 def training_targets(
     releases: Sequence[Release], leave_out: Collection[str] = ()
 ) -> tuple[tuple[Release, Target], ...]:
-    """The pairs that are learnt from, of one release after another.
+    """The training pairs, of one release after another.
 
     Args:
         releases: different ones.
@@ -56,7 +56,7 @@ def training_targets(
         ReleaseError: a release has no training pairs, or their truth is held back; or it is given twice; or
             an object is learnt from in one and tested on in another.
     """
-    found: list[tuple[Release, Target]] = []
+    pairs: list[tuple[Release, Target]] = []
     for release in releases:
         release.require_truth(("train",))
         targets = [target for target in release.split("train") if target.object not in leave_out]
@@ -66,19 +66,19 @@ def training_targets(
                 "--train 40 --validation 4 --test 8` makes some",
                 what="no-pairs",
             )
-        found += ((release, target) for target in targets)
-    _check_apart(releases, {target.object for _, target in found})
-    return tuple(found)
+        pairs += ((release, target) for target in targets)
+    _check_apart(releases, {target.object for _, target in pairs})
+    return tuple(pairs)
 
 
 def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[str]:
-    """Names that are no object of any of the releases, such as a mistyped one that is to be left out."""
+    """Names, such as misspelt ones, that are no object of any of the releases."""
     objects = {target.object for release in releases for target in release.targets}
     return [name for name in names if name not in objects]
 
 
 def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
-    """Refuse a release that is there twice, and objects that are learnt from here and tested on there."""
+    """Refuse a release given twice, and objects used for both training and testing."""
     if len({release.benchmark_sha256 for release in releases}) < len(releases):
         raise ReleaseError("--data: the same release is given twice; leave one out", what="overlap")
     for release in releases:
@@ -104,15 +104,15 @@ def validation_pairs(releases: Sequence[Release], most: int) -> tuple[PairFile, 
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """Which pairs a step learns from: every epoch is a shuffle of its own, and steps go on over its end."""
+    """The pairs of a step: every epoch is shuffled, and steps may span two epochs."""
     shuffled: dict[int, NDArray[np.int64]] = {}
-    found = []
+    chosen = []
     for place in range(step * batch, (step + 1) * batch):
         epoch, index = divmod(place, pairs)
         if epoch not in shuffled:
             shuffled[epoch] = np.random.default_rng([seed, epoch]).permutation(pairs)
-        found.append(int(shuffled[epoch][index]))
-    return found
+        chosen.append(int(shuffled[epoch][index]))
+    return chosen
 
 
 def steps_in_all(pairs: int, config: MethodSettings) -> int:
@@ -153,7 +153,7 @@ def batches(
 
 
 def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
-    """A pair's partial view, full shape and, where the unknown is left out, what is known."""
+    """A pair's partial view, full shape and, if the unknown is masked, the known cells."""
     names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
     parts = read_parts(pair.path, pair.sha256, names)
     return [turned(unpack(part), config) for part in parts]

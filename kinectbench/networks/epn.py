@@ -22,7 +22,7 @@ EPSILON = 1e-3
 
 
 class EPN(Network):
-    """52,447,201 parameters, and 3,360 of batch normalisation beside them (`layer_parameter_count`).
+    """52,447,201 parameters, and 3,360 of batch normalisation (`layer_parameter_count`).
 
     Four convolutions down to one cell, two full layers, four transposed convolutions with skips.
     """
@@ -99,7 +99,7 @@ def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> 
 
 
 def _normalised(norm: nn.Module, x: Tensor) -> Tensor:
-    """Batch normalisation; of a single value a channel there is no variance, and the running one is taken."""
+    """Batch normalisation; with a single value per channel it uses the running variance."""
     if x.shape[0] * x.shape[2] ** 3 > 1:
         return norm(x)
     assert isinstance(norm, nn.BatchNorm3d)

@@ -1,4 +1,4 @@
-"""Grids of a batch as tensors, at the side that a network takes or gives."""
+"""Grids of a batch as tensors, at the side of a network's input or output."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ class TruthBatch:
     def at(self, cells: int) -> tuple[Tensor, Tensor]:
         """Targets and weights, each (b, 1, cells, cells, cells) float32.
 
-        A target is the share of a cell that is occupied, of what is known of it; its weight is the share that
+        A target is the occupied share of a cell's known part; its weight is the share that
         is known. At 256^3 they are the grids themselves.
         """
         if self.known is None:

@@ -30,7 +30,7 @@ DECIDED = 0.02
 
 
 class Downward(nn.ModuleList):
-    """Convolutions 4^3 of stride 2; gives the outputs of all of them."""
+    """Convolutions 4^3 of stride 2; returns the outputs of all of them."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
         """Channels in, and after each convolution."""
@@ -150,7 +150,7 @@ class HanLike(Network):
             )
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Logits (b, 1, 256, 256, 256): patches where the coarse grid is undecided, elsewhere that itself."""
+        """Logits (b, 1, 256, 256, 256): patches where the coarse grid is undecided, else the coarse grid."""
         logits, structure = self.coarse(partial)
         probability = logits.float().sigmoid()
         out = functional.interpolate(logits.float(), size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
@@ -158,15 +158,15 @@ class HanLike(Network):
             corners = torch.nonzero(_undecided(probability[index, 0]))
             for some in corners.split(TAUGHT_PATCHES):
                 inputs = patch_inputs(probability[index], partial[index], some)
-                found = self.patch(inputs, structure[[index] * len(some)], some)
-                for cells, (i, j, k) in zip(found, (some * PATCH_CELLS).tolist(), strict=True):
+                patches = self.patch(inputs, structure[[index] * len(some)], some)
+                for cells, (i, j, k) in zip(patches, (some * PATCH_CELLS).tolist(), strict=True):
                     ends = (slice(i, i + PATCH_CELLS), slice(j, j + PATCH_CELLS), slice(k, k + PATCH_CELLS))
                     out[(index, slice(None), *ends)] = cells.to(out.dtype)
         return out
 
 
 def depth_images(partial: Tensor) -> Tensor:
-    """Distance to the first set cell from six sides, in [0, 1], 1 where there is none: (b, 6, 1, n, n)."""
+    """Distance to the first set cell from six sides, in [0, 1], 1 without a cell: (b, 6, 1, n, n)."""
     count = partial.shape[-1]
     images = []
     for axis in (2, 3, 4):
@@ -177,7 +177,7 @@ def depth_images(partial: Tensor) -> Tensor:
 
 
 def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tensor:
-    """What the local network sees of patches: (p, 2, 32, 32, 32).
+    """Input of the local network for patches: (p, 2, 32, 32, 32).
 
     Args:
         probability: (1, 32, 32, 32) coarse; resampled trilinearly, its outermost cells repeated outwards.
@@ -195,14 +195,14 @@ def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tenso
 
 
 def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
-    """Patches (p, c, n, n, n) of a grid (c, m, m, m): `cells` apart, n = `cells` + `more`."""
+    """Patches (p, c, n, n, n) of a grid (c, m, m, m) at a spacing of `cells`, n = `cells` + `more`."""
     n = cells + more
     places = (corners * cells).tolist()
     return torch.stack([grid[:, i : i + n, j : j + n, k : k + n] for i, j, k in places])
 
 
 def _undecided(probability: Tensor) -> Tensor:
-    """Patches (8, 8, 8) bool where a coarse grid (32, 32, 32), a cell around included, is not decided."""
+    """Patches (8, 8, 8) bool where a coarse grid (32, 32, 32), dilated by a cell, is undecided."""
     cells = GLOBAL_CELLS // PATCHES
     highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
     lowest = -functional.max_pool3d(-probability[None, None], cells + 2, cells, 1)[0, 0]

@@ -13,7 +13,7 @@ KERNEL = 4
 
 
 def same_padding(cells: int, stride: int) -> tuple[int, int]:
-    """Cells before and after an axis for a kernel of 4, so that `ceil(cells / stride)` come out.
+    """Cells before and after an axis for a kernel of 4, with `ceil(cells / stride)` outputs.
 
     Source: TensorFlow's "SAME" puts the odd one behind.
     """
@@ -36,7 +36,7 @@ class SameConv(nn.Conv3d):
 
 
 class Doubling(nn.ConvTranspose3d):
-    """A transposed convolution 4^3 of stride 2, "SAME": every side becomes twice as long."""
+    """A transposed convolution 4^3 of stride 2, "SAME", which doubles every side."""
 
     def __init__(self, inputs: int, outputs: int, *, bias: bool = True) -> None:
         """Channels in and out."""
@@ -44,7 +44,7 @@ class Doubling(nn.ConvTranspose3d):
 
 
 def xavier(network: nn.Module) -> None:
-    """Weights after Glorot, uniform; biases 0, but for an LSTM's. Source: the 3D-RecGAN++ code."""
+    """Glorot-uniform weights; zero biases except an LSTM's. Source: the 3D-RecGAN++ code."""
     with torch.no_grad():
         for name, values in network.named_parameters():
             if name.endswith("bias"):
@@ -54,7 +54,7 @@ def xavier(network: nn.Module) -> None:
 
 
 def he(network: nn.Module) -> None:
-    """Weights after He, normal: what a layer gives varies as much as what it takes. Biases are left alone.
+    """He-normal weights, which keep the variance between layers. Biases are unchanged.
 
     Source: He et al., Delving Deep into Rectifiers, ICCV 2015. Of a transposed convolution a cell of the
     output is reached by 1 / stride^3 of the kernel, which Glorot's rule does not know: six of them in a row

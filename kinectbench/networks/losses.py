@@ -1,4 +1,4 @@
-"""The reconstruction losses: of every voxel, weighted or not, with a share of it that counts."""
+"""Reconstruction losses of every voxel, with optional weights and masks."""
 
 from collections.abc import Iterable
 
@@ -13,7 +13,7 @@ TINY = 1e-8
 
 
 def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
-    """The sum over all supervised parts of each one's mean loss a voxel, in nats.
+    """Sum over supervised parts of the mean loss a voxel, in nats.
 
     Args:
         parts: logits, targets in [0, 1] and weights, of one shape each.
@@ -42,7 +42,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
 
 
 def _mean(losses: Tensor, weight: Tensor) -> Tensor:
-    """The mean by weight; 0 where nothing counts."""
+    """Weighted mean; 0 if all weights are 0."""
     if weight.stride() == (0,) * weight.dim() or not weight.numel():  # a single 1 that was expanded
         return losses.mean()
     return (losses * weight).sum() / weight.sum().clamp(min=1.0)

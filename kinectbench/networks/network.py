@@ -1,4 +1,4 @@
-"""What every network is: a module with the sides of its grids, and what it is taught."""
+"""Base of networks: a module with the sides of its grids and its training targets."""
 
 from collections.abc import Iterator
 
@@ -39,5 +39,5 @@ class Network(nn.Module):
 
     @property
     def parameter_count(self) -> int:
-        """Values that are learnt."""
+        """The number of trained values."""
         return sum(values.numel() for values in self.parameters())

@@ -50,12 +50,12 @@ def predict(
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
 
-    What was stopped goes on where it was, and what is complete is left, if all that decides the bytes is the
-    same still (`UnfinishedFile`); else what is there is removed first.
+    A stopped run resumes, and complete files are kept, if all inputs of the bytes are the
+    same (`UnfinishedFile`); else existing files are removed first.
 
     Args:
         trained: the network, on its device.
-        release: what is predicted.
+        release: of the predictions.
         out: a folder of methods.
         threshold: predictions are packed bits, set above it; None: probabilities.
         precision: of probabilities at 256^3: "packed" or "float16"; coarser ones are float16.
@@ -118,7 +118,7 @@ def _write_all(
     device: str,
     progress: Progress | None,
 ) -> list[float]:
-    """Predict what is not there; arguments as of `predict`.
+    """Predict missing files; arguments as of `predict`.
 
     Returns:
         The seconds that the network took, of each view.
@@ -144,7 +144,7 @@ def _write_all(
 def completed_target(
     trained: Trained, release: Release, target: Target, device: str
 ) -> tuple[NDArray[np.float16], float]:
-    """The network's probabilities for a pair, (n, n, n), and the seconds that it took.
+    """The network's probabilities for a pair, (n, n, n), and its seconds.
 
     Raises:
         PairError, ReleaseError: the pair cannot be read.
@@ -173,24 +173,24 @@ def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> b
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
-    """What a reader of the scores must know, a line each: test objects that were learnt, other framings."""
+    """Caveats of the scores, a line each: test objects seen in training, other framings."""
     training = trained.training
-    found = []
+    lines = []
     learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))
     if learnt:
-        found.append(f"learnt from {len(learnt)} of the test objects, such as {learnt[0]}: no fair scores")
+        lines.append(f"learnt from {len(learnt)} of the test objects, such as {learnt[0]}: no fair scores")
     framing = release.metadata.framing
     if training.framings and framing not in training.framings:
-        found.append(
+        lines.append(
             f"learnt in framing {' and '.join(training.framings)}, and predicts in framing {framing}"
         )
-    return found
+    return lines
 
 
 def method_of(
     trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
 ) -> MethodFile:
-    """What method.json says of a run; `seconds` that the network took, of each view."""
+    """method.json of a run; `seconds` is the network's time per view."""
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,
@@ -210,7 +210,7 @@ def method_of(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
-        # Bits are set already, whatever threshold they are held against.
+        # Bits are set already, whatever threshold they are compared with.
         threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,

@@ -1,7 +1,7 @@
 """The folder that a network's predictions are written to: all files in it are of one run of `predict`.
 
 A run's fingerprint is of all that decides the bytes of a prediction. The folder holds it with the digest of
-every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run goes on only with
+every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run continues only with
 files of its own fingerprint that are as it wrote them; others are removed before it writes one.
 """
 
@@ -32,13 +32,13 @@ WORDS = {
 
 
 class PredictionFolder:
-    """The predictions of one run; whoever holds the folder's lock makes one.
+    """The predictions of one run, made by the holder of the folder's lock.
 
     Args:
         folder: of the method; it is there.
-        run: which begins or goes on.
-        targets: that may be predicted; what lies there of others is nobody's.
-        wanted: those of them that it predicts. What the same run wrote of the others is kept.
+        run: which begins or continues.
+        targets: that may be predicted; files of other targets are ignored.
+        wanted: the targets to predict. The same run's files of other targets are kept.
         say: called with a line where predictions of another run are removed.
 
     Raises:
@@ -73,11 +73,11 @@ class PredictionFolder:
             self._begin(done, begun, targets, say)
 
     def holds(self, target: Target) -> bool:
-        """Whether this run has written a target's prediction, and it is there as it was written."""
+        """Whether this run wrote a target's prediction, and the file is unchanged."""
         return _name(target) in self._kept
 
     def write(self, target: Target, content: bytes) -> None:
-        """Write a prediction, whole or not at all, and note that it was this run.
+        """Write a prediction atomically, and record it for this run.
 
         Raises:
             StorageError: the disk is full or read-only.
@@ -89,10 +89,10 @@ class PredictionFolder:
         self._note([name])
 
     def finish(self, method: MethodFile) -> None:
-        """All is written: from now on method.json says what made the files, and which they are.
+        """Finish the folder: method.json then names the run and its files.
 
         Args:
-            method: of this run; where there was nothing left to predict, its cost is that of before.
+            method: of this run; without new predictions its cost stays the same.
         """
         sealed = {"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
         cost = {}
@@ -133,17 +133,17 @@ class PredictionFolder:
                 )
 
     def _written_before(self, done: MethodFile | None) -> dict[str, str]:
-        """{file: digest} of all that this very run wrote before; empty if another one did."""
+        """{file: digest} of all files of an earlier part of this run; empty if another run wrote them."""
         if done is not None:
             return dict(done.files or {}) if done.run_sha256 == self._run.sha256 else {}
-        found = {}
+        written = {}
         with contextlib.suppress(OSError, UnicodeDecodeError):
             for line in read_plain_text(self._folder / PREDICTED).splitlines():
                 with contextlib.suppress(ValidationError):  # a line that was not written whole
                     one = PredictedFile.model_validate_json(line, strict=True)
                     if one.run_sha256 == self._run.sha256:
-                        found[one.file] = one.digest
-        return found
+                        written[one.file] = one.digest
+        return written
 
     def _begin(
         self,
@@ -152,7 +152,7 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Note which run this is, and remove what it has not written; killed anywhere, it begins again."""
+        """Record this run and remove files of others; it can be killed and repeated at any point."""
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):
@@ -167,7 +167,7 @@ class PredictionFolder:
             say(_removed_line(self._folder, len(removed), _difference(done, begun, self._run)))
 
     def _remove(self, name: str) -> bool:
-        """Remove a file that this run has not written; whether there was one."""
+        """Remove a file that this run has not written; returns whether it existed."""
         path = self._folder / name
         if path.is_dir() or not (path.is_symlink() or path.exists()):
             return False
@@ -184,7 +184,7 @@ class PredictionFolder:
         append_plain(self._folder / PREDICTED, "".join(lines))
 
     def _digest(self, name: str) -> str | None:
-        """Of a file as it is; None if it cannot be read."""
+        """Digest of an existing file; None if unreadable."""
         try:
             with open_plain(self._folder / name) as file:
                 return blake3_of(file)
@@ -197,7 +197,7 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, begun: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """In what the run that left the files differs, in words; "" where it is this one."""
+    """The difference to the run that left the files, as text; "" if it is this run."""
     if begun is not None:
         before = begun.json_value()
     elif done is not None:

@@ -1,4 +1,4 @@
-"""Several processes that train one network, as torchrun starts them: each takes its part of every batch."""
+"""Several processes that train one network under torchrun: each takes its part of every batch."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -12,15 +12,15 @@ from kinectbench.core.untrusted import printable
 
 
 def rank_and_size() -> tuple[int, int]:
-    """Which process this is, and how many there are; torchrun says so."""
+    """The index of this process and the number of processes, set by torchrun."""
     return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def chosen_device(asked: str | None) -> str:
-    """Where the network runs: what was asked for, else this process's GPU, else the CPU.
+    """The network's device: as requested, else this process's GPU, else the CPU.
 
     Raises:
-        SettingsError: there is no such device.
+        SettingsError: unknown device.
     """
     if asked is None:
         asked = "cuda" if torch.cuda.is_available() else "cpu"
@@ -42,7 +42,7 @@ def chosen_device(asked: str | None) -> str:
 
 @contextmanager
 def joined(device: str) -> Iterator[tuple[int, int]]:
-    """Within the block the processes that torchrun started know each other; yields rank and size."""
+    """Connect the processes of torchrun within the block; yields rank and size."""
     rank, size = rank_and_size()
     if size == 1:
         yield 0, 1
@@ -55,13 +55,13 @@ def joined(device: str) -> Iterator[tuple[int, int]]:
 
 
 def wait_for_all(size: int) -> None:
-    """Go on when every process has come here."""
+    """Wait until every process has arrived."""
     if size > 1:
         distributed.barrier()
 
 
 def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
-    """Make every process's gradients their mean; nothing to do for one process.
+    """Average the gradients over processes; nothing to do for one process.
 
     After `backward`, rather than by DistributedDataParallel, which does not carry a penalty on gradients.
     """
@@ -74,7 +74,7 @@ def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
 
 
 def average_buffers(network: nn.Module, size: int) -> None:
-    """Make what a network keeps besides its parameters, as of batch normalisation, the mean of all."""
+    """Average the buffers of a network, such as those of batch normalisation, over processes."""
     if size == 1:
         return
     for values in network.buffers():
@@ -93,9 +93,9 @@ def mean_of_all(values: dict[str, float], size: int, device: str) -> dict[str, f
 
 
 def agreed(value: bool, size: int, device: str) -> bool:
-    """What the first process says, in all of them."""
+    """Broadcast the first process's value."""
     if size == 1:
         return value
-    said: Tensor = torch.tensor(int(value), device=device)
-    distributed.broadcast(said, 0)
-    return bool(said.item())
+    tensor: Tensor = torch.tensor(int(value), device=device)
+    distributed.broadcast(tensor, 0)
+    return bool(tensor.item())

@@ -1,7 +1,7 @@
 """3D-RecAE: the generator of 3D-RecGAN++ alone, from a partial view at 64^3 to occupancy at 256^3.
 
 Source: Yang et al., Dense 3D Object Reconstruction from a Single Depth View, TPAMI 2018; layers as in the
-authors' code, Yang7879/3D-RecGAN-extended, `aeu` in main_3D-RecGAN++.py (MIT), written anew.
+authors' code, Yang7879/3D-RecGAN-extended, `aeu` in main_3D-RecGAN++.py (MIT), reimplemented.
 """
 
 from collections.abc import Iterator, Sequence
@@ -57,7 +57,7 @@ class RecAE(Network):
         xavier(self)
 
     def start_by_he(self) -> None:
-        """Begin with weights after He, and with as many cells occupied as shapes have. Own choice."""
+        """Initialise weights after He, and the output bias for the shapes' occupancy."""
         he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
         last = self.up[-1]
         assert isinstance(last, Doubling) and last.bias is not None
@@ -76,10 +76,10 @@ class RecAE(Network):
     def taught_tiles(
         self, partial: Tensor, truth: TruthBatch, generator: Generator, cells: int
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """As `taught`, of one tile of each shape, drawn anew: what lies beyond 64^3 is run there alone.
+        """As `taught`, on one random tile of each shape: only there the layers beyond 64^3 run.
 
-        All tiles are equally likely, so without a mask the mean over them is the loss of the whole. Own
-        rule: a step of `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without.
+        All tiles are equally likely, so without a mask the mean over them is the loss of the whole.
+        A step of `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.
@@ -98,7 +98,7 @@ class RecAE(Network):
         yield tuple(torch.cat(each) for each in zip(*parts, strict=True))
 
     def _until_64(self, partial: Tensor) -> Tensor:
-        """What the fourth transposed convolution gives, (b, c, 64, 64, 64)."""
+        """Output of the fourth transposed convolution, (b, c, 64, 64, 64)."""
         levels = [partial]
         for layer in self.down:
             levels.append(functional.max_pool3d(functional.leaky_relu(layer(levels[-1]), SLOPE), 2))
@@ -115,7 +115,7 @@ class RecAE(Network):
 
 
 def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
-    """A tile of what doubling layers, with a ReLU between, make of a grid: equal to a cut from the whole.
+    """A tile of the output of doubling layers with ReLU between: equal to a cut from the whole output.
 
     A cell of the result depends on the cell of the layer's input that it lies in and on the neighbours of
     that: one cell more around the tile is enough, at every layer.

@@ -1,7 +1,7 @@
 """3D-RecGAN++: the generator of `recae.py`, taught by a conditional discriminator with a gradient penalty.
 
 Source: Yang et al., TPAMI 2018, section 3; layers and losses as in the authors' code,
-Yang7879/3D-RecGAN-extended, `dis` and `build_graph` in main_3D-RecGAN++.py (MIT), written anew. Where paper
+Yang7879/3D-RecGAN-extended, `dis` and `build_graph` in main_3D-RecGAN++.py (MIT), reimplemented. Where paper
 and code differ, the configuration chooses.
 """
 
@@ -17,7 +17,7 @@ CHANNELS = (8, 16, 32, 64, 128, 256)
 
 
 class Discriminator(nn.Module):
-    """2,794,488 parameters at full width: six convolutions of stride 2, and the mean of what comes out.
+    """2,794,488 parameters at full width: six convolutions of stride 2, and the mean of the output.
 
     The partial view (64^3) is reshaped, not resampled, to n x n cells of the output's side, and stands before
     it along z: at 256^3 a grid of 256 x 256 x 260.
@@ -45,15 +45,15 @@ class Discriminator(nn.Module):
 
 
 class RecGAN(RecAE):
-    """The generator, with its discriminator beside it: 167,077,217 parameters in all, the paper's 167.1 M."""
+    """The generator and its discriminator: 167,077,217 parameters in all, the paper's 167.1 M."""
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
-        """As `RecAE`; the discriminator is narrowed by the same divisor."""
+        """Like `RecAE`; the same divisor narrows the discriminator."""
         super().__init__(divisor, output_cells)
         self.discriminator = Discriminator(divisor)
 
     def generator_parameters(self) -> list[nn.Parameter]:
-        """Those that run when shapes are completed."""
+        """The parameters that are used to complete shapes."""
         return [values for name, values in self.named_parameters() if not name.startswith("discriminator.")]
 
 
@@ -86,5 +86,5 @@ def discriminator_loss(
     # The root has no gradient at 0: a saturated discriminator would turn all weights into NaN.
     norms = (slopes.float().flatten(1).square().sum(dim=1) + 1e-12).sqrt()
     penalty = (norms - 1).square().mean()
-    told_apart = discriminator(partial, fake).mean() - discriminator(partial, real).mean()
-    return told_apart + settings.gradient_penalty * penalty
+    critic = discriminator(partial, fake).mean() - discriminator(partial, real).mean()
+    return critic + settings.gradient_penalty * penalty

@@ -25,7 +25,7 @@ NETWORKS: Mapping[NetworkName, tuple[str, str]] = {
 
 
 def require_torch() -> None:
-    """Refuse to go on without torch.
+    """Raise an error without torch.
 
     Raises:
         KinectBenchError: it is not installed; the line says how it is.
@@ -70,29 +70,29 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
 
 
 def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
-    """The class of a network; errors as those of `make_network`."""
+    """The class of a network; errors as of `make_network`."""
     if settings.kind == "own":
         return _own_class(settings.class_path or "")
     module, name = NETWORKS[settings.kind]
-    found: Callable[..., Network] = getattr(import_module(f"kinectbench.networks.{module}"), name)
-    return found
+    network_class: Callable[..., Network] = getattr(import_module(f"kinectbench.networks.{module}"), name)
+    return network_class
 
 
 def _own_class(path: str) -> "Callable[..., Network]":
-    """A class by its path. It may be a stranger's word: nothing but a subclass of `Network` is called."""
+    """A class by its path, which is untrusted: only subclasses of `Network` are called."""
     from kinectbench.networks.network import Network
 
     module, _, name = path.partition(":")
     try:
-        found = getattr(import_module(module), name, None)
+        attribute = getattr(import_module(module), name, None)
     except (ImportError, SyntaxError) as error:
         raise SettingsError(
             f"network.class_path {path}: cannot be imported ({printable(str(error))}); install it, or name "
             "the folder it lies in by PYTHONPATH"
         ) from error
-    if not (isinstance(found, type) and issubclass(found, Network)):
+    if not (isinstance(attribute, type) and issubclass(attribute, Network)):
         raise SettingsError(
             f"network.class_path {path}: no class of that name there that is a subclass of "
             "kinectbench.networks.network.Network"
         )
-    return found
+    return attribute

@@ -1,4 +1,4 @@
-"""A training's folder: its configuration, a checkpoint to go on from, weights, course and curves."""
+"""A training's folder: configuration, checkpoint, weights, log of validations and curves."""
 
 import platform
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
 
 @dataclass
 class State:
-    """How far a training is; with the learner's values all that its course depends on.
+    """Progress of a training; with the learner's values it determines the rest of the training.
 
     Attributes:
         step: steps that were done.
@@ -47,14 +47,14 @@ class State:
     seconds: float = 0.0
 
     def add(self, losses: Losses) -> None:
-        """Count a step that was done."""
+        """Count a finished step."""
         self.step += 1
         for name, value in {**losses, "steps": 1.0}.items():
             self.sums[name] = self.sums.get(name, 0.0) + value
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder where there is none.
+    """Create a folder if it is missing.
 
     Raises:
         StorageError: the way to it holds a file, or the disk cannot be written.
@@ -72,12 +72,12 @@ def _differences(before: MethodSettings, now: MethodSettings) -> str:
     """The first keys whose values differ, with both values."""
     old, new = (dict(_flat(config.model_dump(mode="json"))) for config in (before, now))
     keys = [key for key in (old | new) if old.get(key) != new.get(key)]
-    told = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
-    return "; ".join(told) + (f"; and {len(keys) - SHOWN} more" if len(keys) > SHOWN else "")
+    changes = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
+    return "; ".join(changes) + (f"; and {len(keys) - SHOWN} more" if len(keys) > SHOWN else "")
 
 
 def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, and their values."""
+    """Dotted keys, and their values."""
     for key, value in values.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{before}{key}.")
@@ -86,7 +86,7 @@ def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]
 
 
 def prepare(folder: Path, config: MethodSettings) -> None:
-    """Make the folder, or see that it is of the same configuration.
+    """Create the folder, or check that it has the same configuration.
 
     Raises:
         SettingsError: another configuration is trained there.
@@ -96,7 +96,7 @@ def prepare(folder: Path, config: MethodSettings) -> None:
     if path.exists():
         before = read_config(path)
         trained, where = before.sha256, f": {_differences(before, config)}"
-    else:  # somebody removed it; what was made with it is there still
+    else:  # it was removed; its results still exist
         course = TrainingFile.read_if_there(folder)
         trained, where = course.config_sha256 if course else config.sha256, ""
     if trained != config.sha256:
@@ -108,14 +108,14 @@ def prepare(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write the checkpoint, the course and, unless `validate` keeps the best ones, the weights.
+    """Write the checkpoint, the log and, unless `validate` keeps the best ones, the weights.
 
     Args:
         folder: of the training.
         learner: its values.
         state: how far it is.
-        facts: of training.json that do not change; the releases must be the same to go on.
-        config: what is kept.
+        facts: of training.json that do not change; the releases must be the same to continue.
+        config: the configuration to keep.
     """
     latest = config.training.keep == "last" or state.best_step == 0  # of the best the course takes care
     if latest:
@@ -151,7 +151,7 @@ def benchmarks(facts: dict[str, Any]) -> list[str]:
 
 
 def check_weights_are_there(folder: Path, config: MethodSettings, state: State) -> None:
-    """Refuse to go on where the best weights are gone, which no later step brings back.
+    """Refuse to continue without the best weights, which later steps cannot recover.
 
     Raises:
         StorageError: they are.
@@ -161,7 +161,7 @@ def check_weights_are_there(folder: Path, config: MethodSettings, state: State) 
 
 
 def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
-    """How far the training in a folder is; the learner gets its values. From the start if there is none.
+    """Restore the learner from a folder; returns its progress, the start if there is none.
 
     Raises:
         SettingsError: it learns from another release, or with other settings than those of the folder.
@@ -198,7 +198,7 @@ def _damaged(path: Path) -> StorageError:
 
 
 def hardware(device: str) -> str:
-    """What a network runs on, in words."""
+    """The hardware of a network, as text."""
     if device.startswith("cuda"):
         return str(torch.cuda.get_device_name(device))
     threads = torch.get_num_threads()
@@ -206,7 +206,7 @@ def hardware(device: str) -> str:
 
 
 def _processor() -> str:
-    """The processor's model where Linux tells it, else its kind."""
+    """The processor's model as Linux reports it, else its kind."""
     try:
         lines = read_plain_text(CPU_INFO).splitlines()
     except (OSError, UnicodeDecodeError):

@@ -31,7 +31,7 @@ def score_predicted(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> ScoreTable:
-    """The table that `score` makes of what `predict` writes, but for the hashes of files; nothing is written.
+    """The table that `score` would make of `predict`'s files, without hashes; writes nothing.
 
     Nothing is kept of a run that is stopped, either.
 
@@ -46,7 +46,7 @@ def score_predicted(
 
     Raises:
         PairError, ReleaseError: a pair cannot be read, or its truth is held back.
-        PredictionError: the network gave what is no probability.
+        PredictionError: an output of the network is no probability.
     """
     method = method_of(trained, release, run, (), device)
     scorer = Scorer(
@@ -76,7 +76,7 @@ def score_predicted(
 def as_written(
     trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
 ) -> Prediction:
-    """What a reader would find in the file of a pair's prediction; errors as of `completed_target`."""
+    """The content of a pair's prediction file; errors as of `completed_target`."""
     probability, _ = completed_target(trained, release, target, device)
     return _read_again(probability, run)
 

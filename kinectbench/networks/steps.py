@@ -21,13 +21,13 @@ Losses = dict[str, float]
 
 
 class StepError(KinectBenchError):
-    """A training that cannot go on."""
+    """A training cannot continue."""
 
     kind, what = "training", "diverged"
 
 
 class Learner:
-    """A network with its optimisers; a step's chance comes from the seed and the step's number alone.
+    """A network with its optimisers; random numbers of a step depend only on the seed and the step's number.
 
     Attributes:
         network: that learns.
@@ -35,7 +35,7 @@ class Learner:
     """
 
     def __init__(self, network: Network, config: MethodSettings, device: str, part: tuple[int, int]) -> None:
-        """Nothing was learnt yet; `part` is rank and number of processes."""
+        """Start before the first step; `part` is rank and number of processes."""
         self.network, self._config, self._device = network, config, device
         self._rank, self._size = part
         rate = config.training.learning_rate
@@ -71,7 +71,7 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """What the learning rates are multiplied by."""
+        """The factor of the learning rates."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
@@ -84,7 +84,7 @@ class Learner:
         return self.network.taught(batch.partial, batch.truth, generator)
 
     def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
-        """A step of the discriminator, then one of the generator with what it predicted before."""
+        """A discriminator step, then a generator step on the prediction before it."""
         settings = self._config.adversarial
         assert settings is not None
         with self._autocast():
@@ -92,10 +92,10 @@ class Learner:
         # Where the unknown is masked, the truth says "empty" and so does this: nothing is learnt there.
         fake = logits.float().sigmoid() * weight
         with self._autocast():
-            told = discriminator_loss(
+            critic_loss = discriminator_loss(
                 network.discriminator, batch.partial, fake.detach(), target, settings, generator
             )
-        self._descend(told, 1)
+        self._descend(critic_loss, 1)
         rebuilt = reconstruction_loss([(logits, target, weight)], self._config.loss)
         with self._autocast():
             fooled = -network.discriminator(batch.partial, fake).mean()
@@ -104,13 +104,13 @@ class Learner:
         return {
             "loss": loss.item(),
             "reconstruction": rebuilt.item(),
-            "discriminator": told.item(),
+            "discriminator": critic_loss.item(),
         }
 
     def _descend(self, loss: Tensor, index: int) -> None:
-        """One step of one optimiser; the other's gradients are not kept."""
+        """One step of one optimiser; discards the other's gradients."""
         if not torch.isfinite(loss):
-            raise StepError("the loss is no number any more; choose a lower learning rate, and train anew")
+            raise StepError("the loss is no number any more; choose a lower learning rate, and train again")
         optimiser = self.optimisers[index]
         self.network.zero_grad(set_to_none=True)
         loss.backward()
@@ -125,6 +125,6 @@ class Learner:
 
 
 def _mixed(seed: int, step: int, rank: int) -> int:
-    """A seed of its own for each step and process (63 bits)."""
+    """A distinct seed for each step and process (63 bits)."""
     mixed = (seed * 1_000_003 + step) * 1_000_003 + rank
     return mixed & (2**63 - 1)

@@ -29,7 +29,7 @@ VARINT, FIXED64, TEXT, FIXED32 = 0, 1, 2, 5
 
 @dataclass(frozen=True)
 class StoredTensor:
-    """Where the values of a tensor lie.
+    """The place of a tensor's values.
 
     Attributes:
         kind: 1 for float32.
@@ -63,7 +63,7 @@ class TensorBundle:
     shards: int
 
     def data_path(self, shard: int = 0) -> Path:
-        """A data file; it need not be there."""
+        """The path of a data file, which may not exist."""
         return self.index.with_name(f"{self.index.stem}.data-{shard:05d}-of-{self.shards:05d}")
 
     def read(self, name: str) -> Float32:
@@ -84,9 +84,9 @@ class TensorBundle:
                 file.seek(tensor.offset)
                 content = file.read(tensor.size)
         except OSError as error:
-            told = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
+            problem = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
             raise StorageError(
-                f"{path}: {told}; it holds the weights and belongs beside the index"
+                f"{path}: {problem}; it holds the weights and belongs beside the index"
             ) from error
         if masked_crc32c(content) != tensor.crc:
             raise StorageError(f"{path}: the checksum of '{printable(name)}' is wrong; get the file again")
@@ -114,14 +114,14 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
     _, place = _handle(footer, 0)
     root, _ = _handle(footer, place)
     reader = _Reader(content)
-    found: dict[bytes, bytes] = {}
+    entries: dict[bytes, bytes] = {}
     for handle in [value for _, value in reader.entries(root)]:
         for key, value in reader.entries(_handle(handle, 0)[0]):
-            if key in found:
+            if key in entries:
                 raise ValueError("a key that is there twice")
-            found[key] = value
-    header = _fields(found.pop(b"")) if b"" in found else None
-    tensors = {key.decode(): _tensor(value) for key, value in found.items()}
+            entries[key] = value
+    header = _fields(entries.pop(b"")) if b"" in entries else None
+    tensors = {key.decode(): _tensor(value) for key, value in entries.items()}
     if header is None:
         raise ValueError("it has no header")
     if _number(header, 2):
@@ -133,7 +133,7 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
 
 
 class _Reader:
-    """Reads the blocks of an index: no more bytes of them than it has, so that the file bounds the cost."""
+    """Reads the blocks of an index; the file's size bounds the bytes read."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
@@ -158,7 +158,7 @@ class _Reader:
             place += more + length
 
     def _plain(self, offset: int, size: int) -> tuple[bytes, int]:
-        """A block that was checked, and where its entries end."""
+        """A verified block, and the end of its entries."""
         from kinectbench.networks.crc32c import masked_crc32c
 
         whole = self._content[offset : offset + size + TRAILER_BYTES]
@@ -175,7 +175,7 @@ class _Reader:
 
 
 def _handle(content: bytes, place: int) -> tuple[tuple[int, int], int]:
-    """Offset and size of a block, and where they end."""
+    """Offset and size of a block, and the position after them."""
     offset, place = _varint(content, place)
     size, place = _varint(content, place)
     return (offset, size), place
@@ -194,7 +194,7 @@ def _varint(content: bytes, place: int) -> tuple[int, int]:
 
 def _fields(content: bytes) -> dict[int, list[int | bytes]]:
     """The fields of a protocol buffer by number."""
-    found: dict[int, list[int | bytes]] = {}
+    fields: dict[int, list[int | bytes]] = {}
     place = 0
     while place < len(content):
         tag, place = _varint(content, place)
@@ -212,12 +212,12 @@ def _fields(content: bytes) -> dict[int, list[int | bytes]]:
             raise ValueError("a field of an unknown kind")
         if place > len(content):
             raise ValueError("a field is cut off")
-        found.setdefault(tag >> 3, []).append(value)
-    return found
+        fields.setdefault(tag >> 3, []).append(value)
+    return fields
 
 
 def _number(fields: Mapping[int, list[int | bytes]], field: int) -> int:
-    """The last value of a number; 0 where it is missing, as protocol buffers leave zeros out."""
+    """The last value of a number; 0 if missing, as protocol buffers omit zeros."""
     value = fields.get(field, [0])[-1]
     if not isinstance(value, int):
         raise ValueError("a field of another kind")

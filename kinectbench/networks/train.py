@@ -1,4 +1,4 @@
-"""Train a network on the pairs of releases; whatever stops it, the same course goes on from there."""
+"""Train a network on the pairs of releases; a stopped training resumes deterministically."""
 
 import os
 import time
@@ -48,7 +48,7 @@ SAVE_EVERY_S = 300.0
 
 @dataclass(frozen=True)
 class Training:
-    """A training that is under way in this process.
+    """A running training in this process.
 
     Attributes:
         config: of the method.
@@ -78,7 +78,7 @@ class Training:
         return steps_in_all(len(self.pairs), self.config)
 
     def save(self) -> None:
-        """Write what is needed to go on; one process does it for all."""
+        """Save the state; one process writes for all."""
         if self.part[0] == 0:
             save(self.folder, self.learner, self.state, self.facts, self.config)
 
@@ -94,7 +94,7 @@ def train(
     progress: Progress | None = None,
     watch: Callable[[TrainingRow], None] | None = None,
 ) -> State:
-    """Train a network, or go on where an earlier run in the same folder stopped.
+    """Train a network, or resume a training in the same folder.
 
     On one machine, with the same number of threads, a training gives the same weights however often it was
     stopped. torchrun starts it in several processes, which share each batch.
@@ -143,7 +143,7 @@ def train(
 
 
 def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, Any]:
-    """What training.json says of the pairs that are learnt from."""
+    """Facts about the training pairs for training.json."""
     return {
         "benchmark_sha256": releases[0].benchmark_sha256,
         "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
@@ -163,7 +163,7 @@ def _check_shared(batch: int, processes: int) -> None:
 
 @contextmanager
 def _deterministic(device: str) -> Iterator[None]:
-    """Within the block torch gives the same bits every time; on a GPU it warns of what cannot."""
+    """Make torch deterministic within the block; on a GPU it warns of operations that cannot be."""
     kept = (
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
@@ -189,7 +189,7 @@ def _run(
     progress: Progress | None,
     watch: Callable[[TrainingRow], None] | None,
 ) -> None:
-    """Step by step until all is done or the time is over; what was done is saved whatever ends it."""
+    """Train until the steps or the time are used up; progress is saved in any case."""
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
     steps = range(state.step, training.steps)
@@ -218,7 +218,7 @@ def _run(
             if now - saved >= SAVE_EVERY_S:
                 training.save()
                 saved = time.monotonic()
-    except StepError:  # half a step was done: what was saved before stands
+    except StepError:  # the step is incomplete: the last saved state stays
         raise
     except (KeyboardInterrupt, KinectBenchError):
         with interrupts_held():
@@ -228,14 +228,14 @@ def _run(
 
 
 def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
-    """One step.
+    """Run one step.
 
     Raises:
         StepError: memory is full, or the loss is no number.
     """
     step = training.state.step
     try:
-        with _memory_told():
+        with _memory_errors_reported():
             return training.learner.step(batch, step, epoch, step / training.steps)
     except RuntimeError as error:
         if training.part[1] == 1:
@@ -247,8 +247,8 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
 
 
 @contextmanager
-def _memory_told() -> Iterator[None]:
-    """Within the block memory that is full is told in one line, of a GPU or of the machine."""
+def _memory_errors_reported() -> Iterator[None]:
+    """Report an out-of-memory error of the block, on a GPU or the machine, in one line."""
     try:
         yield
     except (torch.OutOfMemoryError, MemoryError) as error:
@@ -264,7 +264,7 @@ def _memory_told() -> Iterator[None]:
 
 
 def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
-    """Add a row to the course where it is time for one, if it is not there yet."""
+    """Validate and add a row to the log if it is due and missing."""
     state, every = training.state, training.config.training.validate_every_steps
     due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
     if due and not (state.rows and state.rows[-1].step == state.step):
@@ -274,18 +274,18 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Look at the validation pairs and add a row to the course; the best weights are kept, if asked for.
+    """Validate and add a row to the log; keeps the best weights on request.
 
     It may be interrupted while it looks: nothing has changed then, and it looks again.
     """
     config, state = training.config, training.state
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     if training.validation:
-        with _memory_told():
+        with _memory_errors_reported():
             iou, threshold = validation_iou(
                 training.learner.network, training.validation, config, training.device
             )
-        found = {"validation_iou": round(iou, 6), "threshold": threshold}
+        figures = {"validation_iou": round(iou, 6), "threshold": threshold}
     with interrupts_held():
         if training.validation and iou > state.best_iou:
             state.best_iou, state.best_step = iou, state.step
@@ -296,6 +296,6 @@ def _look(training: Training) -> TrainingRow:
         losses = mean_of_all(losses, training.part[1], training.device)
         state.sums.clear()
         epoch = round(state.step * config.training.batch / len(training.pairs), 6)
-        row = TrainingRow(step=state.step, epoch=epoch, **losses, **found)
+        row = TrainingRow(step=state.step, epoch=epoch, **losses, **figures)
         state.rows.append(row)
     return row

@@ -1,4 +1,4 @@
-"""A trained network: from a training's folder, or by its name from those that the package holds."""
+"""A trained network: from a training's folder, or by name from the package."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +52,7 @@ class Trained:
 
 
 def packaged_methods() -> tuple[str, ...]:
-    """Names of the networks that the package holds with their weights, sorted."""
+    """Names of the networks whose weights are in the package, sorted."""
     return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE}")))
 
 

@@ -1,4 +1,4 @@
-"""How good a network is on validation pairs, counted as predictions are."""
+"""Quality of a network on validation pairs, counted as for predictions."""
 
 from collections.abc import Sequence
 

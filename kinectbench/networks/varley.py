@@ -1,7 +1,7 @@
 """Varley et al.: from a partial view to occupancy at 40^3 by three convolutions and two full layers.
 
 Source: Varley et al., Shape Completion Enabled Robotic Grasping, IROS 2017; layer sizes as in
-CRLab/shape_completion_experiments, `conv3_dense2.py`, described and written anew.
+CRLab/shape_completion_experiments, `conv3_dense2.py`, reimplemented from its description.
 """
 
 import torch
@@ -18,7 +18,7 @@ BOTTOM_CELLS = 7
 
 
 class Varley(Network):
-    """430,288,384 weights, the paper's 430.3 M, and 69,192 biases beside them."""
+    """430,288,384 weights, the paper's 430.3 M, and 69,192 biases."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Hidden channels, and the vector of 5000, are divided by `divisor`."""

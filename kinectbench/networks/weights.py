@@ -31,7 +31,7 @@ Shapes = Mapping[str, tuple[int, ...]]
 
 
 def write_weights(arrays: Arrays, path: Path) -> None:
-    """Write arrays by name, not compressed, one after another: the same bytes for the same values."""
+    """Write arrays by name, uncompressed and in order: the same bytes for the same values."""
     with replaced_file(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
@@ -42,17 +42,17 @@ def write_weights(arrays: Arrays, path: Path) -> None:
 
 
 def read_weights(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file that may come from anybody.
+    """Read the arrays of an untrusted file.
 
     Raises:
         StorageError: it is missing, damaged, too large for any network, or no such file.
     """
-    found = {
+    arrays = {
         name: np.empty(header.shape, header.dtype) for name, header in headers_of(path, MOST_BYTES).items()
     }
     for name, begin, values in _slabs(path, MOST_BYTES):
-        found[name].reshape(-1)[begin : begin + len(values)] = values
-    return found
+        arrays[name].reshape(-1)[begin : begin + len(values)] = values
+    return arrays
 
 
 def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[Any]]]:
@@ -80,7 +80,7 @@ def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[Any]
 
 
 def headers_of(path: Path, most_bytes: int) -> dict[str, NpyHeader]:
-    """What the arrays of a file say of themselves, by name; none is unpacked.
+    """The headers of a file's arrays, by name, without unpacking.
 
     Raises:
         StorageError: as `read_weights`; an array is of another kind than weights are.
@@ -106,7 +106,7 @@ def _refuse(path: Path, name: str, problem: str) -> None:
 
 @contextmanager
 def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
-    """An npz of at most so many bytes unpacked; what goes wrong with it within the block is a line."""
+    """Open an npz of at most this many unpacked bytes; errors within the block become one line."""
     try:
         with open_plain(path) as file, open_npz(file, most_bytes) as archive:
             yield archive
@@ -117,7 +117,7 @@ def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _problem(name: str, array: NDArray[Any]) -> str:
-    """What no network can hold; "" if it can."""
+    """Why a network cannot have this value; "" if it can."""
     # A float64 may be larger than what the network has. Of NaN neither is so.
     most = np.finfo(np.float32).max
     if not -most <= array.min() <= array.max() <= most:
@@ -126,7 +126,7 @@ def _problem(name: str, array: NDArray[Any]) -> str:
 
 
 def shapes_of_network(network: Any) -> dict[str, tuple[int, ...]]:
-    """The shapes of a torch module's values by name; they may lie on "meta"."""
+    """The shapes of a torch module's values by name, which may be on "meta"."""
     return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
@@ -136,7 +136,7 @@ def arrays_of_network(network: Any) -> dict[str, NDArray[Any]]:
 
 
 def set_weights(network: Any, path: Path) -> None:
-    """Give a torch module its values, from a file whose headers fit; a part at a time is in memory.
+    """Load a file's values, with checked headers, into a torch module, part by part.
 
     Raises:
         StorageError: as `read_weights`.
@@ -156,12 +156,12 @@ def set_weights(network: Any, path: Path) -> None:
 
 
 def bytes_of(shapes: Shapes) -> int:
-    """What a file for a network of these shapes, by name, unpacks to at most."""
+    """Maximum unpacked size of a file for a network of these shapes, by name."""
     return sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
 
 
 def check_fit(wanted: Shapes, arrays: Mapping[str, NpyHeader], where: str) -> None:
-    """Refuse arrays, by their headers, that are not those of a network.
+    """Refuse arrays whose headers do not match the network.
 
     Raises:
         StorageError: a name or a shape does not fit; a line for each, that begins with `where`.

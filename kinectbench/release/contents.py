@@ -44,7 +44,7 @@ MOST_FILE_BYTES = 256 << 20
 # What an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
 VOLUME_BYTES = 5 << 28
 # By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
-# million triangles, and takes 320 MB to be checked (own choice; measured).
+# million triangles, and takes 320 MB to be checked (measured).
 MOST_BYTES = {
     "/mesh.ply": 128 << 20,
     "/volume.npz": MOST_FILE_BYTES,
@@ -57,12 +57,12 @@ DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
 
 def most_bytes(name: str) -> int:
-    """Bytes that a file of a release may have, by its name."""
+    """The largest size of a release's file, by its name."""
     return next((most for end, most in MOST_BYTES.items() if name.endswith(end)), MAX_READ_BYTES)
 
 
 def refuse_large(folder: Path) -> None:
-    """Refuse a release that its own check would refuse for the size of a file.
+    """Refuse a release with a file that its own check would find too large.
 
     Raises:
         ReleaseError: it names the file, and says what to do.
@@ -93,13 +93,13 @@ def release_files(folder: Path) -> Iterator[Path]:
         return
     try:
         # By their parts, as paths are compared, but one by one that takes longer than to list them.
-        found = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
+        files = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
     except OSError as error:
         raise ReleaseError(
             f"{error.filename or folder}: {error.strerror}; this is no release", what="not-one"
         ) from error
     sums = folder / SHA256SUMS
-    yield from (path for path in found if path != sums)
+    yield from (path for path in files if path != sums)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Contents:
-    """What lies in a release's folder or archive.
+    """The files of a release's folder or archive.
 
     Attributes:
         entries: every file and link by its name, relative to the release, with "/".
@@ -175,7 +175,7 @@ class Contents:
         """A UTF-8 text file.
 
         Raises:
-            ReleaseError: as `read`, or it is no UTF-8.
+            ReleaseError: as `read`, or it is not UTF-8.
         """
         try:
             return decoded(self.read(name, limit), limit, name)

@@ -1,4 +1,4 @@
-"""A release, or part of one, is fetched from a URL or folder: each file is checked, and kept if here."""
+"""Download a release, or part of one, from a URL or folder; checks files, keeps existing ones."""
 
 import contextlib
 import hashlib
@@ -38,7 +38,7 @@ BY_RECORDING = ("pairs", "views", "objects")
 
 @dataclass(frozen=True)
 class Part:
-    """Which part of a release is wanted; None: all.
+    """The requested part of a release; None: all.
 
     Attributes:
         split: train, validation or test.
@@ -53,7 +53,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Fetched:
-    """What was fetched.
+    """The result of a download.
 
     Attributes:
         folder: the release here.
@@ -76,8 +76,8 @@ def release_url(name: str | Path) -> str:
     Raises:
         SettingsError: it is a name, and no place of releases is known.
     """
-    if said := unusable(str(name)):
-        raise SettingsError(printable(said, 300), what="bad-url")
+    if problem := unusable(str(name)):
+        raise SettingsError(printable(problem, 300), what="bad-url")
     url = url_of(name)
     if url is not None:
         return url
@@ -95,15 +95,15 @@ def release_url(name: str | Path) -> str:
 
 
 def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progress | None = None) -> Fetched:
-    """Bring a release, or part of it, into a folder; a fetch that was stopped goes on from there.
+    """Download a release, or part of it, into a folder; resumes a stopped download.
 
     The small files are always those of the whole release. Another part may be added to the same folder.
-    Of several fetches into one folder one works, and the others find what it brought.
+    Of parallel fetches into one folder one works, and the others use its files.
 
     Args:
         url: of the release.
         out: made if it is not there.
-        part: what of it.
+        part: the part to fetch.
         progress: called with (files done, files in all).
 
     Raises:
@@ -131,8 +131,8 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
         )
     names = wanted_names(sums, targets, part)
     # Whoever finds all of it waits for nobody: many read one folder.
-    here = in_parallel(partial(_is_here, out / name, sums[name]) for name in names)
-    missing = [name for name, found in zip(names, here, strict=True) if not found]
+    present = in_parallel(partial(_is_here, out / name, sums[name]) for name in names)
+    missing = [name for name, is_present in zip(names, present, strict=True) if not is_present]
     fetched = 0
     if missing or remains(out):
         with owned(out):
@@ -144,21 +144,21 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Fetch files, by their list `text`, into a folder that is ours; returns how many were not here."""
+    """Download the files of the list `text` into our folder; returns the number that were missing."""
     # The list comes first: by it a fetch that was stopped is known; benchmark.json comes last.
     if not _is_here(out / SHA256SUMS, hashlib.sha256(text.encode()).hexdigest()):
         with replaced_file(out / SHA256SUMS) as temporary:
             temporary.write_bytes(text.encode())
     sums = parse_sums(text, store.place(SHA256SUMS))
     last = [name for name in names if name == BENCHMARK_JSON]
-    found = in_parallel(
+    fetched = in_parallel(
         (partial(_bring, store, out, name, sums[name]) for name in names if name != BENCHMARK_JSON), done
     )
-    return sum(found) + sum(_bring(store, out, name, sums[name]) for name in last)
+    return sum(fetched) + sum(_bring(store, out, name, sums[name]) for name in last)
 
 
 def mirror_release(url: str, out: Path, progress: Progress | None = None) -> list[str]:
-    """Copy a release into an empty folder to be looked at, whatever is wrong with it.
+    """Copy a release into an empty folder for inspection, whatever its faults.
 
     Returns:
         Names that the store holds beyond the release, as far as it can be listed.
@@ -193,7 +193,7 @@ def stored_hashes(
 
 
 def cached_release(url: str, progress: Progress | None = None) -> Path:
-    """The folder of this machine's cache that holds a release, fetched if it is not there."""
+    """The folder of the local cache with a release, which is downloaded if missing."""
     _, info = _head(release_store(url))
     base = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "kinectbench")
     return fetch_release(url, base / "releases" / info.benchmark_sha256, progress=progress).folder
@@ -209,21 +209,21 @@ def chosen(targets: Collection[Target], part: Part) -> tuple[Target, ...]:
 
 
 def wanted_names(names: Collection[str], targets: Collection[Target], part: Part | None) -> list[str]:
-    """Those of a release's files that belong to a part: what belongs to no recording or view always does."""
+    """The release's files of a part; files of no recording or view always belong to it."""
     if part is None:
         return list(names)
     views: dict[str, set[str]] = {}
     for target in targets:
         views.setdefault(target.recording, set()).add(target.view)
-    found = []
+    wanted = []
     for name in names:
-        folder, _, rest = name.partition("/")
-        recording, _, file = rest.partition("/")
+        folder, _, tail = name.partition("/")
+        recording, _, file = tail.partition("/")
         of = views.get(recording if file else recording.rpartition(".")[0])
         view = file.partition(".")[0]
         if folder not in BY_RECORDING or (of is not None and (not view.isdigit() or view in of)):
-            found.append(name)
-    return found
+            wanted.append(name)
+    return wanted
 
 
 def _head(store: Store) -> tuple[str, ReleaseInfo]:
@@ -274,7 +274,7 @@ def _is_here(path: Path, sha256: str) -> bool:
 
 
 def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
-    """Fetch a file that is not here yet; whether it was fetched. The name is safe: `parse_sums` saw it."""
+    """Download a missing file; returns whether it did. `parse_sums` has checked the name."""
     path = out / name
     if _is_here(path, sha256):
         return False
@@ -286,7 +286,7 @@ def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
 
 
 def _mirror_list(url: str, out: Path) -> tuple[Store, dict[str, str]]:
-    """Copy SHA256SUMS as it is; the store and what the list says."""
+    """Copy SHA256SUMS unchanged; returns the store and the list."""
     store = release_store(url)
     try:
         text = store.read(SHA256SUMS, TEXT_BYTES)
@@ -310,10 +310,10 @@ def _mirrored_hash(store: Store, out: Path, name: str) -> str | None:
     _mirror(store, out, name)
     if not path.is_file():
         return None
-    found = sha256_file(path)
+    digest = sha256_file(path)
     if name != BENCHMARK_JSON:
         path.unlink()
-    return found
+    return digest
 
 
 def _mirror(store: Store, out: Path, name: str) -> None:
@@ -323,7 +323,7 @@ def _mirror(store: Store, out: Path, name: str) -> None:
 
 
 def _refuse_other(out: Path, text: str) -> None:
-    """Refuse a folder that holds another release than that of this SHA256SUMS, or anything else."""
+    """Refuse a folder with anything else than the release of this SHA256SUMS."""
     if not out.exists():
         return
     if not out.is_dir():

@@ -13,7 +13,7 @@ from kinectbench.release.published import release_text
 from kinectbench.release.put import PutSummary
 
 SCHEME = "hf://"
-# A user or organisation, and a data set; the hub's own rule for both (its `validate_repo_id`).
+# A user or organisation, and a data set; as the hub checks both (its `validate_repo_id`).
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,95}/[A-Za-z0-9][A-Za-z0-9._-]{0,95}")
 # What the hub itself writes into a new data set, or somebody before anything is put.
 ITS_OWN = frozenset({".gitattributes", "README.md"})

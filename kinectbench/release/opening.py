@@ -1,4 +1,4 @@
-"""Looking into a release, in a folder, a zip or a tar. What strangers packed is not trusted."""
+"""Read a release from a folder, a zip or a tar, as untrusted input."""
 
 import errno
 import gzip
@@ -32,15 +32,15 @@ from kinectbench.core.zip_files import open_zip
 from kinectbench.release.contents import DAMAGED, LINK, MOST_FILES, Contents, Entry, release_files
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
-# Of what a tar says of one member before its data: its block, names of 4096 characters, times, attributes.
+# Bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
 MOST_HEADER_BYTES = 128 << 10
-# Of what a tar says of all members at once; git writes one.
+# Bytes of a tar's global headers; git writes one.
 MOST_GLOBALS = 64
 
 
 @contextmanager
 def open_contents(path: Path) -> Iterator[Contents]:
-    """Look into a release.
+    """Open a release.
 
     Args:
         path: its folder, or an archive: .zip, .tar, .tar.gz. In an archive it may lie in one folder.
@@ -53,8 +53,8 @@ def open_contents(path: Path) -> Iterator[Contents]:
         with _open_archive(path) as contents:
             yield _rooted(contents, path)
         return
-    if said := other_scheme(path):
-        raise SettingsError(said, what="bad-url")
+    if problem := other_scheme(path):
+        raise SettingsError(problem, what="bad-url")
     contents = _folder(path)
     if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
         raise ReleaseError(f"{path}: no release there; run publish or download one", what="not-one")
@@ -62,7 +62,7 @@ def open_contents(path: Path) -> Iterator[Contents]:
 
 
 def _folder(path: Path) -> Contents:
-    """The files of a folder, none where there is no folder; links to files are followed, to folders not.
+    """The files of a folder, if it exists; follows links to files, not to folders.
 
     Caches of downloads hold links. A file is the published one by its SHA-256, wherever it lies.
     """
@@ -86,7 +86,7 @@ def _entry(file: Path) -> Entry:
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
-    """The files of a release that lies at the top of an archive, or in a folder of it.
+    """The files of a release at the top of an archive, or in a folder of it.
 
     Raises:
         ReleaseError: there is none, or there are several.
@@ -96,9 +96,9 @@ def _rooted(contents: Contents, path: Path) -> Contents:
         return contents
     tops = {name.partition("/")[0] for name in contents.entries if name.partition("/")[2] in known}
     if len(tops) != 1:
-        found = "several" if tops else "none"
+        count = "several" if tops else "none"
         raise ReleaseError(
-            f"{path}: must hold one release, at its top or in one folder; it holds {found}", what="not-one"
+            f"{path}: must hold one release, at its top or in one folder; it holds {count}", what="not-one"
         )
     top = f"{tops.pop()}/"
     inside = {name.removeprefix(top): e for name, e in contents.entries.items() if name.startswith(top)}
@@ -110,7 +110,7 @@ def _rooted(contents: Contents, path: Path) -> Contents:
 
 @contextmanager
 def _open_archive(path: Path) -> Iterator[Contents]:
-    """Look into a .zip, .tar or .tar.gz, whatever its name ends in.
+    """Open a .zip, .tar or .tar.gz, whatever its name's ending.
 
     A zip or a tar is read where it is. A .tar.gz is inflated into one temporary file without a name, for
     its files cannot be reached otherwise.
@@ -132,7 +132,7 @@ def _open_archive(path: Path) -> Iterator[Contents]:
 
 
 def _opened(path: Path, stack: ExitStack) -> Contents:
-    """An archive's files; what is to be closed goes onto the stack."""
+    """An archive's files; objects to close go onto the stack."""
     file: IO[bytes] = stack.enter_context(open_plain(path))
     head, packed_bytes = file.read(2), size_of(file)
     file.seek(0)
@@ -148,7 +148,7 @@ def _opened(path: Path, stack: ExitStack) -> Contents:
 
 
 def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
-    """Write what a gzip file holds, no more than a release can."""
+    """Write the content of a gzip file, at most the size of a release."""
     with gzip.GzipFile(fileobj=packed) as source:
         try:
             copy_bounded(cast(IO[bytes], source), inflated, unpacked_bound(size_of(packed)))
@@ -198,7 +198,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
             if not info.isdir():
                 members.append((info.name, Entry(info.size, opener, problem)))
         end = archive.offset
-    # tarfile stops without a word where a header is damaged or the end is missing.
+    # tarfile stops silently where a header is damaged or the end is missing.
     file.seek(end)
     if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
         raise tarfile.ReadError("a header is damaged, or the end is missing")
@@ -206,7 +206,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
 
 
 class _Headers(io.RawIOBase):
-    """A tar as tarfile reads its headers: with a bound on what it reads of each member.
+    """A tar with bounded reading of each member's headers.
 
     tarfile takes names and pax records into memory whole, and looks at each keyword.
     """
@@ -232,7 +232,7 @@ class _Headers(io.RawIOBase):
 
 
 def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
-    """A member of a tar, as a file of its own."""
+    """A member of a tar as a file."""
     return io.BufferedReader(_Slice(file, start, size), COPIED_BYTES)
 
 
@@ -273,16 +273,16 @@ class _Slice(io.RawIOBase):
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
-    """An archive's files by name; names that lead elsewhere and doubles are told and not opened."""
+    """An archive's files by name; names that lead elsewhere and duplicates are reported, not opened."""
     entries: dict[str, Entry] = {}
     problems = []
-    for said, entry in members:
-        inside = PurePosixPath(said)
+    for stated_name, entry in members:
+        inside = PurePosixPath(stated_name)
         name = inside.as_posix()
         leads_out = inside.is_absolute() or ".." in inside.parts
-        if leads_out or not said.isprintable() or set(said) & set("\\:"):
+        if leads_out or not stated_name.isprintable() or set(stated_name) & set("\\:"):
             problems.append(
-                f"'{printable(said)}': a name that leads out of the release or cannot be a file's"
+                f"'{printable(stated_name)}': a name that leads out of the release or cannot be a file's"
             )
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry

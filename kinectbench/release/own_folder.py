@@ -1,4 +1,4 @@
-"""A folder that one fetch at a time writes to, and what killed ones left there. The lock leaves no file."""
+"""A download folder with one writer at a time, and the remains of killed ones. The lock leaves no file."""
 
 import contextlib
 import errno
@@ -16,18 +16,18 @@ _LEFT = re.compile(r"\..+\.[0-9a-f]+\.part")
 
 
 def is_ours(name: str) -> bool:
-    """Whether a file is the lock, or was being written when a fetch was killed."""
+    """Whether a file is the lock, or an unfinished download."""
     return name == LOCK or _LEFT.fullmatch(name) is not None
 
 
 def remains(folder: Path) -> list[Path]:
-    """What is no file of a release, but a fetch's: it is at work or was killed. Links are not followed."""
+    """Files of a running or killed download that are not the release's. Links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Write to a folder while no other fetch does; what killed ones left goes first.
+    """Write to a folder exclusively; leftovers of killed downloads are removed first.
 
     Where the file system keeps no locks nothing is swept, as another fetch may be at work.
 
@@ -52,9 +52,9 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def _lock(path: Path, held: contextlib.ExitStack) -> bool:
-    """Hold a lock until the stack ends; False if the file system keeps none.
+    """Hold a lock until the stack ends; False if the file system has no locks.
 
-    Whoever held it before has removed its file: then it is taken anew.
+    If its last holder removed the file, the lock is taken again.
     """
     while True:
         with contextlib.ExitStack() as closing:

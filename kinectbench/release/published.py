@@ -43,11 +43,11 @@ def release_text(path: Path) -> str:
 
 
 def published_bytes(path: Path, sha256: str | None) -> bytes:
-    """The bytes of a file of a release in a folder, at the end of a link, if it is one, or in an archive.
+    """The bytes of a release's file in a folder, following a link, or in an archive.
 
     Args:
         path: the file.
-        sha256: what they must hash to.
+        sha256: their expected hashes.
 
     Raises:
         ReleaseError: it is missing, larger than its kind may be, cannot be read, or is not the published one.
@@ -66,7 +66,7 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
 
 def release_store(url: str) -> Store:
-    """The store of a release, or of whatever lies at its URL.
+    """The store of a release, or of its URL.
 
     Raises:
         ReleaseError: the URL has a query, to which no name of a file can be joined.
@@ -81,7 +81,7 @@ def release_store(url: str) -> Store:
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file, in a folder, in an archive or at a URL.
+    """Whether a file exists in a folder, in an archive or at a URL.
 
     Raises:
         ReleaseError: the archive cannot be read.
@@ -121,16 +121,16 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """The bucket, host or machine of a URL, for whose files one client is made, and the name there.
+    """The bucket, host or machine of a URL, which shares one client, and the name in it.
 
     Raises:
         ReleaseError: as `release_store`.
     """
     release_store(url)
-    scheme, _, place, *rest = url.split("/", 3)
-    if not rest:  # a name without a bucket, which the store refuses
+    scheme, _, place, *tail = url.split("/", 3)
+    if not tail:  # a name without a bucket, which the store refuses
         return Store(f"{scheme}//"), place
-    name = rest[0]
+    name = tail[0]
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 
@@ -157,16 +157,16 @@ class _Opened:
 
 
 def _listed(archive: Path) -> _Opened:
-    """The archive as this process has it open; one that was written anew is opened anew.
+    """This process's open archive; reopened if the file was replaced.
 
-    A process that was forked opens it anew, too: the place in an open file is shared with the parent.
+    A process that was forked opens it again, too: the place in an open file is shared with the parent.
 
     Raises:
         ReleaseError: it holds no release, or is damaged.
         OSError: it is gone.
     """
-    found = archive.stat()
-    return _opened(archive, (os.getpid(), found.st_size, found.st_mtime_ns, found.st_ino))
+    status = archive.stat()
+    return _opened(archive, (os.getpid(), status.st_size, status.st_mtime_ns, status.st_ino))
 
 
 @lru_cache(MOST_OPEN)

@@ -1,6 +1,6 @@
-"""A recipe: public scans come to this machine by its sources.yaml, and stand in its benchmark from then on.
+"""A recipe: downloads public scans by its sources.yaml and adds them to its benchmark.
 
-sources.yaml and sources.lock are strangers' files, and so are the scans. What came first is locked.
+sources.yaml and sources.lock and the scans are untrusted. sources.lock pins the first download.
 """
 
 import contextlib
@@ -42,14 +42,14 @@ recordings:
 
 
 class NoRoomError(StorageError):
-    """What is to come has no room: nor has what comes after it."""
+    """The disk is full: no further file will fit either."""
 
     what = "no-room"
 
 
 @dataclass(frozen=True)
 class FetchedScan:
-    """What became of a scan.
+    """The outcome of one scan.
 
     Attributes:
         scan: which.
@@ -69,7 +69,7 @@ def is_recipe(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A recipe at work; `opened_recipe` makes it.
+    """An open recipe; `opened_recipe` makes it.
 
     Attributes:
         folder: that holds sources.yaml, and sources.lock.
@@ -86,7 +86,7 @@ class Recipe:
     _writing: threading.Lock = field(default_factory=threading.Lock)
 
     def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
-        """The scans that are asked for; the source's own list is fetched if it is not here.
+        """The requested scans; downloads the source's list if it is missing.
 
         Raises:
             SettingsError: there are none, or the list is none.
@@ -103,11 +103,11 @@ class Recipe:
         return chosen_scans(self.sources, listed, categories, limit)
 
     def place(self, scan: Scan) -> str:
-        """The recording of a scan that is here, relative to the benchmark's folder."""
+        """The recording of a downloaded scan, relative to the benchmark's folder."""
         return scan.folder if (self.out / scan.folder).is_dir() else scan.path
 
     def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
-        """Bring scans here, some at a time; one that fails does not stop the others.
+        """Download scans in parallel; a failure does not stop the others.
 
         Raises:
             NoRoomError: the disk has no room for one.
@@ -124,11 +124,11 @@ class Recipe:
         return [replace(of_file[scan.scan], scan=scan) for scan in scans]
 
     def fetch(self, scan: Scan, room: Callable[[int], object] | None = None) -> FetchedScan:
-        """Bring a scan here.
+        """Download a scan.
 
         Args:
             scan: which.
-            room: called with the bytes that are to come; default: refuses what the disk has no room for.
+            room: called with the expected bytes; default: refuses files that do not fit the disk.
 
         Raises:
             NoRoomError: there is no room.
@@ -163,23 +163,23 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Bring a file here if it is not, and lock what it is once it is checked; whether it came now."""
+        """Download a missing file, and lock its hash after the check; returns whether it was downloaded."""
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
                 f"{self.folder / SourcesLock.FILE}: '{file}' is not the one of {SOURCES_YAML}"
             )
         if path.exists():
-            here = Content(path.stat().st_size, sha256_file(path))
-            if here.sha256 != (row.sha256 if row else sha256 or here.sha256):
+            content = Content(path.stat().st_size, sha256_file(path))
+            if content.sha256 != (row.sha256 if row else sha256 or content.sha256):
                 raise StorageError(
                     f"{path}: is not the file that came first; remove it to fetch it again",
                     what="other-content",
                 )
             check(path)
-            self._lock(file, here)
+            self._lock(file, content)
             return False
-        found = download(
+        downloaded = download(
             [f"{base}/{file}" for base in bases],
             path,
             row.sha256 if row else sha256,
@@ -188,11 +188,11 @@ class Recipe:
             most_bytes=most_bytes,
             room=room or partial(_refuse_full, path),
         )
-        self._lock(file, found)
+        self._lock(file, downloaded)
         return True
 
     def _lock(self, file: str, content: Content) -> None:
-        """Keep in sources.lock what a file is that came for the first time."""
+        """Record the hash of a file's first download in sources.lock."""
         with self._writing:
             if file in self._locked:
                 return
@@ -202,7 +202,7 @@ class Recipe:
                 temporary.write_text(SourcesLock(files=files).text(), encoding="utf-8")
 
     def add_to_benchmark(self, scans: Sequence[Scan]) -> None:
-        """Put scans into recordings.yaml, which the recipe's benchmark.yaml includes; what is there stays.
+        """Add scans to recordings.yaml, which the recipe's benchmark.yaml includes; existing entries stay.
 
         Raises:
             SettingsError: benchmark.yaml is wrong, or does not include it.
@@ -219,10 +219,10 @@ class Recipe:
         if not config.exists():
             with storage_errors(config):
                 shutil.copyfile(self.folder / BENCHMARK, config)
-        found = set[str]()
+        known_ids = set[str]()
         with contextlib.suppress(SettingsError):
-            found = _ids(text, str(path))
-        if found != known | {scan.id for scan in scans}:
+            known_ids = _ids(text, str(path))
+        if known_ids != known | {scan.id for scan in scans}:
             raise SettingsError(f"{path}: nothing can be added to it; begin each entry with '  - id: …'")
         with replaced_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -260,7 +260,7 @@ def opened_recipe(
     *,
     is_read: Callable[[Path], bool],
 ) -> Iterator[Recipe]:
-    """A recipe at work, in a folder where no other fetch works meanwhile.
+    """Open a recipe, with a lock on its folder against other downloads.
 
     Args:
         folder: that holds sources.yaml.
@@ -286,7 +286,7 @@ def opened_recipe(
 
 
 def _refuse_full(path: Path, size: int) -> None:
-    """Refuse what the disk has no room for, before it comes."""
+    """Refuse a download that does not fit the disk."""
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise NoRoomError(
@@ -295,18 +295,18 @@ def _refuse_full(path: Path, size: int) -> None:
 
 
 def _check_zip(path: Path) -> None:
-    """Refuse what is no zip archive, or has no end of one."""
+    """Refuse a file that is no complete zip archive."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
             raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")
 
 
 def _no_check(path: Path) -> None:
-    """The readers look at other files."""
+    """Accept any other file, which the readers check."""
 
 
 def remove_scan(out: Path, scan: Scan) -> None:
-    """Delete a scan and what was begun of it."""
+    """Delete a scan and its partial downloads."""
     path = out / scan.path
     for each in (path, out / scan.folder, *begun(path)):
         if each.is_dir():

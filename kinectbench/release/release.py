@@ -1,4 +1,4 @@
-"""Open a published benchmark: its targets and what `benchmark.json` says. See contents.py for the files."""
+"""Open a published benchmark: its targets and benchmark.json. See contents.py for the files."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -56,26 +56,26 @@ class Release:
         return tuple(target for target in self.targets if target.split == name)
 
     def of_splits(self, names: Sequence[str]) -> tuple[Target, ...]:
-        """The targets of some splits, those of the first split first; at least one.
+        """The targets of some splits, in their order; at least one.
 
         Raises:
             SettingsError: no pair is of any of these splits.
         """
-        found = tuple(target for name in names for target in self.split(name))
-        if not found:
-            there = " and ".join(sorted({target.split for target in self.targets})) or "no split"
+        targets = tuple(target for name in names for target in self.split(name))
+        if not targets:
+            splits = " and ".join(sorted({target.split for target in self.targets})) or "no split"
             raise SettingsError(
-                f"{shown(self.folder)}: no pair of the {' or '.join(names)} split; its pairs are of {there}",
+                f"{shown(self.folder)}: no pair of the {' or '.join(names)} split; its pairs are of {splits}",
                 what="no-pairs",
             )
-        return found
+        return targets
 
     def open_split(self, name: str) -> tuple[Target, ...]:
-        """The targets of one split whose truth is here; none of a split that is held back."""
+        """The targets of one split with truth; none if it is held back."""
         return () if name in self.metadata.held_back else self.split(name)
 
     def require_truth(self, splits: Iterable[str]) -> None:
-        """Refuse to go on where the truth of a split is needed that is held back.
+        """Raise an error if the truth of a split is held back.
 
         Raises:
             ReleaseError: it says where the truth is.
@@ -114,7 +114,7 @@ class Release:
         """A UTF-8 text of the release.
 
         Raises:
-            ReleaseError: as `content`, or it is no UTF-8.
+            ReleaseError: as `content`, or it is not UTF-8.
         """
         try:
             return decoded(self.content(name), MAX_READ_BYTES, name)
@@ -122,7 +122,7 @@ class Release:
             raise ReleaseError(f"{shown(self.folder / name)}: not a readable text ({error})") from error
 
     def floor(self, recording: str) -> FloorFile | None:
-        """The floor of a recording; None where the release has none, as of synthesised models.
+        """The floor of a recording; None if the release has none, as for synthesised models.
 
         Raises:
             ReleaseError: its file is damaged.
@@ -138,10 +138,10 @@ class Release:
     @cached_property
     def by_recording(self) -> dict[str, list[Target]]:
         """The targets of each recording, in the order of the recordings' ids."""
-        found: dict[str, list[Target]] = {}
+        groups: dict[str, list[Target]] = {}
         for target in sorted(self.targets, key=lambda target: target.recording):
-            found.setdefault(target.recording, []).append(target)
-        return found
+            groups.setdefault(target.recording, []).append(target)
+        return groups
 
     def pair_content(self, target: Target) -> bytes:
         """The bytes of a target's pair file.
@@ -153,7 +153,7 @@ class Release:
 
 
 def open_release(path: Path) -> Release:
-    """Open a release, checking that its small files are the published ones (pairs: when they are read).
+    """Open a release and check that its small files are the published ones (pairs: when read).
 
     Args:
         path: its folder, or a .zip, .tar or .tar.gz of it, which is read in place.
@@ -163,8 +163,8 @@ def open_release(path: Path) -> Release:
             in two splits, a path that leaves the release, or files that do not agree with each other.
     """
     if not is_there(path / BENCHMARK_JSON):
-        if said := other_scheme(path):
-            raise SettingsError(said, what="bad-url")
+        if refusal := other_scheme(path):
+            raise SettingsError(refusal, what="bad-url")
         raise ReleaseError(
             f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one",
             what="not-one",
@@ -179,7 +179,7 @@ def open_release(path: Path) -> Release:
             what="changed",
         )
     sums = parse_sums(sums_text, shown(path / SHA256SUMS))
-    # What is parsed is what was hashed: a file may change between two looks at it.
+    # Parse the hashed bytes: a file may change between two reads.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
     for name in published:
         if not is_there(path / name):
@@ -211,7 +211,7 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each thing that targets.csv and benchmark.json say of a recording otherwise."""
+    """Yield a line for each contradiction of targets.csv and benchmark.json about a recording."""
     pairs = Counter[str]()
     for line, target in enumerate(targets, start=FIRST_LINE):
         pairs[target.recording] += 1
@@ -220,18 +220,18 @@ def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iter
             yield f"{TARGETS_CSV}, line {line}: {BENCHMARK_JSON} has no recording {target.recording}"
             continue
         for key in ("object", "category", "split"):
-            said, wanted = getattr(target, key), getattr(info, key)
-            if said != wanted:
+            stated, wanted = getattr(target, key), getattr(info, key)
+            if stated != wanted:
                 yield (
-                    f"{TARGETS_CSV}, line {line}: {key} '{said}' where {BENCHMARK_JSON} has "
+                    f"{TARGETS_CSV}, line {line}: {key} '{stated}' where {BENCHMARK_JSON} has "
                     f"'{printable(wanted)}'"
                 )
         if target.unknown_share is not None and metadata.hides(target.recording):
             yield f"{TARGETS_CSV}, line {line}: holds unknown_share, which is held back"
     for name, info in metadata.recordings.items():
         if pairs[name] != info.pairs:
-            said = f"{pairs[name]} pairs of {printable(name)}"
-            yield f"{TARGETS_CSV}: {said} where {BENCHMARK_JSON} has {info.pairs}"
+            stated = f"{pairs[name]} pairs of {printable(name)}"
+            yield f"{TARGETS_CSV}: {stated} where {BENCHMARK_JSON} has {info.pairs}"
 
 
 def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:

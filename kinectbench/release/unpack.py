@@ -1,4 +1,4 @@
-"""A stranger's archive becomes a folder: plain files alone, below it, and no more than a bound."""
+"""Unpack an untrusted archive into a folder: only plain files, below it, of bounded size."""
 
 import gzip
 import stat
@@ -50,7 +50,7 @@ class _Member(tarfile.TarInfo):
 
 
 def unpack(archive: Path, folder: Path) -> None:
-    """Unpack a .tar, .tgz or .zip, whatever its name ends in; a folder that holds all of it is left out.
+    """Unpack a .tar, .tgz or .zip, whatever its name's ending; an enclosing folder is left out.
 
     The target appears whole or not at all. Links, devices and hidden files are passed over.
 
@@ -76,7 +76,7 @@ def unpack(archive: Path, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A member: its name, the bytes that it says it has, and what gives its content (None: no plain file)."""
+    """A member: its name, its stated size, and a function for its content (None: no plain file)."""
 
     name: str
     size: int
@@ -95,7 +95,7 @@ def _of_tar(file: BinaryIO) -> Iterator[_Part]:
 
 
 def _of_zip(file: BinaryIO) -> Iterator[_Part]:
-    """The members of a .zip. One with a password is damaged for us; a link is a file that holds a path."""
+    """The members of a .zip. One with a password counts as damaged; a link is a file that holds a path."""
     with open_zip(file, MOST_LISTED, unpacked_bound(size_of(file))) as archive:
         for member in archive.infolist():
             is_link = stat.S_ISLNK(member.external_attr >> 16)

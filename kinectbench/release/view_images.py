@@ -1,4 +1,4 @@
-"""The images of a view of a release: depth, mask and colour, from strangers' files."""
+"""The images of a view of a release: depth, mask and colour, from untrusted files."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ class Kind(NamedTuple):
 
     Attributes:
         suffix: of its file, after the view.
-        words: what it is.
+        words: its kind.
         format: suffix, bits and colour type, as its head has them.
     """
 
@@ -36,7 +36,7 @@ MM_PER_M = 1000
 
 
 def depth_m(release: Release, target: Target) -> Float32:
-    """Depth of a pair's view: (height, width) float32, metres, 0 where nothing was measured.
+    """Depth of a pair's view: (height, width) float32, metres, 0 without a measurement.
 
     Raises:
         ReleaseError: the release has no such image, or it is damaged or not the published one.
@@ -54,7 +54,7 @@ def mask(release: Release, target: Target) -> Bools:
 
 
 def mask_file(release: Release, target: Target) -> tuple[Path, str] | None:
-    """The file of a view's mask, and what it must hash to; None where the release has none."""
+    """The file of a view's mask and its expected hash; None if the release has none."""
     name = f"views/{target.recording}/{target.view}{MASK.suffix}"
     return (release.folder / name, release.sums[name]) if name in release.sums else None
 

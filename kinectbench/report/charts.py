@@ -17,7 +17,7 @@ from kinectbench.scoring.counts import THRESHOLDS
 
 WIDTH, HEIGHT = 340.0, 240.0
 LEFT, RIGHT, TOP, BOTTOM = 34.0, 10.0, 20.0, 36.0
-COLORS = 8  # of the style sheet; methods beyond are told apart by dashes
+COLORS = 8  # of the style sheet; methods beyond are distinguished by dashes
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
 # Pairs are sorted by visible share and averaged in groups, so that a line shows through the points.
 GROUP_PAIRS, MAX_GROUPS = 6, 8
@@ -81,7 +81,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class Series:
-    """What is drawn of one method: its index in the legend, the `d` of points and of a line, and a dot.
+    """The drawing of one method: its legend index, the `d` of points and of a line, and a dot.
 
     `words` say the same in a sentence, for those who do not see it.
     """
@@ -157,7 +157,7 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
     """{pair: share of the shape's known voxels that the input view saw}.
 
     What `occluded` leaves out of `known`: 1 - coverage_shape(occluded) / coverage_shape(known). Pairs that
-    were not scored under both are left out. Source: own rule.
+    were not scored under both are left out.
     """
     known = {row.pair: row.coverage_shape for row in table.pairs("known")}
     shares = {}
@@ -169,7 +169,7 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
 
 
 def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """IoU of every pair against the share of the shape that the view saw, by category, where known."""
+    """IoU of every pair against the share of the shape that the view saw, by category, if known."""
     shares: dict[str, float] = {}
     for table in tables:
         shares |= visible_shares(table)
@@ -193,12 +193,12 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
 
 def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
     """(n, 2) share and IoU of each pair, by share."""
-    found = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
-    return np.array(found, np.float64).reshape(-1, 2)
+    points = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
+    return np.array(points, np.float64).reshape(-1, 2)
 
 
 def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str:
-    """A curve in a sentence: the IoU at the threshold that was used, and the best there is."""
+    """A curve as a sentence: the IoU at the threshold used, and the best IoU."""
     best = max(range(len(curve)), key=lambda step: curve[step])
     at = (
         f"{shown(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "

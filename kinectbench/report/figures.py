@@ -13,7 +13,7 @@ MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
 # Said in words of their own, beside the object's other figures.
 OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
-# What a key alone would leave open: of what a share is.
+# The whole of each share, which its key does not name.
 NAMES: Mapping[str, str] = {
     "unknown_share": "never seen, share of the solid",
     "unknown_air_share": "never seen and taken for air, by the solid's volume",
@@ -37,7 +37,7 @@ class Figures:
         rows: (name, value) of every other figure.
         estimate: the estimated IoU with its interval, or "".
         reasons: what widens that interval, one line each.
-        advice: what to record again, a line for each opening that nobody looked into.
+        advice: what to record again, a line for each unobserved opening.
     """
 
     verdict: str
@@ -59,7 +59,7 @@ def health_figures(health: TrajectoryHealth) -> Figures:
 
 
 def quality_figures(quality: QualityFile) -> Figures:
-    """An object's figures, which are good where nothing is warned of; advice is no warning beside itself."""
+    """An object's figures, good if they have no warning; advice is no warning beside itself."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return Figures(
         quality.verdict or "",
@@ -113,7 +113,7 @@ def _rows(values: Mapping[str, Any], prefix: str) -> list[tuple[str, str]]:
 
 
 def _name(key: str) -> str:
-    """A key for people: `median_residual_m` is `median residual (m)`."""
+    """A readable key: `median_residual_m` is `median residual (m)`."""
     if key in NAMES:
         return NAMES[key]
     for suffix, unit in UNITS.items():

@@ -58,7 +58,7 @@ def choose_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
 
 
 def reduced(packed: Packed) -> Packed:
-    """(256, 256, 32) packed to (64, 64, 8) packed: cells of which at least a quarter is set."""
+    """(256, 256, 32) packed to (64, 64, 8) packed: cells at least a quarter set."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
 
@@ -69,10 +69,10 @@ def gallery_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """{pair: (64, 64, 8) uint8, packed} of the pairs worth showing, above the thresholds they were scored at.
+    """{pair: (64, 64, 8) uint8, packed} of the pairs worth showing, above the thresholds of their scores.
 
     Args:
-        release: what was predicted.
+        release: of the predictions.
         predictions: the method's folder; a prediction that could not be scored is left out.
         table: its scores.
         upsampling: see `upsampled_planes`.
@@ -102,7 +102,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """The same of predictions wherever they are; `load` gives that of a pair, None is an empty grid."""
+    """The same for predictions from any source; `load` gives a pair's, None is an empty grid."""
     chosen = _chosen(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -119,10 +119,10 @@ def baseline_cells(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[dict[str, Packed]]:
-    """The same of baselines that were scored without being written; they are predicted again, pair by pair.
+    """The same for baselines that were scored in memory; they are predicted again, pair by pair.
 
     Args:
-        release: what was predicted.
+        release: of the predictions.
         tables: their scores.
         upsampling: see `upsampled_planes`.
         jobs: number of processes.
@@ -139,11 +139,11 @@ def baseline_cells(
     for target, thresholds in sorted(wanted.items(), key=lambda item: item[0]):
         rate = tables[0].base_rate[target.category].value
         tasks.append((BaselineTask(release, target, rate, tuple(thresholds)), thresholds))
-    found = run_tasks(partial(_baselines_of, upsampling), tasks, jobs, progress)
+    results = run_tasks(partial(_baselines_of, upsampling), tasks, jobs, progress)
     return [
         {
             task.target.name: cells[table.method]
-            for (task, _), cells in zip(tasks, found, strict=True)
+            for (task, _), cells in zip(tasks, results, strict=True)
             if table.method in cells
         }
         for table in tables
@@ -151,7 +151,7 @@ def baseline_cells(
 
 
 def _baselines_of(upsampling: str, task: tuple[BaselineTask, Mapping[str, float]]) -> dict[str, Packed]:
-    """{baseline: what is drawn of its prediction} of one pair."""
+    """{baseline: drawing of its prediction} for one pair."""
     baselines, thresholds = task
     return {name: _drawn(grid, thresholds[name], upsampling) for name, grid in predicted(baselines)}
 
@@ -177,7 +177,7 @@ def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed
 
 @dataclass(frozen=True)
 class PairTruth:
-    """One pair as it is shown.
+    """The drawing of one pair.
 
     Attributes:
         category: such as "chair".
@@ -201,7 +201,7 @@ class PairTruth:
 
 
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
-    """Read what is shown of a pair of a release.
+    """Read the shown parts of a pair of a release.
 
     Raises:
         ReleaseError: the pair file is missing, or not the published one.
@@ -241,7 +241,7 @@ def _unseen(full: Packed, known: Packed) -> Packed:
 
 
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
-    """Where up is in a grid, by the recording's floor; what was up in the view, if the floor is not known."""
+    """The up direction in a grid, by the recording's floor; else up in the image."""
     up = np.zeros(3)
     with contextlib.suppress(ReleaseError):  # it only turns a picture
         floor = release.floor(recording)
@@ -264,7 +264,7 @@ def gallery_json(
     *,
     many: bool = False,
 ) -> tuple[Markup | None, int]:
-    """The gallery's data as JSON that can stand in a page, bounded in size.
+    """The gallery's data as JSON for a page, bounded in size.
 
     Args:
         tables: the methods.

@@ -1,4 +1,4 @@
-"""How an object, its pairs and its views are looked at: from which side, in which colours."""
+"""Viewpoints and colours for pictures of objects, pairs and views."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +63,7 @@ def pair_picture(
 
 
 def _beside_the_camera(up_grid: Float64) -> Float64:
-    """Rotation (3, 3) of a viewer who stands to the camera's right and somewhat above it, upright."""
+    """Rotation (3, 3) of an upright viewer to the camera's right and somewhat above it."""
     sine = float(-up_grid[2])
     # A camera that looks straight down or up has no level direction ahead: the top of its picture serves.
     ahead = np.array([0.0, 0, 1]) if abs(sine) < STEEP_SINE else np.array([0.0, -1, 0])
@@ -78,7 +78,7 @@ def _beside_the_camera(up_grid: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class FramePicture:
-    """One view as recorded: its picture with the mask, and its colour where that is apart."""
+    """One recorded view: its picture with the mask, and its colour if separate."""
 
     view: str
     frame: str
@@ -95,7 +95,7 @@ def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> 
 
 
 def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
-    """One view; None if its files are not there."""
+    """One view; None if its files are missing."""
     paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
     color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
     color = images.read_color(color_path) if color_path else None

@@ -1,4 +1,4 @@
-"""Many recordings on the page of a benchmark: a row of each, from its small files alone."""
+"""Many recordings on the page of a benchmark: one row each, from small files alone."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ OBJECT_COLUMNS = ("object", "category", "pairs", "unknown", "pairs left out")
 
 
 def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
-    """What the list says of one recording: a text for each of `COLUMNS`.
+    """A recording's row of the list: a text for each of `COLUMNS`.
 
     Args:
         job: the recording, and the settings that it must be built with.
@@ -69,7 +69,7 @@ def listing(rows: Sequence[Sequence[str]], shown: Sequence[str]) -> Listing:
 
 
 def object_listing(objects: Sequence[Sequence[Any]]) -> Listing | None:
-    """How much of each object's truth is unknown, as a list; None of few, which all stand there."""
+    """The unknown share of each object's truth, as a list; None if there are few objects."""
     if len(objects) <= PAGE_ROWS:
         return None
     rows = [[str(cell) for cell in row] for row in objects]

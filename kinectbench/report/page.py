@@ -28,7 +28,7 @@ from kinectbench.settings.models import BenchmarkSettings
 
 @dataclass(frozen=True)
 class Groups:
-    """Which methods cannot be told apart.
+    """Which methods cannot be distinguished.
 
     Attributes:
         letters: {protocol: {index of the table: letters}} by mean IoU; incomplete methods have none.
@@ -43,12 +43,12 @@ class Groups:
 
 @dataclass(frozen=True)
 class Beside:
-    """What is shown with score tables but is not in them.
+    """Content beside score tables.
 
     Attributes:
         groups: of the tables, by mean IoU over all categories.
         galleries: of each table, or none at all.
-        truths: what is shown of the pairs, by name.
+        truths: shown parts of the pairs, by name.
     """
 
     groups: Groups = field(default_factory=Groups)
@@ -74,9 +74,9 @@ def write_report(
         settings: the benchmark.
         build: folder that holds a folder for each recording; what is not built yet, or not with these
             settings, is noted on the page. None shows no recordings.
-        scores: a table for each method; may be empty. Methods of one name are told apart as `net`, `net #2`.
+        scores: a table for each method; may be empty. Methods of one name are called `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
-        progress: told (recording, done, total) before each recording, and ("", total, total) at the end.
+        progress: called with (recording, done, total) before each recording, and at last ("", total, total).
         beside: ranks and galleries of the score tables, in the same order.
         released: benchmark.json of a release whose build is not here: the settings shown are those that it
             was built with.
@@ -121,7 +121,7 @@ def write_report(
 
 
 def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
-    """The paper's tables that stand beside scores: none beside those in space alone, as it scores cells."""
+    """The paper's tables to show beside scores: none beside those in space, as the paper scores cells."""
     in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
     if scores and not in_cells:
         return ()
@@ -142,7 +142,7 @@ def _recordings(
 
 
 def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingPart]) -> Listing | None:
-    """A list of all recordings, if there are more than are shown."""
+    """A list of all recordings, if only some are shown."""
     if len(shown) == len(settings.recordings):
         return None
     rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]

@@ -1,4 +1,4 @@
-"""The paper's table of some methods' scores: IoU and cross-entropy of each category, pairs weighing alike.
+"""The paper's table of some methods' scores: IoU and cross-entropy of each category, pairs weigh equally.
 
 Source of the form: the tables at 256^3 of 3D-RecGAN++ (`scoring.published`). Pairs whose recordings say from
 which viewing angles they are stand in tables of their own, as the paper's test sets do.
@@ -72,15 +72,15 @@ def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
             raise SettingsError(f"{name}: {why}; score it again", what="other-scores")
         of_methods.append((name, rows))
     views = sorted({_views(row) for _, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
-    found = []
+    result = []
     for of in views:
-        here = [(name, [row for row in rows if _views(row) == of]) for name, rows in of_methods]
-        found.append(_table(TITLES[of] if len(views) > 1 or of else TITLES[None], here, _beside(of)))
-    return found
+        with_views = [(name, [row for row in rows if _views(row) == of]) for name, rows in of_methods]
+        result.append(_table(TITLES[of] if len(views) > 1 or of else TITLES[None], with_views, _beside(of)))
+    return result
 
 
 def _views(row: ScoreRow) -> int | None:
-    """How many viewing angles the paper's test set of such a recording has; None of any other recording."""
+    """The number of viewing angles in the paper's test set of such a recording; None for others."""
     match = _ENDING.fullmatch(row.recording)
     return VIEWS[match[1]] if match else None
 
@@ -143,5 +143,5 @@ def _figure(value: float | None) -> str:
 
 
 def _text(words: str) -> str:
-    """Words of others as a cell of a table in Markdown."""
+    """An untrusted text as a cell of a Markdown table."""
     return printable(words).replace("|", "\\|")

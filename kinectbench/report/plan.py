@@ -40,7 +40,7 @@ def svg_path(points_px: Iterable[Sequence[float]]) -> str:
 
 
 def look_arrows(T_floor_camera: Float64, frontiers: Sequence[FrontierPart]) -> list[Float64]:
-    """From where each frontier would be seen, to its middle: (2, 2) metres, x and y of the floor frame.
+    """Arrows from viewpoints to the centres of frontiers: (2, 2) metres, x and y of the floor frame.
 
     That is as far away as the cameras stood in the mean, which is the length of each arrow. What is looked
     into from above or below has both ends in its middle, and is drawn as a ring.
@@ -70,7 +70,7 @@ def draw_plan(
         T_floor_camera: (n, 4, 4) the cameras in order of time, n > 0.
         left_out_floor: (k, 3) where the cameras of frames left out are believed to be.
         outlines_floor: closed polygons (m, 2) of the object.
-        frontiers: openings that nobody looked into.
+        frontiers: unobserved openings.
     """
     arrows = look_arrows(T_floor_camera, frontiers)
     points_m = np.concatenate([T_floor_camera[:, :2, 3], left_out_floor[:, :2], *outlines_floor, *arrows])
@@ -118,13 +118,13 @@ def draw_plan(
 
 
 def _spread(last: int, count: int) -> list[int]:
-    """At most so many of the numbers 0 to `last`, evenly."""
-    found: list[int] = np.unique(np.linspace(0, last, count).astype(int)).tolist()
-    return found
+    """At most this many of the numbers 0 to `last`, evenly spread."""
+    indices: list[int] = np.unique(np.linspace(0, last, count).astype(int)).tolist()
+    return indices
 
 
 def _head(tail_px: Sequence[float], tip_px: Sequence[float]) -> list[list[float]]:
-    """The triangle at an arrow's tip; none where it has no length."""
+    """The triangle at an arrow's tip; none for an arrow without length."""
     along = np.subtract(tip_px, tail_px)
     length = float(np.hypot(*along))
     if not length:

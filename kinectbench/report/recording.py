@@ -1,4 +1,4 @@
-"""Everything the page shows of one recording, collected from its build folder."""
+"""Everything that the page shows of one recording, collected from its build folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """One pair: a picture of partial and full side by side, with its figures."""
+    """One pair: a picture of partial and full, and its figures."""
 
     view: str
     frame: str
@@ -53,14 +53,14 @@ class RecordingPart:
         quality: figures of the object, or None.
         turntable: strip of pictures of the object from all around, or None.
         plan: the path seen from above, or None.
-        object_pictures: the object from a few sides, with what nobody saw of it in colour.
+        object_pictures: the object from a few sides, with unseen parts in colour.
         frames: some views as recorded.
         tiles: every pair.
         refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
         containment: median over the pairs, as text.
         residual: median over the pairs, as text.
-        missing: what is not built yet.
-        outdated: what is there of another version, other settings or inputs, and is not shown.
+        missing: stages that are not built yet.
+        outdated: artefacts of another version, other settings or inputs, which are not shown.
         failed: at which stage its last build failed and why, one line, or "".
     """
 
@@ -81,7 +81,7 @@ class RecordingPart:
 
 
 def collect(job: Job, folder: Path) -> RecordingPart:
-    """Collect what the stages made of one recording so far; what is not current is missing.
+    """Collect the current results of one recording.
 
     Args:
         job: the recording, and the settings that it must be built with.
@@ -143,7 +143,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 
 def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
-    """The object from all around, in the scene's colours where it has any, as a `data:` address."""
+    """Pictures of the object from all around, in scene colours if it has any, as a `data:` address."""
     scene_floor = None
     if reconstruction and (reconstruction / "mesh.ply").is_file():
         scene_floor = read_own_ply(reconstruction / "mesh.ply", colors=True).transformed(T_floor_world)
@@ -151,7 +151,7 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
-    """The object's closed surface, floor frame, and which of its faces (m,) nobody measured."""
+    """The object's closed surface, floor frame, and its unmeasured faces (m,)."""
     mesh_world = read_own_ply(folder / "mesh.ply")
     unseen = unseen_faces(mesh_world, ObjectVolume.read(folder))
     return mesh_world.transformed(T_floor_world), unseen
@@ -160,7 +160,7 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
     """Positions (k, 3) of the frames left out, between their neighbours in the trajectory.
 
-    Only where the rows of the trajectory are told apart: one for each frame, or one for each frame kept.
+    Only if the trajectory's rows have a known meaning: one for each frame, or one for each frame kept.
     """
     if health is None or not health.rejected:
         return np.zeros((0, 3))
@@ -175,7 +175,7 @@ def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float6
 
 def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
     pair = read_pair(folder / f"{row.view}.npz")
-    # Where the floor is not known, up is what was up in the view.
+    # Without a known floor, up is that of the view.
     R_world_grid = pair.T_world_grid[:3, :3]
     up_grid = np.array([0.0, -1, 0]) if T_floor_world is None else T_floor_world[2, :3] @ R_world_grid
     picture = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)

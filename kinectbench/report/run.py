@@ -1,4 +1,4 @@
-"""Pages of what lies on disk: of a benchmark with its build folders, or of the scores of a release alone."""
+"""Pages from files on disk: of a benchmark with its build folders, or of the scores of a release alone."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -50,11 +50,11 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
         StorageError: a file is damaged.
     """
     paths = [*sorted(folder.glob(SCORES_JSON)), *sorted(folder.glob(f"*/{SCORES_JSON}"))]
-    found = [_read(path) for path in paths]
-    others = [file for file in found if benchmark_sha256 not in (None, file.table.benchmark_sha256)]
-    newest = max((file.table.score_version for file in found if file not in others), default=0)
-    older = [file for file in found if file not in others and file.table.score_version != newest]
-    files = [file for file in found if file not in (*others, *older)]
+    score_files = [_read(path) for path in paths]
+    others = [file for file in score_files if benchmark_sha256 not in (None, file.table.benchmark_sha256)]
+    newest = max((file.table.score_version for file in score_files if file not in others), default=0)
+    older = [file for file in score_files if file not in others and file.table.score_version != newest]
+    files = [file for file in score_files if file not in (*others, *older)]
     return files, [
         f"{file.path}: scores of {what}, left out of the page; score again"
         for what, left_out in (("another benchmark", others), ("an older version", older))
@@ -63,7 +63,7 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
 
 
 def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[ScoreFile]:
-    """The score files that were asked for by name, of one truth and counted by one version.
+    """The requested score files, of one truth and one score version.
 
     Args:
         paths: files, methods' folders, or folders of methods; a file named twice counts once.
@@ -76,11 +76,11 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
     files: list[ScoreFile] = []
     for path in {path.resolve(): path for path in find_scores(paths)}.values():
         file = ScoreFile(path, read_table(path), read_gallery(path))
-        found = file.table.benchmark_sha256
-        benchmark_sha256 = benchmark_sha256 or found
-        if found != benchmark_sha256:
+        sha256 = file.table.benchmark_sha256
+        benchmark_sha256 = benchmark_sha256 or sha256
+        if sha256 != benchmark_sha256:
             raise SettingsError(
-                f"{path}: scored against benchmark {found[:12]}, the page is of "
+                f"{path}: scored against benchmark {sha256[:12]}, the page is of "
                 f"{benchmark_sha256[:12]}; score it against that one or leave it out",
                 what="other-scores",
             )
@@ -95,27 +95,27 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
 
 
 def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
-    """The baselines that `score` kept beside score files, of the same truth, counted alike; one of each name.
+    """The baselines that `score` kept beside score files, with equal truth and counting; one of each name.
 
     One that was scored as a method is not shown twice.
 
     Args:
-        files: what the page shows, of one truth.
+        files: the page's score files, of one truth.
 
     Raises:
         StorageError: a file is damaged.
     """
     shown = {file.table.method for file in files}
-    counted_alike = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
+    counted = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
     folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
-    found: dict[str, ScoreFile] = {}
+    baselines: dict[str, ScoreFile] = {}
     for folder in folders:
         for path in sorted((folder / BASELINES_FOLDER).glob(f"*/{SCORES_JSON}")):
             file = _read(path)
-            alike = (file.table.benchmark_sha256, file.table.counted_by) in counted_alike
-            if alike and file.table.baseline and file.table.method not in shown:
-                found.setdefault(path.parent.name, file)
-    return [*found.values()]
+            comparable = (file.table.benchmark_sha256, file.table.counted_by) in counted
+            if comparable and file.table.baseline and file.table.method not in shown:
+                baselines.setdefault(path.parent.name, file)
+    return [*baselines.values()]
 
 
 def _read(path: Path) -> ScoreFile:
@@ -128,14 +128,14 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
     Args:
         tables: of one truth; letters are given to those that are complete and have rows. Baselines that were
             added have none: more comparisons would only make methods harder to tell apart.
-        protocols: under which to compare; the first that was scored says whether anything can be told.
+        protocols: under which to compare; the first that was scored says whether there is data to compare.
     """
     compared = {
         index: table
         for index, table in enumerate(tables)
         if table.complete and table.rows and not table.baseline
     }
-    found: dict[str, dict[int, str]] = {}
+    groups: dict[str, dict[int, str]] = {}
     notes: list[str] = []
     too_small = _alone(next(iter(compared.values())), protocols) if len(compared) == 1 else ""
     for protocol in protocols if len(compared) > 1 else ():
@@ -145,16 +145,16 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
             notes.append(f"no groups under {protocol}: {error}")
             continue
         scope = ALL if ALL in comparison.groups else next(iter(comparison.groups))
-        if not found:
+        if not groups:
             too_small = comparison.too_small.get(scope, "")
         of = comparison.groups[scope]
-        found[protocol] = dict(zip(compared, (of[name] for name in comparison.methods), strict=True))
+        groups[protocol] = dict(zip(compared, (of[name] for name in comparison.methods), strict=True))
         notes += [note for note in comparison.notes if note not in notes]
-    return Groups(found, tuple(notes), too_small)
+    return Groups(groups, tuple(notes), too_small)
 
 
 def _alone(table: ScoreTable, protocols: Sequence[str]) -> str:
-    """Whether two methods could be told apart where there is one; "" if they could."""
+    """Whether a test could distinguish two methods, as a sentence; "" if it could."""
     for protocol in protocols:
         overall = (table.overall or {}).get(protocol)
         if overall is not None and overall.objects:
@@ -170,7 +170,7 @@ def page_of_benchmark(
     out: Path | None = None,
     baselines: bool = True,
 ) -> tuple[Path, list[str]]:
-    """Write the page of a benchmark from its `build/`, its release if there is one, and score files.
+    """Write the page of a benchmark from its `build/`, its release if any, and score files.
 
     Args:
         settings: the benchmark.
@@ -196,7 +196,7 @@ def page_of_benchmark(
 def page_of_release(
     release: Release, scores: Path | Sequence[Path], out: Path | None = None, baselines: bool = True
 ) -> tuple[Path, list[str]]:
-    """The same with the score tables of a release that has no build folders here."""
+    """The same for a release without local build folders."""
     info = release.metadata
     # Not validated: the names are another's, and are only shown.
     recordings = [
@@ -227,8 +227,8 @@ def write_galleries(
 
     Args:
         release: the truth.
-        predictions: what was scored; None: baselines, which are predicted again.
-        tables: what it returned.
+        predictions: the scored ones; None: baselines, which are predicted again.
+        tables: the result.
         out: its folder for the results.
         upsampling: the convention that it scored with.
         jobs: number of processes for baselines.
@@ -252,7 +252,7 @@ def write_galleries(
 def _scores(
     scores: Path | Sequence[Path], release: Release | None, baselines: bool
 ) -> tuple[list[ScoreTable], Beside, list[str]]:
-    """The tables to show, what is shown with them, and a warning for each file that is left out."""
+    """The tables to show, content beside them, and a warning for each file left out."""
     sha256 = release.benchmark_sha256 if release else None
     warnings: list[str] = []
     if isinstance(scores, Path):
@@ -279,22 +279,22 @@ def _of_release(
     files: Sequence[ScoreFile], release: Release, refuse: bool
 ) -> tuple[list[ScoreFile], list[str]]:
     """The files that agree with the release, and a warning for each that does not; or refuse the first."""
-    found, warnings = [], []
+    score_files, warnings = [], []
     for file in files:
         problem = next(not_of_release(file.table, release), None)
         if problem is None:
-            found.append(file)
+            score_files.append(file)
         elif refuse:
             raise SettingsError(
                 f"{file.path}: {problem}; score the predictions again or leave it out", what="other-scores"
             )
         else:
             warnings.append(f"{file.path}: {problem}; left out of the page, score again")
-    return found, warnings
+    return score_files, warnings
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:
-    """Where the page goes: beside the scores if they lie in one folder."""
+    """The page's folder: that of the scores if they share one."""
     if isinstance(scores, Path):
         return scores
     return scores[0] if len(scores) == 1 and scores[0].is_dir() else default

@@ -45,7 +45,7 @@ NONE = CategoryAverages()
 
 @dataclass(frozen=True)
 class Cell:
-    """One figure: its text, the number to sort by ("" if there is none), and its interval as text or ""."""
+    """One figure: its text, its sort key ("" if none), and its interval as text or ""."""
 
     text: str
     sort: str
@@ -59,7 +59,7 @@ class Row:
 
     Attributes:
         method: its name.
-        group: letters; methods that share one cannot be told apart. "" if it is not compared.
+        group: letters; methods that share one cannot be distinguished. "" if it is not compared.
         iou: a cell for each category, of the first of the table's figures; of voxels it is the IoU.
         ce: likewise, of the second; of voxels the CE.
         marks: what sets its scores apart, a few words each.
@@ -113,14 +113,14 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """The protocols that the tables hold, the primary one first; others as they come in the tables."""
-    found = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
-    first = [p for p in PROTOCOL_NOTES if p in found]
-    return first + [p for p in found if p not in first]
+    """The protocols of the tables, the primary one first; others in the tables' order."""
+    names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
+    first = [p for p in PROTOCOL_NOTES if p in names]
+    return first + [p for p in names if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """The tables by their overall IoU or F-score, falling; those without one last, in the order given."""
+    """The tables sorted by overall IoU or F-score; those without one last, in the given order."""
     name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
@@ -133,7 +133,7 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
 def score_table(
     tables: Sequence[ScoreTable], protocol: str, groups: Mapping[str, str] | None = None
 ) -> Table:
-    """The table of one protocol; `groups` are the letters of each method, where they are known."""
+    """The table of one protocol; `groups` are the letters of each method, if known."""
     ordered = best_first(tables, protocol)
     scores = {table.method: table.averages(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
@@ -177,7 +177,7 @@ def score_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """The marks of every one of several rows; of a single row they stand in it."""
+    """The common marks of several rows; a single row shows its own."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
@@ -222,9 +222,9 @@ def _table(
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
-    """The best of a column as it is shown: figures that look the same are the same."""
-    found = [round(value, decimals) for value in values if value is not None]
-    return choose(found) if found else None
+    """The best value of a column as shown, so that figures that look equal are equal."""
+    rounded = [round(value, decimals) for value in values if value is not None]
+    return choose(rounded) if rounded else None
 
 
 def shown(value: float | None, decimals: int = DECIMALS) -> str:
@@ -311,19 +311,19 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
-    """How much of each object's truth is unknown, the most unknown first; the methods share one truth."""
+    """The unknown share of each object's truth, largest first; methods share one truth."""
     most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
     for table in tables:
         for name, rows in _by_object(table.pairs(protocol)).items():
             # The table that has most of its pairs: of another method some predictions may have failed.
             if name not in most or len(rows) > len(most[name][1]):
                 most[name] = table, rows
-    found = []
+    result = []
     for name, (table, rows) in most.items():
         if name in table.truth_unknown_share:
             count = sum(row.iou is None for row in rows)
-            found.append((table.truth_unknown_share[name], name, rows[0].category, len(rows), count))
-    falling = sorted(found, key=lambda row: (-row[0], row[1]))
+            result.append((table.truth_unknown_share[name], name, rows[0].category, len(rows), count))
+    falling = sorted(result, key=lambda row: (-row[0], row[1]))
     return tuple(
         (name, category, pairs, per_cent(share), left) for share, name, category, pairs, left in falling
     )
@@ -331,13 +331,13 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
     """The rows of each object."""
-    found: dict[str, list[ScoreRow]] = {}
+    groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
-        found.setdefault(row.object, []).append(row)
-    return found
+        groups.setdefault(row.object, []).append(row)
+    return groups
 
 
 def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:
     """The extreme pairs under one protocol of every method that has rows but added baselines."""
-    found = {table.method: extremes(table.rows).get(protocol) for table in tables if not table.baseline}
-    return {method: of for method, of in found.items() if of and of.best}
+    by_method = {table.method: extremes(table.rows).get(protocol) for table in tables if not table.baseline}
+    return {method: of for method, of in by_method.items() if of and of.best}

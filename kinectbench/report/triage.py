@@ -30,13 +30,13 @@ class Card:
 
 
 def write_triage_page(
-    name: str, found: TriageFile, build: Path, out: Path, progress: Callable[[int, int], None] | None = None
+    name: str, triage: TriageFile, build: Path, out: Path, progress: Callable[[int, int], None] | None = None
 ) -> None:
     """Write the page.
 
     Args:
         name: of the benchmark.
-        found: the triage, in the order of the page.
+        triage: the triage, in the order of the page.
         build: holds a folder per recording.
         out: the page.
         progress: called with (recordings drawn, recordings in all).
@@ -45,15 +45,15 @@ def write_triage_page(
         StorageError: it cannot be written.
     """
     cards = []
-    for number, row in enumerate(found.rows, start=1):
+    for number, row in enumerate(triage.rows, start=1):
         cards.append(_card(row, build / row.recording))
         if progress:
-            progress(number, len(found.rows))
+            progress(number, len(triage.rows))
     shown = {
         "name": name,
         "cards": cards,
-        "counts": found.counts,
-        "same_object": found.same_object,
+        "counts": triage.counts,
+        "same_object": triage.same_object,
         "tones": TONES,
     }
     with replaced_file(out) as temporary:
@@ -72,7 +72,7 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """Views with the object's mask; where there are none the frame in the middle of the recording."""
+    """Views with the object's mask; without views the middle frame of the recording."""
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
         return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]

@@ -1,4 +1,4 @@
-"""The object with what nobody saw of it in colour, and from where it would be seen."""
+"""The object with unseen parts in colour, and viewpoints that would see them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.types import Bools, Float64, Rgb
 
 OBJECT_PX = 320
-# Orange and blue, which everybody tells apart; on grey, so that only what is unseen has colour.
+# Orange and blue, safe for colour-blind readers; on grey, so that only unseen parts have colour.
 SEEN_RGB, UNSEEN_RGB, ARROW_RGB = (184, 184, 180), (240, 150, 20), (0, 92, 160)
-# What is open is in the shade inside, and orange is brown there (own choice, by looking at pictures).
+# Openings lie in the shade, where orange looks brown (chosen from pictures).
 CONTRAST = 0.45
 NEAR_VOXELS = 1.5
 # Three looks at the object, about the vertical, from a person's height: degrees.
 LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
-# From straight above or below one does not tell what one sees (own choice, by looking at pictures).
+# From straight above or below the object is hard to recognise (chosen from pictures).
 ELEVATIONS_DEG = (-40.0, 62.0)
 LEVEL_COSINE = 0.2
 # More arrows hide the object.
@@ -32,19 +32,19 @@ BEHIND_COSINE = -0.3
 
 @dataclass(frozen=True)
 class ObjectPicture:
-    """The object from one side: a `data:` address, and what is to be said of it, or ""."""
+    """The object from one side: a `data:` address, and its caption or ""."""
 
     picture: str
     caption: str
 
 
 def unseen_faces(mesh_world: TriangleMesh, volume: ObjectVolume) -> Bools:
-    """Which faces (m,) nobody measured: nothing around them was, or nobody saw what lies right before them.
+    """Unmeasured faces (m,): no measurement around them, or no frame saw the space before them.
 
     Nothing around: no voxel within 1.5 voxels of a face's middle has the label surface (along each axis,
     from the voxels' middles: none of 27 voxels). Right before: the voxel 1.5 voxels out from its middle is
-    unknown. Else the far side of a wall would count as seen that is as thin as what a measurement fills (own
-    rule; of a bin that is open at the top 11 % of the faces without the second part, 35 % with it; .333 to
+    unknown. Else the far side of a wall as thin as a measurement's shell would count as seen (chosen here; a
+    bin open at the top has 11 % of the faces without the second part, 35 % with it; .333 to
     .336 of them have the unknown before them at 1 to 2.5 voxels).
 
     Args:
@@ -61,7 +61,7 @@ def unseen_faces(mesh_world: TriangleMesh, volume: ObjectVolume) -> Bools:
         np.floor(transform_points(volume.grid.T_grid_world, points) / voxel_m).astype(np.int64) + 1
         for points in (middles_world, middles_world + NEAR_VOXELS * voxel_m * outward)
     )
-    # The margin is as wide as the window: what lies outside of the grid is near no voxel of it.
+    # The margin is as wide as the window, as space outside the grid is near no voxel of it.
     labels, last = np.pad(volume.labels, 1, constant_values=Label.OTHER), np.array(volume.grid.shape) + 1
     measured = labels == Label.SURFACE
     seen = np.zeros(len(cells), dtype=bool)
@@ -76,12 +76,12 @@ def unseen_faces(mesh_world: TriangleMesh, volume: ObjectVolume) -> Bools:
 def object_pictures(
     mesh_floor: TriangleMesh, unseen: Bools, frontiers: Sequence[FrontierPart]
 ) -> tuple[ObjectPicture, ...]:
-    """Draw the object from three sides, and from where one would look into its first frontier.
+    """Draw the object from three sides, and from a viewpoint for its first frontier.
 
     Args:
         mesh_floor: its closed surface, floor frame, metres.
-        unseen: faces (m,) that nobody measured, which are drawn orange; the others are grey.
-        frontiers: openings that nobody looked into; an arrow to each of the first four, with its number.
+        unseen: unmeasured faces (m,), drawn in orange; the others are grey.
+        frontiers: unobserved openings; an arrow to each of the first four, with its number.
     """
     pieces = [
         (mesh_floor.keep_faces(~unseen), SEEN_RGB),
@@ -102,7 +102,7 @@ def object_pictures(
 
 
 def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float64]:
-    """Tail and tip (2, 3) of the arrow along which one would look into each frontier, floor frame, metres."""
+    """Tail and tip (2, 3) of the line of sight into each frontier, floor frame, metres."""
     centers = [np.array(frontier.center_m) for frontier in frontiers]
     return [
         np.stack([center + length_m * np.array(frontier.look_from), center])
@@ -111,7 +111,7 @@ def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float6
 
 
 def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
-    """Azimuth and elevation, degrees, from which the object is drawn to show a frontier."""
+    """Azimuth and elevation, degrees, of a viewpoint that shows a frontier."""
     x, y, z = frontier.look_from
     azimuth = LOOKS_DEG[0][0] if np.hypot(x, y) < LEVEL_COSINE else float(np.rad2deg(np.arctan2(y, x)))
     elevation = np.clip(np.rad2deg(np.arctan2(z, np.hypot(x, y))), *ELEVATIONS_DEG)
@@ -119,7 +119,7 @@ def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
 
 
 def draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
-    """Draw an arrow (2, 3), its number at its tail, into a picture; a ring where it points away from us."""
+    """Draw an arrow (2, 3) with its number at the tail; a ring if it points away from the viewer."""
     import cv2
 
     along = arrow[1] - arrow[0]

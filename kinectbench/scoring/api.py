@@ -1,4 +1,4 @@
-"""For people who train: a release as a dataset, and a scorer that works from memory, batch by batch."""
+"""For training: a release as a dataset, and a scorer in memory, batch by batch."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,7 +59,7 @@ class Scorer:
             protocols: some of "paper", "known", "occluded", "measured", "known-unsaid"; default: all that the
                 pairs allow.
             thresholds_file: see docs/scoring.md.
-            missing: what a pair without a prediction is: "error" a failure, "empty" an empty grid.
+            missing: how a pair without a prediction counts: "error" a failure, "empty" an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
             surface: whether surface metrics are computed. They take most of the time: leave them out (null)
                 where a network is scored after every epoch.
@@ -92,7 +92,7 @@ class Scorer:
             self._thresholds = thresholds_for(thresholds_file, test)
 
     def update(self, pair_id: str, prediction: NDArray[Any]) -> None:
-        """Count one prediction; a second one of the same pair replaces the first.
+        """Count one prediction; a second one for the pair replaces the first.
 
         Args:
             pair_id: `<recording>/<view>` of the test or validation split.
@@ -119,7 +119,7 @@ class Scorer:
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:
-        """The table of what was counted, that of `kinectbench score` of the same predictions.
+        """The table of the counts, equal to that of `kinectbench score` for the same predictions.
 
         Without averages while test pairs are missing, or validation pairs where others of them were counted.
         """
@@ -146,18 +146,18 @@ class Scorer:
         return [t for t in self._targets.values() if t.split == split and t not in self._results]
 
     def _as_empty(self, split: str, thresholds: Thresholds | None) -> dict[Target, PairResult]:
-        """The empty grids of what is left of a split, if that is what a missing pair is."""
-        found = {}
+        """Empty grids for the missing pairs of a split, if they count as empty."""
+        grids = {}
         for target in self._left(split) if self._missing == "empty" else ():
             threshold = None if thresholds is None else thresholds.of[target.category]
             path = self._release.pair_path(target)
             result = count_job(Job(target, path, None, threshold, self._counting))
             assert isinstance(result, PairResult)  # there is no file that could be wrong
-            found[target] = result
-        return found
+            grids[target] = result
+        return grids
 
     def _fixed(self) -> Thresholds:
-        """The thresholds, found on the validation pairs so far where that was not done yet."""
+        """The thresholds, chosen on the validation pairs so far unless already fixed."""
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}

@@ -1,4 +1,4 @@
-"""Put the table of one method together from what was counted."""
+"""Assemble the table of one method from its counts."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -19,13 +19,13 @@ from kinectbench.scoring.counts import (
     protocol_counts,
     unknown_share,
 )
-from kinectbench.scoring.doubtful import doubtful_lines
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
+from kinectbench.scoring.suspicious import suspicious_lines
 from kinectbench.scoring.thresholds import SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 
@@ -40,10 +40,10 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """The table of a method. An average over a part of the pairs would flatter, so there is none.
+    """The table of a method. Averages over only some pairs are left out, as they would flatter.
 
     Args:
-        release: what was predicted.
+        release: of the predictions.
         method: its name.
         results: of every pair that was counted, also of the validation split.
         thresholds: of every category of the test split.
@@ -95,7 +95,7 @@ def make_table(
 def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
-    """How much of the validation split was predicted, if the thresholds are from there."""
+    """The number of predicted validation pairs, if thresholds are chosen on them."""
     if thresholds.source not in SEARCHED:
         return None
     predicted = sum(target.split == "validation" and target not in empty for target in results)
@@ -109,13 +109,13 @@ def _warnings(
     failures: Mapping[Target, str],
     empty: Collection[Target],
 ) -> tuple[str, ...]:
-    """What is to be said of thresholds, and of predictions that are doubtful or not there."""
-    found = [*thresholds.warnings, *doubtful_lines(method, results, thresholds)]
+    """Warnings of thresholds, and of predictions that are suspicious or missing."""
+    lines = [*thresholds.warnings, *suspicious_lines(method, results, thresholds)]
     if empty:
-        found.append(f"{len(empty)} predictions are missing and were counted as empty grids")
+        lines.append(f"{len(empty)} predictions are missing and were counted as empty grids")
     if failures:
-        found.append(f"incomplete: {len(failures)} predictions could not be scored, so there are no averages")
-    return tuple(found)
+        lines.append(f"incomplete: {len(failures)} predictions could not be scored, so there are no averages")
+    return tuple(lines)
 
 
 def rows_of(
@@ -163,7 +163,7 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
 
 
 def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
-    """{recording: what the release says of its truth}."""
+    """{recording: quality of its truth in the release}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
     return {name: recordings[name].quality for name in names if name in recordings}

@@ -23,7 +23,7 @@ EXTREMES = 3
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """How good an object's truth is.
+    """The quality of an object's truth.
 
     Attributes:
         category: of the object.
@@ -64,7 +64,7 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
     """{heading: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
 
     Views of one object are not independent: each object counts once, however many views it has. The
-    protocol `paper` weighs every pair alike, as the paper does.
+    protocol `paper` weighs every pair equally, as the paper does.
 
     Args:
         rows: of a table; one without figures is of a pair that is all unknown, and counts nowhere.
@@ -84,7 +84,7 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 
 
 def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
-    """The mean of what rows state beside their metrics: over pairs, objects, categories, in this order.
+    """The mean of values beside metrics: over pairs, objects, categories, in this order.
 
     Args:
         rows: under one heading; those without figures count nowhere.
@@ -141,7 +141,7 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """The averages of one category; of one without a pair that counts only what is known of its truth.
+    """The averages of one category; without a counted pair only the known share of its truth.
 
     Args:
         here: its objects that count.
@@ -174,29 +174,29 @@ def overall_averages(
 ) -> dict[str, OverallAverages]:
     """{protocol: macro mean over the categories that count, its intervals, and sums of pairs and objects}.
 
-    What is said of the truth is the mean over all categories.
+    Figures of the truth are means over all categories.
     """
     estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
     of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")
-    found = {}
+    averages = {}
     for protocol, categories in by_category.items():
-        here = means[protocol]
-        counted = [of for name, of in categories.items() if name in here]
-        groups = [(of.values, of.weights) for of in here.values()]
-        found[protocol] = OverallAverages(
+        of_protocol = means[protocol]
+        counted = [of for name, of in categories.items() if name in of_protocol]
+        groups = [(of.values, of.weights) for of in of_protocol.values()]
+        averages[protocol] = OverallAverages(
             **{name: _known_mean([getattr(of, name) for of in counted]) for name in AVERAGED},
             **{name: _known_mean([getattr(of, name) for of in categories.values()]) for name in of_truth},
-            pairs=sum(of.pairs for of in here.values()) or None,
-            objects=sum(len(of.names) for of in here.values()) or None,
-            categories=len(here) or None,
+            pairs=sum(of.pairs for of in of_protocol.values()) or None,
+            objects=sum(len(of.names) for of in of_protocol.values()) or None,
+            categories=len(of_protocol) or None,
             intervals=_intervals(bootstrap_interval(groups) if groups else None),
         )
-    return found
+    return averages
 
 
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
     """The pairs of the highest and of the lowest IoU by protocol, three each at most."""
-    found = {}
+    by_protocol = {}
     for protocol in dict.fromkeys(row.heading for row in rows):
         rising = [
             ExtremePair(recording=recording, view=view, category=category, iou=iou)
@@ -206,8 +206,8 @@ def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
                 if row.heading == protocol and row.iou is not None
             )
         ]
-        found[protocol] = Extremes(best=tuple(rising[::-1][:EXTREMES]), worst=tuple(rising[:EXTREMES]))
-    return found
+        by_protocol[protocol] = Extremes(best=tuple(rising[::-1][:EXTREMES]), worst=tuple(rising[:EXTREMES]))
+    return by_protocol
 
 
 def _known_mean(values: Sequence[float | None]) -> float | None:
@@ -217,14 +217,14 @@ def _known_mean(values: Sequence[float | None]) -> float | None:
 
 
 def _known(values: Float64) -> dict[str, float | None]:
-    """Averages by name; None where not computed."""
+    """Averages by name; None if not computed."""
     return {
         name: None if np.isnan(value) else float(value) for name, value in zip(AVERAGED, values, strict=True)
     }
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Intervals by metric, within what the metric can be; None where there is none."""
+    """Intervals by metric, within the metric's range; None if there is none."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):
@@ -236,7 +236,7 @@ def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
 def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict[str, list[float]]] | None:
     """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
 
-    Averaged as the scores are (see `object_means`): pair, object, category; `paper` weighs every pair alike,
+    Averaged like scores (`object_means`): pair, object, category; `paper` weighs every pair equally,
     and all-unknown pairs are left out.
 
     Args:
@@ -246,7 +246,7 @@ def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict
     Returns:
         None if a row that counts has no curve, as those of older tables.
     """
-    found: dict[str, dict[str, list[float]]] = {name: {} for name in protocols}
+    by_protocol: dict[str, dict[str, list[float]]] = {name: {} for name in protocols}
     groups: dict[tuple[str, str], dict[str, list[tuple[float, ...]]]] = {}
     for row in rows:
         if row.iou is None:
@@ -257,5 +257,5 @@ def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict
         by_object.setdefault("" if row.protocol == "paper" else row.object, []).append(row.iou_by_threshold)
     for (protocol, category), by_object in sorted(groups.items()):
         means = [np.mean(pairs, axis=0) for pairs in by_object.values()]
-        found.setdefault(protocol, {})[category] = np.mean(means, axis=0).tolist()
-    return found
+        by_protocol.setdefault(protocol, {})[category] = np.mean(means, axis=0).tolist()
+    return by_protocol

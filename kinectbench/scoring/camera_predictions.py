@@ -87,7 +87,7 @@ def load_camera_shape(file: CameraFile, method: MethodFile) -> CameraShape:
 
 
 def view_agreement(release: Release, file: CameraFile, method: MethodFile) -> Agreement | None:
-    """How a prediction lies to its view's depth; None where that has no point of the object.
+    """The relation of a prediction to its view's depth; None if that has no point of the object.
 
     Raises:
         PredictionError: the file is unacceptable.
@@ -151,7 +151,7 @@ def check_camera(
 
 
 def depth_warnings(release: Release, files: Sequence[CameraFile], method: MethodFile) -> list[str]:
-    """A line where some of a method's predictions lie as a slip of unit or axes leaves them; else none.
+    """A line if some predictions look like an error of unit or axes; else none.
 
     A few of them are looked at, as all usually have the same slip: 0.1 s each.
     """
@@ -196,7 +196,7 @@ def _without_depth(release: Release) -> bool:
 
 
 def _far_lines(far: list[str]) -> list[str]:
-    """A line on predictions that are far from their depth for another reason than a slip."""
+    """A line about predictions that are far from their depth for another reason."""
     if not far:
         return []
     return [

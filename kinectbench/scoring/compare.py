@@ -26,7 +26,7 @@ from kinectbench.scoring.uncertainty import (
 ALPHA = 0.05
 ALL = "all"
 GROUPS_NOTE = (
-    "group: methods that share a letter cannot be told apart; of methods that share none a difference is "
+    "group: methods that share a letter cannot be distinguished; of methods that share none a difference is "
     "shown (paired sign-flip test over objects, 5 %, Holm)"
 )
 
@@ -46,7 +46,7 @@ class Difference:
         by_object: first minus second of each object, by name.
         p: of the sign-flip test, two-sided.
         p_holm: corrected for all pairs of methods compared in this scope.
-        smallest_p: what this many objects could give at best, corrected alike.
+        smallest_p: what this many objects could give at best, with the same correction.
         verdict: one sentence.
     """
 
@@ -75,7 +75,7 @@ class Comparison:
         groups: {scope: {method: letters}}: two methods share a letter if no difference between them is shown.
         differences: of every pair of methods in every scope.
         notes: one line each: where the test set is too small to tell, and how many pairs are left out.
-        too_small: {scope: that it is, in a sentence}, of those where no pair of methods could be told apart.
+        too_small: {scope: a sentence} of scopes where no pair of methods could be distinguished.
         standings: {method: "reported", or "verified" with date and version}.
         truth_unknown_share: {scope: share of the true shapes that is not known}; None in older tables.
         unknown_by_object: the same of every object of the tables, also of those that are left out.
@@ -115,11 +115,11 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     _same_pairs(tables, names, protocol)
     scopes = [*means[0], *([ALL] if len(means[0]) > 1 else [])]
     columns = [{scope: _values(of, metric, scope) for scope in scopes} for of in means]
-    found, notes, small = [], [], {}
+    rows, notes, small = [], [], {}
     for scope in scopes:
-        here = [column[scope] for column in columns]
-        found += _differences(names, here, scope, metric, _intervals(means, metric, scope))
-        count, pairs = len(here[0]), len(names) * (len(names) - 1) // 2
+        of_scope = [column[scope] for column in columns]
+        rows += _differences(names, of_scope, scope, metric, _intervals(means, metric, scope))
+        count, pairs = len(of_scope[0]), len(names) * (len(names) - 1) // 2
         if pairs * smallest_p(count) > ALPHA:
             small[scope] = too_small(count, pairs)
             notes.append(f"{scope}: {small[scope]}")
@@ -129,9 +129,9 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         scope: {name: _mean(column[scope]) for name, column in zip(names, columns, strict=True)}
         for scope in scopes
     }
-    ranks = {scope: _ranks(names, [d for d in found if d.scope == scope], metric) for scope in scopes}
+    ranks = {scope: _ranks(names, [d for d in rows if d.scope == scope], metric) for scope in scopes}
     groups = {
-        scope: _groups(averages[scope], [d for d in found if d.scope == scope], metric) for scope in scopes
+        scope: _groups(averages[scope], [d for d in rows if d.scope == scope], metric) for scope in scopes
     }
     notes += [
         f"{scope}: more than {MOST_GROUPS} groups, so no letters are given; the differences say more"
@@ -148,7 +148,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         averages,
         ranks,
         groups,
-        tuple(found),
+        tuple(rows),
         tuple(notes),
         {scope: None if of is None else of.truth_unknown_share for scope, of in unknown.items()},
         tables[0].truth_unknown_share,
@@ -163,25 +163,25 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
     Raises:
         SettingsError: there is none, or no such path.
     """
-    found = []
+    files = []
     for path in paths:
         if path.is_dir():
-            here = [path / SCORES_JSON] if (path / SCORES_JSON).is_file() else []
-            below = here or sorted(path.glob(f"*/{SCORES_JSON}"))
+            own = [path / SCORES_JSON] if (path / SCORES_JSON).is_file() else []
+            below = own or sorted(path.glob(f"*/{SCORES_JSON}"))
             if not below:
                 raise SettingsError(
                     f"{path}: no scores.json there; run `kinectbench score` first", what="no-file"
                 )
-            found += below
+            files += below
         elif path.exists():
-            found.append(path)
+            files.append(path)
         else:
             raise SettingsError(f"{path}: no such file or folder", what="no-file")
-    return found
+    return files
 
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
-    """The methods' names; the second of the same name is told apart as `net #2`."""
+    """The methods' names; the second of the same name is called `net #2`."""
     given = [table.method for table in tables]
     again = [given[:index].count(name) for index, name in enumerate(given)]
     return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
@@ -222,7 +222,7 @@ def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMea
             f"{table.left_out_line(protocol)}; there is nothing to compare by", what="other-scores"
         )
     column = AVERAGED.index(metric)
-    if any(np.isnan(here.values[:, column]).any() for here in means.values()):
+    if any(np.isnan(mean.values[:, column]).any() for mean in means.values()):
         raise SettingsError(
             f"{table.method}: scored without '{metric}'; score it again with it", what="other-scores"
         )
@@ -230,19 +230,19 @@ def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMea
 
 
 def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: str) -> None:
-    """Refuse tables of other pairs, or that say other things of the same truth."""
+    """Refuse tables of other pairs, or with contradictions about the same truth."""
     for name, table in zip(names, tables, strict=True):
         if table.base_rate != tables[0].base_rate:
             raise SettingsError(
                 f"{name}: other base rates than {names[0]}; score both again", what="other-scores"
             )
     pairs = [{row.pair: _of_truth(row) for row in table.pairs(protocol)} for table in tables]
-    for name, here in zip(names, pairs, strict=True):
-        if here.keys() != pairs[0].keys():
+    for name, other_pairs in zip(names, pairs, strict=True):
+        if other_pairs.keys() != pairs[0].keys():
             raise SettingsError(
                 f"{name}: other pairs than {names[0]}; score both against one benchmark", what="other-scores"
             )
-        other = next((pair for pair, of in here.items() if of != pairs[0][pair]), None)
+        other = next((pair for pair, of in other_pairs.items() if of != pairs[0][pair]), None)
         if other is not None:
             raise SettingsError(
                 f"{name}: states other truth of {other} than {names[0]}; score both again",
@@ -257,7 +257,7 @@ def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: st
 
 
 def _of_truth(row: ScoreRow) -> tuple[object, ...]:
-    """What a row says that no prediction changes."""
+    """The values of a row that do not depend on the prediction."""
     of = row.object, row.category, row.coverage_voxels, row.coverage_shape, row.unknown_share
     return (*of, row.base_rate_ce)
 
@@ -274,9 +274,9 @@ def _values(means: Mapping[str, ObjectMeans], metric: str, scope: str) -> dict[s
     column = AVERAGED.index(metric)
     categories = means if scope == ALL else {scope: means[scope]}
     return {
-        name: (float(value), float(weight / here.weights.sum()) / len(categories))
-        for here in categories.values()
-        for name, value, weight in zip(here.names, here.values[:, column], here.weights, strict=True)
+        name: (float(value), float(weight / group.weights.sum()) / len(categories))
+        for group in categories.values()
+        for name, value, weight in zip(group.names, group.values[:, column], group.weights, strict=True)
     }
 
 
@@ -291,33 +291,33 @@ def _differences(
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
     weights = np.array([weight for _, weight in values[0].values()])
-    weighted = np.array([[*found.values()] for found in raw]) * weights
+    weighted = np.array([[*differences.values()] for differences in raw]) * weights
     p_values = sign_flip_ps(weighted)
     count = len(values[0])
     smallest = min(1.0, len(pairs) * smallest_p(count))
-    found = []
+    differences = []
     for n, ((a, b), p, corrected) in enumerate(zip(pairs, p_values, holm(p_values), strict=True)):
         mean = float(weighted[n].sum())
         better = names[a] if (mean > 0) == (metric in SHARES) else names[b]
         verdict = f"{better} is better (p = {corrected:.2g})"
         if corrected > ALPHA:
             verdict = "no difference shown" if smallest <= ALPHA else "too few objects to tell"
-        found.append(
+        differences.append(
             Difference(
                 *(names[a], names[b], scope, mean, intervals[n]),
                 *(raw[n], p, corrected, smallest, verdict),
             )
         )
-    return found
+    return differences
 
 
 def _intervals(
     means: Sequence[Mapping[str, ObjectMeans]], metric: str, scope: str
 ) -> list[tuple[float, float] | None]:
-    """Of the mean difference of every pair of methods: by the rules of the means of one method.
+    """Intervals of the mean difference of every pair of methods, as for the means of one method.
 
-    Both methods were scored on the same objects, so objects are drawn together: what is resampled, or has a
-    deviation, is each object's difference.
+    Both methods were scored on the same objects, so each object's difference is resampled, or gives the
+    standard deviation.
     """
     column, pairs = AVERAGED.index(metric), list(combinations(range(len(means)), 2))
     groups = []
@@ -325,28 +325,28 @@ def _intervals(
         values = np.stack([of[category].values[:, column] for of in means], axis=1)
         differences = np.stack([values[:, a] - values[:, b] for a, b in pairs], axis=1)
         groups.append((differences, means[0][category].weights))
-    found = bootstrap_interval(groups) if scope == ALL else student_interval(*groups[0])
-    return [None] * len(pairs) if found is None else [(float(low), float(high)) for low, high in found]
+    interval = bootstrap_interval(groups) if scope == ALL else student_interval(*groups[0])
+    return [None] * len(pairs) if interval is None else [(float(low), float(high)) for low, high in interval]
 
 
 def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str) -> dict[str, int]:
     """1 + the number of methods that are significantly better."""
     ranks = dict.fromkeys(names, 1)
-    for found in differences:
-        if found.p_holm <= ALPHA:
-            ranks[found.second if (found.mean > 0) == (metric in SHARES) else found.first] += 1
+    for difference in differences:
+        if difference.p_holm <= ALPHA:
+            ranks[difference.second if (difference.mean > 0) == (metric in SHARES) else difference.first] += 1
     return ranks
 
 
 def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
     """The letters of each method (see `letters`), in the order of `means`."""
     best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
-    found = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
-    return {name: found[name] for name in means}
+    by_name = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
+    return {name: by_name[name] for name in means}
 
 
 def too_small(count: int, pairs: int) -> str:
-    """That no two methods can be told apart, in a sentence.
+    """The sentence that no two methods can be distinguished.
 
     Args:
         count: of objects, or of any other differences.

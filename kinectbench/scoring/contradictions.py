@@ -1,4 +1,4 @@
-"""What a score table says that cannot all be true, whatever was predicted.
+"""Contradictions in a score table, whatever was predicted.
 
 `read_table` refuses a table with the first of these sentences. They need nothing but the table; what only the
 release can tell is in `of_release`, and what only the predictions can tell is found by `recheck`.
@@ -40,7 +40,7 @@ MOST_CE = -math.log(CE_CLIP)  # nats a voxel, of a prediction that is wrong ever
 
 
 def contradictions(table: ScoreTable) -> Iterator[str]:
-    """What is wrong with what a table states as facts, a sentence each, the gravest first."""
+    """The contradictions of a table, a sentence each, the gravest first."""
     yield from out_of_bounds(table)
     yield from _of_version(table)
     yield from _of_names(table)
@@ -56,7 +56,7 @@ def contradictions(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_version(table: ScoreTable) -> Iterator[str]:
-    """What a table of its version has, or cannot have."""
+    """Keys that a table of its version must have, or cannot have."""
     version, known = table.score_version, VERSIONS["score"]
     if version > known:
         yield f"counted by score version {version}, and this kinectbench knows none after {known}"
@@ -76,7 +76,7 @@ def _of_version(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_names(table: ScoreTable) -> Iterator[str]:
-    """Names of its rows that cannot stand together, and categories that are called as a mean is."""
+    """Conflicting names in its rows, and categories named like a mean."""
     rows = [Named(*row) for row in dict.fromkeys((r.recording, r.object, r.category) for r in table.rows)]
     if clash := first_clash(rows):
         yield clash.problem
@@ -84,16 +84,16 @@ def _of_names(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:
-    """What is wrong with the rows: each by itself, and those of a pair, a recording and a protocol."""
+    """Faults of the rows: singly, and by pair, recording and protocol."""
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
     most = {row.pair: row for row in table.rows if row.protocol == PRIMARY}
     for row in table.rows:
-        of, here = f"the row of {row.pair} under {row.heading}", pairs.setdefault(row.heading, set())
-        if row.pair in here:
+        of, seen = f"the row of {row.pair} under {row.heading}", pairs.setdefault(row.heading, set())
+        if row.pair in seen:
             yield f"{of} stands there twice"
-        here.add(row.pair)
+        seen.add(row.pair)
         if thing.setdefault(row.recording, (row.object, row.category)) != (row.object, row.category):
             yield f"{of} is of another object or category than another row of its recording"
         if whole.setdefault(row.pair, (row.cells, row.unknown_share)) != (row.cells, row.unknown_share):
@@ -103,20 +103,20 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
             yield f"{of} counts more than the protocol {PRIMARY} does"
     if any(of != pairs[table.rows[0].heading] for of in pairs.values()):
         yield "its protocols are of different pairs"
-    protocols, found = table.settings.protocols, sorted({row.protocol for row in table.rows})
-    if found and protocols and found != sorted(protocols):
-        yield f"its rows are under {_listed(found)}, its settings name {_listed(protocols)}"
+    protocols, present = table.settings.protocols, sorted({row.protocol for row in table.rows})
+    if present and protocols and present != sorted(protocols):
+        yield f"its rows are under {_listed(present)}, its settings name {_listed(protocols)}"
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
-    """Whether a row of a pair covers more than another; what is not told covers nothing."""
+    """Whether a row of a pair covers more than another; a missing value covers nothing."""
     return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
         (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
     )
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
-    """What is wrong with one row."""
+    """The fault of one row."""
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
@@ -153,7 +153,7 @@ def _ratios(row: ScoreRow) -> Iterator[str]:
 
 
 def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
-    """A row whose IoU is not that of its own curve at its threshold."""
+    """A row whose IoU contradicts its curve at its threshold."""
     if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
         yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
     elif not _near(of := curve[THRESHOLDS.index(row.threshold)], row.iou or 0.0):
@@ -161,7 +161,7 @@ def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
 
 
 def _of_thresholds(table: ScoreTable) -> Iterator[str]:
-    """Rows of a category at different thresholds, or at another than the table states."""
+    """Rows of a category with different thresholds, or another than the table's."""
     used: dict[str, float] = dict(table.thresholds)
     for row in table.rows:
         if used.setdefault(row.category, row.threshold) != row.threshold:
@@ -175,15 +175,15 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
-    """Where the thresholds are from: the words, the categories and the counts must fit each other."""
+    """Consistency of the thresholds' sources: words, categories and counts."""
     source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
     categories = {row.category for row in table.rows} | table.thresholds.keys()
     if not categories == table.thresholds.keys() == sources.keys():
         yield "'thresholds', 'threshold_source_by_category' and the rows are of different categories"
         return
     if not _fit(source, set(sources.values()), table.score_version):
-        found = _listed(sorted({printable(of, 17) for of in sources.values()}))
-        yield f"its thresholds are from {printable(source, 17)}, those of its categories from {found}"
+        names = _listed(sorted({printable(of, 17) for of in sources.values()}))
+        yield f"its thresholds are from {printable(source, 17)}, those of its categories from {names}"
     for name, of in sources.items():
         if of == FIXED_SOURCE and table.thresholds[name] != FIXED:
             yield f"the threshold of {name} is called fixed, but is {table.thresholds[name]:g}, not {FIXED}"
@@ -203,7 +203,7 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
 
 
 def _fit(source: str, by_category: set[str], version: int) -> bool:
-    """Whether a table's source and those of its categories can stand together."""
+    """Whether a table's source agrees with those of its categories."""
     if source.startswith(FROM_FILE):
         return by_category == {source}
     others = by_category - {VALIDATION_SOURCE}
@@ -237,6 +237,6 @@ def _near(one: float, other: float) -> bool:
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Some names of a file, and how many more there are."""
+    """Some names of a file, and the number of others."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(printable(name, 60) for name in names[:at_most]) + more

@@ -1,6 +1,6 @@
-"""What one pass over a prediction and its truth counts: enough for every metric, threshold and protocol.
+"""Counts of one pass over a prediction and its truth: enough for every metric, threshold and protocol.
 
-Likewise what a prediction says is occupied, and what the truth itself counts at a coarser resolution.
+Likewise for predicted occupancy, and for the truth at a coarser resolution.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -72,7 +72,7 @@ def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) ->
 def tallies(
     prediction: Prediction, truth: Truth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """The tally of a prediction, and {protocol: its tally} where a protocol trusts less of the truth."""
+    """The tally of a prediction, and {protocol: tally} for protocols that trust less of the truth."""
     less = {name: truth.distrusting(PROTOCOLS[name].distrusts) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in less.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
@@ -119,11 +119,11 @@ def unknown_share(tally: Tally) -> float:
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Whether a protocol says nothing of a pair, so that it must not stand in a mean.
+    """Whether a protocol counts no voxel of a pair, which is then left out of means.
 
     Either it counts no voxel, and IoU is 1 for everyone; or of the shape that lies where it looks none is
     known, and IoU is 1 for who predicts nothing among the known voxels and 0 for all others, whatever the
-    shape. Under `paper`, which counts every voxel, neither can be. Source: own rule.
+    shape. Under `paper`, which counts every voxel, neither can be.
     """
     voxels: list[int] = tally.voxels.tolist()
     of = PROTOCOLS[protocol]
@@ -132,7 +132,7 @@ def is_all_unknown(tally: Tally, protocol: str) -> bool:
 
 
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
-    """Where y > threshold, compared in float64: (256, 256, 32) uint8, most significant bit first.
+    """Cells with y > threshold, compared in float64: (256, 256, 32) uint8, most significant bit first.
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
@@ -158,7 +158,7 @@ def ceiling(
 ) -> tuple[Tally, Mapping[str, Tally]]:
     """The tallies of the truth, each cell of `side`^3 the occupied share of its volume, as of a prediction.
 
-    The best IoU among the thresholds is what a method of that resolution reaches that knows the truth and
+    The best IoU among the thresholds is reached by a method of that resolution that knows the truth and
     reduces it as usual. One that chooses its values with the upsampling in mind may reach a little more.
 
     Args:
@@ -182,7 +182,7 @@ def reduced(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
-    """As `reduced`, where whole cells make a coarse one: the same values in a fifth of the time."""
+    """A faster `reduced` for whole cells per coarse cell, with equal values."""
     step = len(full) // side
     counts: NDArray[Any] = np.ascontiguousarray(full).view(np.uint8)
     for axes_done, axis in enumerate((2, 1, 0), start=1):
@@ -193,7 +193,7 @@ def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _overlaps(cells: int, side: int) -> Float32:
-    """(side, cells): which share of each coarse cell each fine cell covers along one axis."""
+    """(side, cells): the share of each fine cell in each coarse cell along one axis."""
     fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
     covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
     return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)

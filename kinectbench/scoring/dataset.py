@@ -1,4 +1,4 @@
-"""A release as a dataset for people who train: what they ask for of each pair, and no more."""
+"""A release as a dataset for training, which loads only the requested parts of each pair."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -57,10 +57,10 @@ class Dataset:
         transform: Callable[[Item], Any] | None = None,
         packed: bool = False,
     ) -> None:
-        """As `load`, of some pairs of an opened release.
+        """Like `load`, for some pairs of an opened release.
 
         Raises:
-            SettingsError: there is no such key.
+            SettingsError: unknown key.
         """
         self.release = release
         self.targets = tuple(targets)
@@ -72,7 +72,7 @@ class Dataset:
         """The pairs of "train", "validation" or "test", with the same keys and transform.
 
         Raises:
-            SettingsError: there is no such split.
+            SettingsError: unknown split.
         """
         if name not in ("train", "validation", "test"):
             raise SettingsError(f"no split '{name}': choose train, validation or test")
@@ -83,18 +83,18 @@ class Dataset:
         return len(self.targets)
 
     def __repr__(self) -> str:
-        there = Counter(target.split for target in self.targets)
-        told = ", ".join(f"{there[split]} {split}" for split in SPLITS if there[split])
-        return f"<Dataset {self.release.metadata.name}: {len(self)} pairs{f' ({told})' if told else ''}>"
+        by_split = Counter(target.split for target in self.targets)
+        counts = ", ".join(f"{by_split[split]} {split}" for split in SPLITS if by_split[split])
+        return f"<Dataset {self.release.metadata.name}: {len(self)} pairs{f' ({counts})' if counts else ''}>"
 
     def __iter__(self) -> Iterator[Any]:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> Any:
-        """Read one pair; its SHA-256 is looked at each time, which takes a quarter of a millisecond.
+        """Read one pair; checks its SHA-256 each time, which takes a quarter of a millisecond.
 
         Raises:
-            IndexError: there is no such pair.
+            IndexError: unknown pair.
             TypeError: it is no whole number: a slice, for example.
             ReleaseError: its file is missing, or not the published one.
             PairError: it was no pair when it was published.
@@ -110,12 +110,12 @@ class Dataset:
 
 
 def item_of(target: Mapping[str, Any], parts: Mapping[str, Any], keys: Sequence[str], packed: bool) -> Item:
-    """What a dataset gives of a pair.
+    """The dataset's item of a pair.
 
     Args:
         target: recording, object, view, category and split.
         parts: by key, those that the pair has: arrays as they are stored, and images.
-        keys: what is asked for, in this order.
+        keys: the requested keys, in this order.
         packed: whether grids stay packed.
     """
     item: Item = {"pair_id": f"{target['recording']}/{target['view']}"}
@@ -149,7 +149,7 @@ def load(
     transform: Callable[[Item], Any] | None = None,
     packed: bool = False,
 ) -> Dataset:
-    """Open a release; where torch is installed the result is a `torch.utils.data.Dataset` too.
+    """Open a release; with torch installed the result is also a `torch.utils.data.Dataset`.
 
     Args:
         path: its folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md), which are read in place.
@@ -160,26 +160,26 @@ def load(
             `occupancy_rule`. Images of the view: `depth` (height, width) float32, metres, 0 = none; `mask`
             (height, width) bool; `color` (height, width, 3) uint8 RGB. And `meta`. Default: `partial`,
             `full`, `known`, `meta`. Keys of the truth are missing in items whose truth is held back.
-        transform: called with each item; what it returns is the item. It must be picklable where worker
+        transform: called with each item; its result replaces the item. It must be picklable where worker
             processes are spawned.
         packed: leave the grids as they are stored, uint8 with 8 cells a byte along the last axis:
             `numpy.unpackbits(grid, axis=-1)` unpacks them, later or on another processor.
 
     Raises:
         ReleaseError: no release there, or it was changed.
-        SettingsError: there is no such key.
+        SettingsError: unknown key.
     """
-    if said := unusable(str(path)):
-        raise SettingsError(said, what="bad-url")
+    if problem := unusable(str(path)):
+        raise SettingsError(problem, what="bad-url")
     release = open_release(Path(path))
     return _dataset(release, release.targets, keys, transform, packed)
 
 
 def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
-    """The keys that are asked for; the default ones, if none are.
+    """The requested keys, or the default ones.
 
     Raises:
-        SettingsError: there is no such key.
+        SettingsError: unknown key.
     """
     if keys is None:
         return DEFAULT_KEYS
@@ -198,14 +198,14 @@ def _read(release: Release, target: Target, names: Sequence[str]) -> dict[str, A
     """
     content, where = release.pair_content(target), release.pair_path(target)
     try:
-        there = keys_there(names, content)
-        return dict(zip(there, pair_parts(content, there), strict=True))
+        present = keys_there(names, content)
+        return dict(zip(present, pair_parts(content, present), strict=True))
     except UNREADABLE as error:
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
 
 
 def _meta(target: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
-    """What is to be known of a pair beside its grids."""
+    """The metadata of a pair."""
     meta: dict[str, Any] = {name: target[name] for name in TARGET_KEYS}
     meta |= {"voxel_size_m": parts["voxel_size_m"].item(), "T_world_grid": parts["T_world_grid"]}
     if "full" in parts:
@@ -223,7 +223,7 @@ def _dataset_class() -> type[Dataset]:
     except ImportError:
         return Dataset
 
-    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it anew
+    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it again
         return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
 
     return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

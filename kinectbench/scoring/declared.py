@@ -1,4 +1,4 @@
-"""What a folder of predictions says of itself, in method.json: held against what can be scored."""
+"""method.json of a folder of predictions, checked against what can be scored."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -29,7 +29,7 @@ LONGEST_NOTE = 200
 
 
 def read_in_camera(folder: Path) -> MethodFile | None:
-    """method.json of predictions in the camera frame; None of others, or if there is none.
+    """method.json of predictions in the camera frame; None for others or without the file.
 
     Raises:
         PredictionError: it cannot be read, or declares what nothing can have. One line.
@@ -39,18 +39,18 @@ def read_in_camera(folder: Path) -> MethodFile | None:
 
 
 def read_method(folder: Path) -> MethodFile | None:
-    """method.json in a method's folder, of predictions that can be scored; None if there is none.
+    """method.json of a folder of predictions that can be scored; None without the file.
 
     Raises:
         PredictionError: it cannot be read, has a misspelt key, or declares what is not supported yet. One
             line.
     """
     method = MethodFile.read_if_there(folder)
-    told = [] if method is None else list(_not_supported(method))
-    if told:
-        of_camera = method is not None and method.frame == "grid" and not told[0].startswith("'threshold'")
+    lines = [] if method is None else list(_not_supported(method))
+    if lines:
+        of_camera = method is not None and method.frame == "grid" and not lines[0].startswith("'threshold'")
         advice = "; with 'frame': 'camera' it is" * of_camera
-        raise PredictionError(f"{folder / MethodFile.FILE}: {'; '.join(told)}{advice}")
+        raise PredictionError(f"{folder / MethodFile.FILE}: {'; '.join(lines)}{advice}")
     return method
 
 
@@ -66,14 +66,14 @@ def _not_supported(method: MethodFile) -> Iterator[str]:
 
 
 def form_problem(method: MethodFile | None, suffix: str) -> str | None:
-    """Why a file of this suffix is not what method.json says that predictions are; None if it is."""
+    """Why a file with this suffix contradicts method.json; None if it does not."""
     if method is None or "form" not in method.model_fields_set or suffix in SUFFIXES_OF[method.form]:
         return None
     return f"{MethodFile.FILE} says 'form': '{method.form}', which no {suffix} is; correct one of them"
 
 
 def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Why a folder's predictions may not be those of one run for a release, a line each.
+    """Why a folder's predictions may not be from one run for a release, a line each.
 
     Args:
         folder: of the predictions.
@@ -96,18 +96,18 @@ def method_problems(folder: Path, method: MethodFile | None, release: Release) -
 
 
 def method_lines(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """What readers of a method's scores must know, a line each: `method_problems`, keys, `training.notes`."""
+    """Caveats of a method's scores, a line each: `method_problems`, keys, `training.notes`."""
     if method is None:
         return method_problems(folder, method, release)
-    said = list(_unknown_keys(method))
+    lines = list(_unknown_keys(method))
     notes = (method.training or {}).get("notes")
     if isinstance(notes, list):
-        said += [printable(note, LONGEST_NOTE) for note in notes[:NAMED] if isinstance(note, str)]
-    return [*method_problems(folder, method, release), *(f"{MethodFile.FILE}: {line}" for line in said)]
+        lines += [printable(note, LONGEST_NOTE) for note in notes[:NAMED] if isinstance(note, str)]
+    return [*method_problems(folder, method, release), *(f"{MethodFile.FILE}: {line}" for line in lines)]
 
 
 def _unknown_keys(method: MethodFile) -> Iterator[str]:
-    """One line that names the keys that nothing looks at, and known ones that are nearly the same."""
+    """A line about unknown keys, with the known ones that they resemble."""
     keys = [
         printable(key, 60) + (f" (did you mean {meant}?)" if (meant := method.meant(key)) else "")
         for key in method.model_extra or {}
@@ -118,7 +118,7 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """The files that are not those of the run that method.json names, sorted; none if it names no files.
+    """Files that are not from the run that method.json names, sorted; none if it names no files.
 
     Args:
         method: what `read_method` found.
@@ -130,7 +130,7 @@ def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list
 
 
 def changed_line(names: list[str], count: int) -> str:
-    """A line that says how many of some files are not those of the run, with the first."""
+    """A line with the number of files from another run, and the first."""
     verb = "is" if len(names) == 1 else "are"
     return (
         f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "

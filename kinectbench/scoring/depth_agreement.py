@@ -1,4 +1,4 @@
-"""How far a predicted shape is from the depth of its own view, and which slip of unit or axes explains that.
+"""Distance of a predicted shape from its view's depth, and the unit or axis error that explains it.
 
 A complete shape passes through what its view measured. A shape in another unit or frame does not. For each
 usual slip it is computed how near the shape would be without it.
@@ -37,7 +37,7 @@ ABOUT = 1.3
 # 65535 steps for 10 m are 6553.5 for a metre, where millimetres have 1000.
 STEPS_OF_10_M = 6.5535
 
-# What is said of a prediction -> the factor that mends it.
+# Message about a prediction -> the factor that corrects it.
 UNITS: Mapping[str, float] = {
     "": 1.0,
     "1000 times too far: millimetres for metres?": 0.001,
@@ -60,12 +60,12 @@ AXES: Mapping[tuple[int, int, int], str] = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a prediction lies to the depth of its view.
+    """The relation of a prediction to its view's depth.
 
     Attributes:
         distance_m: median distance of the view's points of the object from the shape, metres.
         diagonal_m: of the box around these points.
-        beyond_share: of its surface, what lies more than a cube's side from the middle of the pair's cube.
+        beyond_share: share of its surface more than a cube's side from the middle of the pair's cube.
         slips: in words what would explain the distance, each with the distance without it, the simplest
             first; () where it is small, or nothing does. Of a shape with a mirror plane there are several.
     """
@@ -77,16 +77,16 @@ class Agreement:
 
     @property
     def is_scene(self) -> bool:
-        """Whether it reaches so far beyond the object that it is of all that the view shows."""
+        """Whether it extends so far beyond the object that it must be the whole visible scene."""
         return self.beyond_share > SCENE
 
     @property
     def is_large(self) -> bool:
-        """Whether it is to be said even if no slip explains it."""
+        """Whether to report it even without an explanation."""
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
-        """In words, with one of the slips and the key of method.json that mends it."""
+        """A line with one of the errors and the key of method.json that corrects it."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
         without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
         return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
@@ -99,7 +99,7 @@ def agreement(
     T_world_camera: Float64,
     T_world_grid: Float64,
 ) -> Agreement:
-    """How far a shape is from its view's depth, and why.
+    """Distance of a shape from its view's depth, and its cause.
 
     Args:
         shape: in the camera frame, as it is declared to lie.
@@ -116,25 +116,25 @@ def agreement(
     diagonal = float(np.linalg.norm(np.ptp(depth_points_m, axis=0)))
 
     def distance(T: Float64) -> float:
-        """Of the shape that is mapped by a similarity: the other way round the tree stays as it is."""
+        """Distance of the transformed shape: applies the inverse to the points, so that the tree stays."""
         back = (seen - T[:3, 3]) @ np.linalg.inv(T[:3, :3]).T
         return float(np.median(tree.query(back)[0])) * _scale(T)
 
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """What of a distance the gaps between a cloud's points do not leave."""
+        """The part of a distance that exceeds the gaps between a cloud's points."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))
     if beyond(own, 1) <= SMALL * diagonal:
         return Agreement(own, diagonal)
     slips = list(mends(T_camera_prediction, T_world_camera, T_world_grid))
-    found = np.array([distance(T) for _, T in slips])
-    as_well = max(ABOUT * found.min(), SMALL / 4 * diagonal)
+    distances = np.array([distance(T) for _, T in slips])
+    as_well = max(ABOUT * distances.min(), SMALL / 4 * diagonal)
     explained = [
         (words, without)
-        for (words, T), without in zip(slips, found.tolist(), strict=True)
+        for (words, T), without in zip(slips, distances.tolist(), strict=True)
         if without <= min(as_well, own / NEARER)
         and beyond(own, 1) >= NEARER_BEYOND_GAPS * beyond(without, _scale(T))
     ]
@@ -142,11 +142,11 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """What method.json must declare where a slip is the cause.
+    """The key of method.json that corrects an error.
 
     Args:
         slip: of `mends`.
-        method: what is declared now.
+        method: the present declaration.
     """
     for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):
         if slip != _both(words, axes):
@@ -162,7 +162,7 @@ def remedy(slip: str, method: MethodFile) -> str:
 
 
 def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> float:
-    """The share of a surface that is farther from the middle of its pair's cube than a side, along an axis.
+    """The share of a surface farther than a side from the middle of its pair's cube, along an axis.
 
     Args:
         shape: in the camera frame.
@@ -173,17 +173,17 @@ def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> f
     return float((np.abs(away).max(axis=1) > side_m).mean())
 
 
-def likeliest(found: Sequence[Agreement]) -> list[str]:
-    """Of each prediction the slip that explains most predictions of a method; "" where there is none.
+def likeliest(agreements: Sequence[Agreement]) -> list[str]:
+    """For each prediction the error that explains most predictions of a method; "" without one.
 
     All predictions of a method usually have the same, and a view of a symmetric object leaves open which.
     """
-    counts = Counter(words for one in found for words, _ in one.slips)
-    return [max(one.slips, key=lambda slip: counts[slip[0]])[0] if one.slips else "" for one in found]
+    counts = Counter(words for one in agreements for words, _ in one.slips)
+    return [max(one.slips, key=lambda slip: counts[slip[0]])[0] if one.slips else "" for one in agreements]
 
 
 def _scale(T: Float64) -> float:
-    """Of a similarity (4, 4), which may mirror."""
+    """The scale of a similarity (4, 4), which may mirror."""
     return float(np.cbrt(abs(np.linalg.det(T[:3, :3]))))
 
 
@@ -201,7 +201,7 @@ def _gap(tree: Any, rng: np.random.Generator) -> float:
 def mends(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Usual slips in words, the simplest first, and (4, 4) what would undo each, camera to camera."""
+    """Typical errors in words, the simplest first, and the (4, 4) correction of each, camera to camera."""
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
         if words := _both(unit, axes):

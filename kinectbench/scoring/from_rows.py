@@ -1,7 +1,7 @@
-"""What follows from the rows of a table: averages, curves, extremes, notes. Nothing else computes them.
+"""Values that follow from the rows of a table: averages, curves, extremes, notes; computed only here.
 
-`score` fills a table with it, and whatever reads a table computes it anew: what a file states beside its rows
-is held against that, and a file that states something else is refused.
+`score` fills a table with it, and readers of tables compute it again: what a file states beside its rows
+is compared with that, and a file that states something else is refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 @dataclass(frozen=True)
 class FromRows:
-    """The fields of a `ScoreTable` that follow from its rows; None where it is not complete."""
+    """The fields of a `ScoreTable` that follow from its rows; None if incomplete."""
 
     by_category: dict[str, dict[str, CategoryAverages]] | None
     overall: dict[str, OverallAverages] | None
@@ -48,7 +48,7 @@ def from_rows(
     quality: Mapping[str, QualityFile],
     complete: bool,
 ) -> FromRows:
-    """Compute what follows from the rows.
+    """Compute the values that follow from the rows.
 
     An average over a part of the pairs would flatter, so there is none.
 
@@ -85,20 +85,20 @@ def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> 
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)
-    found = {}
-    for name, here in of_object.items():
-        parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in here})]
-        shares = {row.pair: row.unknown_share for row in here}  # every protocol's row says the same
+    by_object = {}
+    for name, own in of_object.items():
+        parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in own})]
+        shares = {row.pair: row.unknown_share for row in own}  # every protocol's row says the same
         known = [share for share in shares.values() if share is not None]
-        found[name] = ObjectQuality(
-            here[0].category,
+        by_object[name] = ObjectQuality(
+            own[0].category,
             estimated_iou=_mean([part.estimated_iou for part in parts]),
             estimated_iou_low=_mean([part.estimated_iou_low for part in parts]),
             estimated_iou_high=_mean([part.estimated_iou_high for part in parts]),
             repeatability_iou=_mean([part.repeatability_iou for part in parts]),
             unknown_share=fmean(known) if len(known) == len(shares) else None,
         )
-    return found
+    return by_object
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

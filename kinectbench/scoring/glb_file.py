@@ -1,7 +1,7 @@
 """Read the triangles of an untrusted .glb: glTF 2.0 in its binary form, in the frame of its scene.
 
-Only what a shape needs is read: nodes with their transforms, and triangles of meshes with float32 positions
-and plain indices. Nothing is believed before it is known to be there. Written after the glTF 2.0
+Only the shape is read: nodes with their transforms, and triangles of meshes with float32 positions
+and plain indices. Nothing is trusted before it is known to be there. Written after the glTF 2.0
 specification (Khronos), sections 3.5 to 3.7 and 4.4.
 """
 
@@ -53,17 +53,17 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON part and the binary part."""
     if len(content) < 20 or content[:4] != b"glTF" or struct.unpack_from("<I", content, 4)[0] != 2:
         raise ValueError("not a binary glTF 2.0 file")
-    found, position = dict[int, bytes](), 12
-    while position + 8 <= len(content) and len(found) < 2:
+    chunks, position = dict[int, bytes](), 12
+    while position + 8 <= len(content) and len(chunks) < 2:
         length, kind = struct.unpack_from("<2I", content, position)
         if position + 8 + length > len(content):
             raise ValueError("cut short; write it again")
-        found[kind] = content[position + 8 : position + 8 + length]
+        chunks[kind] = content[position + 8 : position + 8 + length]
         position += 8 + length
-    gltf = strict_json(found.get(JSON_CHUNK, b"").decode("utf-8"), MOST_VALUES)
+    gltf = strict_json(chunks.get(JSON_CHUNK, b"").decode("utf-8"), MOST_VALUES)
     if not isinstance(gltf, dict):
         raise TypeError("no object")
-    return gltf, found.get(BIN_CHUNK, b"")
+    return gltf, chunks.get(BIN_CHUNK, b"")
 
 
 def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
@@ -93,7 +93,7 @@ def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
 
 
 def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
-    """Each mesh of the default scene, and where its node lies; without a scene each mesh as it is."""
+    """Each mesh of the default scene with its node's transform; without a scene each mesh as it is."""
     if not gltf.get("scenes"):
         yield from ((number, np.eye(4)) for number in range(len(gltf.get("meshes", ()))))
         return

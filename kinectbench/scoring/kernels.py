@@ -81,9 +81,9 @@ def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64
         flip_seen = np.uint64(0) if code & 4 else ~np.uint64(0)
         voxels = above = np.uint64(0)
         for word in range(len(full)):
-            here = (full[word] ^ flip_full) & (known[word] ^ flip_known) & (seen[word] ^ flip_seen)
-            voxels += _ones(here)
-            above += _ones(here & occupied[word])
+            bits = (full[word] ^ flip_full) & (known[word] ^ flip_known) & (seen[word] ^ flip_seen)
+            voxels += _ones(bits)
+            above += _ones(bits & occupied[word])
         counts[0, code], counts[1, code] = voxels - above, above
     return counts
 

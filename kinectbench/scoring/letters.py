@@ -1,6 +1,6 @@
-"""Groups of methods that cannot be told apart, as letters: a compact letter display.
+"""Groups of methods that cannot be distinguished, as letters: a compact letter display.
 
-Not being told apart is not transitive: of three methods the first and the last may differ while the one
+Indistinguishable is not transitive: of three methods the first and the last may differ while the one
 between them differs from neither. Ranks cannot say so; letters can: two methods share one if, and only if, no
 difference between them is shown.
 
@@ -29,19 +29,19 @@ def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str
         that takes more than `MOST_GROUPS` letters, none has any.
     """
     place = {name: index for index, name in enumerate(names)}
-    alike = {
+    indistinct = {
         name: {other for other in names if other != name and frozenset((name, other)) not in apart}
         for name in names
     }
-    cliques = list(islice(_maximal_cliques(alike), MOST_GROUPS + 1))
-    found = dict.fromkeys(names, "")
+    cliques = list(islice(_maximal_cliques(indistinct), MOST_GROUPS + 1))
+    by_name = dict.fromkeys(names, "")
     if len(cliques) > MOST_GROUPS:
-        return found
+        return by_name
     groups = sorted(sorted(place[name] for name in group) for group in cliques)
     for index, group in enumerate(groups):
         for member in group:
-            found[names[member]] += _letter(index)
-    return found
+            by_name[names[member]] += _letter(index)
+    return by_name
 
 
 def _maximal_cliques(neighbours: dict[str, set[str]]) -> Iterator[set[str]]:

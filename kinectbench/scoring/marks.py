@@ -1,4 +1,4 @@
-"""What to know of a table before its numbers are believed: one short mark for each thing."""
+"""Caveats of a table: one short mark each."""
 
 from collections.abc import Sequence
 
@@ -12,12 +12,12 @@ from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHO
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """The marks that follow from what a table says of its making; older tables say less.
+    """The marks that follow from a table's provenance; older tables state less.
 
     Args:
         table: its own `marks` are not looked at.
     """
-    found: list[tuple[kinds.Kind, str]] = [
+    marks: list[tuple[kinds.Kind, str]] = [
         (kinds.BASELINE, _baseline(table)),
         (kinds.OLDER_VERSION, _older(table)),
         (kinds.MISSING_AS_EMPTY, _missing(table)),
@@ -27,7 +27,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
         (kinds.THRESHOLDS_FIXED, _from(table, FIXED_SOURCE, "fixed at")),
         (kinds.THRESHOLDS_UNCHECKED, _unchecked(table)),
     ]
-    return tuple(Mark(kind=kind, words=words) for kind, words in found if words)
+    return tuple(Mark(kind=kind, words=words) for kind, words in marks if words)
 
 
 def _baseline(table: ScoreTable) -> str:
@@ -36,7 +36,7 @@ def _baseline(table: ScoreTable) -> str:
 
 
 def _older(table: ScoreTable) -> str:
-    """Of a version that says less of how its scores came about: what it lacks cannot be marked."""
+    """A mark for old versions, whose tables lack part of the provenance."""
     version = table.score_version
     return "" if version >= ACCOUNTED else f"score version {version}, now {VERSIONS['score']}"
 
@@ -69,13 +69,13 @@ def _from(table: ScoreTable, source: str, words: str) -> str:
 
 
 def _unchecked(table: ScoreTable) -> str:
-    """Thresholds of a file that cannot be held against the test split."""
+    """Thresholds of a file that cannot be checked for use of the test split."""
     if not table.threshold_source.startswith(FROM_FILE) or table.threshold_objects is not None:
         return ""
     return "thresholds from a file that names no objects"
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Some names, and how many more there are."""
+    """Some names, and the number of others."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(names[:at_most]) + more

@@ -1,7 +1,7 @@
 """Read untrusted .obj and .ply meshes in time and memory that grow with the file, and no faster.
 
 Of an .obj only the lines of vertices and faces are looked at, of a .ply only `x`, `y`, `z` and the list of a
-face's corners: materials, groups, textures and colours say nothing of a shape, and libraries that read them
+face's corners: materials, groups, textures and colours do not determine a shape, and libraries that read them
 need time that grows with their square. Written after the formats' descriptions: Wavefront, "Advanced
 Visualizer", appendix B1; G. Turk, "The PLY Polygon File Format", 1994.
 """
@@ -55,7 +55,7 @@ def read_obj(content: bytes) -> Triangles:
             there are too many.
     """
     coordinates, corners = array("d"), array("q")
-    # A line that ends in a backslash goes on in the next.
+    # A line that ends in a backslash continues in the next.
     text = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     for number, line in enumerate(OBJ_LINES.finditer(text)):
         words = line[0].split(None, MAX_CORNERS + 1)
@@ -113,7 +113,7 @@ def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.in
 def _read_ply(
     content: bytes, most_vertices: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64] | None, Normals]:
-    """Vertices, triangles or None where there is no such element, and normals if vertices have them."""
+    """Vertices; triangles, or None without faces; and normals if vertices have them."""
     order, elements, offset = _header(content, most_vertices)
     data = numbers_of(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
     position, vertices, normals = 0, None, None
@@ -162,7 +162,7 @@ class _Property:
 
 @dataclass(frozen=True)
 class _Element:
-    """An element of the header: its name, how many there are, and what each has."""
+    """An element of the header: name, count and properties."""
 
     name: str
     rows: int
@@ -175,7 +175,7 @@ class _Element:
 
 
 def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
-    """Byte order ("" of a text), elements, and where the data begins; it claims what is there."""
+    """Byte order ("" for text), elements, and the data's offset; checks that the claimed data exists."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
@@ -199,19 +199,19 @@ def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], in
         raise malformed from None
     if lines[:1] != [["ply"]] or order is None or sum(map(len, properties)) > MAX_PROPERTIES:
         raise malformed
-    found = [_Element(*facts, tuple(of)) for facts, of in zip(elements, properties, strict=True)]
-    least = [element.rows * max(element.width, 1) for element in found]
+    parsed = [_Element(*facts, tuple(of)) for facts, of in zip(elements, properties, strict=True)]
+    least = [element.rows * max(element.width, 1) for element in parsed]
     # A number of a text takes two bytes at least, with what parts it from the next.
     if any(rows < 0 for _, rows in elements) or sum(least) > (len(content) - line_end) / (1 + (order == "")):
         raise ValueError("its header claims more than the file holds; write it again")
-    for element in found:
+    for element in parsed:
         lists = sum(one.count is not None for one in element.properties)
         if lists > MAX_LISTS or (element.name == "face" and len(element.properties) > MAX_OF_FACE):
             raise ValueError(f"more than {MAX_LISTS} lists or {MAX_OF_FACE} properties of a face; write less")
         limit = {"vertex": (most_vertices, "vertices"), "face": (MAX_TRIANGLES, "faces")}.get(element.name)
         if limit:
             _refuse_many(element.rows, limit[1], limit[0])
-    return order, found, line_end + 1
+    return order, parsed, line_end + 1
 
 
 def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
@@ -271,12 +271,12 @@ def _faces(data: NDArray[Any], position: int, element: _Element) -> NDArray[np.i
 def _lists(
     data: NDArray[Any], position: int, element: _Element, rows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Where the corners of each row begin, how many there are, and where the last row ends."""
+    """Offsets and lengths of the rows' corner lists, and the end of the last row."""
     if not any(one.count and one.name in CORNER_LISTS for one in element.properties):
         raise ValueError("faces without a list vertex_indices")
     start, size, end = _row(data, position, element)
     steps = np.arange(rows, dtype=np.int64) * (end - position)
-    if position + rows * (end - position) <= len(data) and _alike(data, position, element, steps):
+    if position + rows * (end - position) <= len(data) and _equal_lengths(data, position, element, steps):
         return start + steps, np.full(rows, size, np.int64), position + rows * (end - position)
     starts, sizes = np.zeros(rows, np.int64), np.zeros(rows, np.int64)
     for row in range(rows):
@@ -285,7 +285,7 @@ def _lists(
 
 
 def _row(data: NDArray[Any], position: int, element: _Element) -> tuple[int, int, int]:
-    """Where the corners of one row begin, how many there are, and where the row ends."""
+    """Offset and length of one row's corner list, and the end of the row."""
     start = size = 0
     for one in element.properties:
         if one.count is None:
@@ -302,7 +302,7 @@ def _row(data: NDArray[Any], position: int, element: _Element) -> tuple[int, int
 
 
 def _count(data: NDArray[Any], position: int, one: _Property) -> int:
-    """How long a list is."""
+    """The length of a list."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"
@@ -314,8 +314,8 @@ def _count(data: NDArray[Any], position: int, one: _Property) -> int:
     return int(count)
 
 
-def _alike(data: NDArray[Any], position: int, element: _Element, steps: NDArray[np.int64]) -> bool:
-    """Whether the lists of all rows are as long as those of the first."""
+def _equal_lengths(data: NDArray[Any], position: int, element: _Element, steps: NDArray[np.int64]) -> bool:
+    """Whether all rows have lists as long as the first."""
     for one in element.properties:
         if one.count is None:
             position += one.width

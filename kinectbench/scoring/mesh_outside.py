@@ -1,4 +1,4 @@
-"""How much of a closed mesh lies outside the cube that is scored."""
+"""Share of a closed mesh outside the scored cube."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.types import Float64, Int32
 
-# Triangles at a time: some 30 MB with what they are cut into.
+# Triangles at a time: some 30 MB with their parts.
 AT_ONCE = 1 << 16
 
 
@@ -35,7 +35,7 @@ def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
 
     Args:
         vertices: (n, 3) float64, in any unit.
-        faces: (m, 3) int32, oriented alike, all outwards or all inwards.
+        faces: (m, 3) int32, with one orientation, all outwards or all inwards.
         side: in the same unit.
 
     Returns:
@@ -60,7 +60,7 @@ def _areas(triangles: Float64) -> Float64:
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """What of triangles is within the four walls, in pieces none of which passes floor or ceiling."""
+    """Parts of triangles within the four walls, in pieces that cross neither floor nor ceiling."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)
@@ -86,9 +86,9 @@ def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
         a + (end - a) * (heights[:, :1] / (heights[:, :1] - heights[:, [n]])) for n, end in ((1, b), (2, c))
     )
     tip = np.stack([a, p, q], axis=1)
-    rest = np.concatenate([np.stack([p, b, c], axis=1), np.stack([p, c, q], axis=1)])
+    remainder = np.concatenate([np.stack([p, b, c], axis=1), np.stack([p, c, q], axis=1)])
     twice = np.concatenate([one_up, one_up])
     return (
-        np.concatenate([below, tip[~one_up], rest[twice]]),
-        np.concatenate([above, tip[one_up], rest[~twice]]),
+        np.concatenate([below, tip[~one_up], remainder[twice]]),
+        np.concatenate([above, tip[one_up], remainder[~twice]]),
     )

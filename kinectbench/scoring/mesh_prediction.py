@@ -1,4 +1,4 @@
-"""A submitted mesh as occupied voxels. The file is untrusted: what it costs is known before it is spent."""
+"""A submitted mesh as occupied voxels. The file is untrusted: its cost is bounded in advance."""
 
 from typing import IO
 
@@ -32,7 +32,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         voxel_size_m: of the pair's 256-grid.
 
     Returns:
-        (256, 256, 256) bool: what lies beyond the grid is cut off; and its share of the mesh's volume.
+        (256, 256, 256) bool: parts beyond the grid are cut off; and its share of the mesh's volume.
 
     Raises:
         OSError: it cannot be read.
@@ -53,7 +53,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         )
     if not is_closed(faces):
         raise PredictionError(
-            f"the mesh is not closed, or not oriented alike; close it, submit a grid, {IN_CAMERA}",
+            f"the mesh is not closed, or not consistently oriented; close it, submit a grid, {IN_CAMERA}",
             what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)
@@ -108,7 +108,7 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
 
 
 def _outside(vertices: Float64, grid: Grid) -> PredictionError:
-    """What is said of a mesh that has nothing inside the grid, with where it lies."""
+    """The message for a mesh with nothing inside the grid, with its place."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(

@@ -1,6 +1,6 @@
 """The paper's metrics, as pure functions of counts. Ratios have no unit; cross-entropy is in nats a voxel.
 
-Source: the paper's definitions; what it leaves open (nothing predicted, nothing there) is an own rule and
+Source: the paper's definitions; what it leaves open (nothing predicted, nothing there) is defined here and
 stated at each function.
 """
 
@@ -47,7 +47,7 @@ def cross_entropy(counts: ProtocolCounts) -> float:
 
 
 def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float:
-    """Mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 if no voxel is counted.
+    """Mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 without voxels.
 
     Args:
         occupied: number of voxels occupied in the truth.
@@ -60,7 +60,7 @@ def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float
 
 
 def _share(hit: int, total: int, *, other: int) -> float:
-    """`hit / total`; of an empty total 1 if the other set is empty too, else 0."""
+    """`hit / total`; for an empty total 1 if the other set is empty too, else 0."""
     if total:
         return hit / total
     return 0.0 if other else 1.0

@@ -1,6 +1,6 @@
-"""Whether a score table is of a release: its pairs, objects, hashes of truth, and what it says of the splits.
+"""Whether a score table belongs to a release: pairs, objects, hashes of truth, and splits.
 
-The hash of the release, which the table states, is compared by whoever asks. No pair is read: base rates and
+The hash of the release, which the table states, is compared by the caller. No pair is read: base rates and
 coverage are found by `recheck`.
 """
 
@@ -17,7 +17,7 @@ from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
 def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
-    """What a table says that the release does not, a sentence each.
+    """Statements of a table that contradict the release, a sentence each.
 
     Args:
         table: as it was read (`read_table`), scored against this release.
@@ -50,7 +50,7 @@ def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
 
 
 def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
-    """What a row says of the unknown share of its pair's true shape that the release says otherwise.
+    """A contradiction about the unknown share of a row's true shape.
 
     What the protocols leave out that look at a part of the shape, only the pair file tells.
     """
@@ -72,11 +72,11 @@ def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _validation(table: ScoreTable, release: Release) -> Iterator[str]:
-    """What it says of a validation split that is another."""
+    """A contradiction about the validation split."""
     validation = release.split("validation")
     if table.validation is not None and table.validation.pairs != len(validation):
         yield f"states {table.validation.pairs} validation pairs; the release has {len(validation)}"
-    there = {target.category for target in validation}
+    categories = {target.category for target in validation}
     for name, source in table.threshold_source_by_category.items():
-        if source == VALIDATION_SOURCE and name not in there:
+        if source == VALIDATION_SOURCE and name not in categories:
             yield f"the threshold of {printable(name, 60)} is from validation, which has no pair of it"

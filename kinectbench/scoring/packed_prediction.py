@@ -1,4 +1,4 @@
-"""Probabilities in 8 bits: an npz of `codes`, which number `levels`, and no level lies across a threshold.
+"""Probabilities in 8 bits: an npz of `codes`, indices into `levels`; no code's range spans a threshold.
 
 A voxel is above a searched threshold after packing exactly if it was before: IoU at each of them is the same.
 That holds where predictions are counted as they are, at 256^3; coarser ones are interpolated, and not packed.

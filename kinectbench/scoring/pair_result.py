@@ -1,4 +1,4 @@
-"""Count one prediction against its truth: all that the table needs to know of a pair."""
+"""Count one prediction against its truth: all data of a pair that the table needs."""
 
 import contextlib
 from collections.abc import Iterable, Mapping
@@ -30,17 +30,17 @@ from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
 EMPTY_CELLS = 16
 # Some kilobytes for each pair.
 MOST_JOURNAL_BYTES = 1 << 30
-# Of what was kept, so many are counted again before the rest is believed: of rows of which half
+# So many kept results are counted again before the others are accepted: of rows of which half
 # are made up, four are all sound in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """Those of some names that are counted again, other ones for each file that they were kept in.
+    """The names that are counted again: a random sample, other for each file.
 
     Args:
         names: of pairs.
-        of: a text or hash of the whole file: whoever changes a row changes who is drawn.
+        of: a text or hash of the whole file: a changed row changes the sample.
     """
     order = sorted(set(names), key=lambda name: sha256_text(f"{of} {name}"))
     return frozenset(order[: max(LEAST_CHECKED, int(CHECKED_SHARE * len(order)))])
@@ -62,13 +62,13 @@ class Counting:
 
     @property
     def distrusted(self) -> tuple[str, ...]:
-        """The grids of a pair file that are read for these protocols beside those that every pair has."""
+        """Grids of a pair file that these protocols read in addition to the common ones."""
         return distrusted(self.protocols)
 
 
 @dataclass(frozen=True)
 class Job:
-    """One pair to be counted.
+    """One pair to count.
 
     Attributes:
         target: the pair.
@@ -77,7 +77,7 @@ class Job:
         threshold: for the surface metrics; None leaves them out.
         counting: how.
         earlier: what an interrupted run wrote of this pair, or None.
-        check: whether the pair is counted all the same, and what was written is refused if it is another.
+        check: whether the pair is counted again, and refused if the kept result differs.
     """
 
     target: Target
@@ -89,7 +89,7 @@ class Job:
     check: bool = False
 
     def key(self, digest: str | None) -> str:
-        """What a result depends on; `digest` is that of the prediction's file."""
+        """The inputs of a result; `digest` is that of the prediction's file."""
         # Without surfaces it only matters whether there is a threshold; a part may not know it.
         threshold = self.threshold if self.counting.surface else self.threshold is not None
         settings = (asdict(self.counting), threshold)
@@ -97,11 +97,11 @@ class Job:
 
 
 def count_job(job: Job) -> PairResult | str:
-    """Count one pair; the reason where its prediction cannot be scored.
+    """Count one pair; the reason if its prediction cannot be scored.
 
     Raises:
         ReleaseError: the truth is missing, or not the published one.
-        StorageError: what was written of the pair is not what its prediction gives.
+        StorageError: the kept result of the pair is not its prediction's.
     """
     digest, outside = None, 0.0
     try:
@@ -146,7 +146,7 @@ def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: f
 def surfaces(
     prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None
 ) -> Mapping[str, SurfaceMetrics]:
-    """The surface metrics under each protocol; none without a threshold, or if they were not asked for."""
+    """The surface metrics under each protocol; none without a threshold or request."""
     if not counting.surface or threshold is None:
         return {}
     packed = occupied(prediction, threshold, counting.upsampling)
@@ -182,18 +182,18 @@ class Journal:
         self._checked = drawn(self._earlier, whole)
 
     def earlier(self, pair: str) -> CountedPair | None:
-        """What an earlier run wrote of a pair."""
+        """An earlier run's result of a pair."""
         return self._earlier.get(pair)
 
     def is_checked(self, pair: str) -> bool:
-        """Whether a pair is counted again, to see whether what an earlier run wrote is to be believed."""
+        """Whether to count a pair again to check an earlier run's result."""
         return pair in self._checked
 
     def add(self, job: Job, result: PairResult) -> None:
-        """Remember a result.
+        """Add a result.
 
         Raises:
-            StorageError: the disk is full or read-only, or what lies there is no plain file.
+            StorageError: the disk is full or read-only, or the existing content is no plain file.
         """
         counted = CountedPair(pair=job.target.name, key=job.key(result.digest), result=result)
         earlier = self.earlier(counted.pair)
@@ -202,7 +202,7 @@ class Journal:
         append_plain(self._path, counted.line())
 
     def remove(self) -> None:
-        """All is done: the table holds it."""
+        """Delete the journal: the table holds its content."""
         for path in () if self._path is None else self._path.parent.glob(JOURNALS):
             path.unlink(missing_ok=True)
 
@@ -216,10 +216,10 @@ def _text(path: Path) -> str:
 
 
 def _pairs(text: str) -> dict[str, CountedPair]:
-    """The pairs by name; lines that were not written whole are left out."""
-    found = {}
+    """The pairs by name, without incomplete lines."""
+    by_name = {}
     for line in text.splitlines():
         with contextlib.suppress(ValidationError):
             counted = CountedPair.model_validate_json(line, strict=True)
-            found[counted.pair] = counted
-    return found
+            by_name[counted.pair] = counted
+    return by_name

@@ -1,4 +1,4 @@
-"""Load one submitted prediction. The file is untrusted: its claims are checked before they are believed."""
+"""Load one submitted prediction. The file is untrusted: its claims are checked."""
 
 import contextlib
 import os
@@ -27,12 +27,12 @@ ACCEPTED = "save float16 or float32 in [0, 1], or bool"
 
 @dataclass(frozen=True)
 class Loaded:
-    """A prediction, and what else is known of its file.
+    """A prediction and facts about its file.
 
     Attributes:
         prediction: (n, n, n), as of `load_prediction`.
         digest: `blake3:` with the hash of the file that it was read from.
-        outside_share: of a mesh's volume, what lies outside the grid and was cut off.
+        outside_share: share of a mesh's volume outside the grid, which was cut off.
     """
 
     prediction: Prediction
@@ -56,12 +56,12 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
     Raises:
         PredictionError: the file is unacceptable; one line.
     """
-    with _told(str(name or path)), open_plain(path) as file:
+    with _named_errors(str(name or path)), open_plain(path) as file:
         return _loaded(file, path.suffix, voxel_size_m)[0]
 
 
 def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loaded:
-    """The same prediction, and what else is known of its file.
+    """The same prediction, and facts about its file.
 
     Prediction and hash are of one open file, which must not change meanwhile: a zip is not read from its
     begin to its end.
@@ -69,7 +69,7 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loa
     Raises:
         PredictionError: as `load_prediction`, or the file changed.
     """
-    with _told(name), open_plain(path) as file:
+    with _named_errors(name), open_plain(path) as file:
         before = _state(file)
         prediction, outside = _loaded(file, path.suffix, voxel_size_m)
         file.seek(0)
@@ -80,8 +80,8 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loa
 
 
 @contextlib.contextmanager
-def _told(name: str) -> Iterator[None]:
-    """Everything that a file of a prediction can raise, as one line that begins with its name."""
+def _named_errors(name: str) -> Iterator[None]:
+    """Errors of a prediction's file as one line that begins with its name."""
     try:
         yield
     except PredictionError as error:
@@ -108,13 +108,13 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[P
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:
-    """What differs once a file was written to: its size, and when it and what is known of it changed."""
+    """Values that change when a file is written: its size and times."""
     state = os.fstat(file.fileno())
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
 def blake3_of(content: IO[bytes] | bytes) -> str:
-    """`blake3:` and the hash of bytes, or of a file from where it is read next."""
+    """`blake3:` and the hash of bytes, or of a file from its position on."""
     # SHA-256 of a 33 MB prediction takes longer than all the rest of its scoring.
     from blake3 import blake3
 
@@ -257,7 +257,7 @@ def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
-    """Name the first bad value, if there is one."""
+    """Report the first bad value, if any."""
     if bad.any():
         index = _first(bad)
         raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]", what="bad-values")

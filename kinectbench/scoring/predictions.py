@@ -1,4 +1,4 @@
-"""A folder of submitted predictions: which file answers which target, and what is wrong with them."""
+"""A folder of submitted predictions: the file of each target, and faults."""
 
 import contextlib
 import os
@@ -14,13 +14,13 @@ from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import lies_below, listed, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
-from kinectbench.scoring.doubtful import MOST_OUTSIDE
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.prediction_file import load_hashed
+from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
-# Meshes that others write, and that are not read: what lies in the place of a prediction was meant as one.
+# Unsupported mesh formats: such a file in the place of a prediction was meant as one.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 # Files of a folder of predictions that are looked at; no release has as many pairs.
 MOST_FILES = 1_000_000
@@ -28,14 +28,14 @@ MOST_FILES = 1_000_000
 
 @dataclass(frozen=True)
 class FoundPredictions:
-    """What a method's folder holds.
+    """The content of a method's folder.
 
     Attributes:
         files: the file of each target that has one.
         missing: targets without a file.
         problems: targets whose file is ambiguous or unsafe, and why.
         stray: files that answer no target, relative to the folder, sorted.
-        method: what method.json says of them; None if there is none.
+        method: their method.json; None if there is none.
     """
 
     files: dict[Target, Path]
@@ -62,7 +62,7 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
 
 
 def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None) -> FoundPredictions:
-    """`find_predictions` in a folder that is there."""
+    """`find_predictions` for an existing folder."""
     root = folder.resolve()
     files: dict[Target, Path] = {}
     missing: list[Target] = []
@@ -94,7 +94,7 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
 
 
 def _other_mesh(folder: Path, target: Target) -> str | None:
-    """Why the file of a target is not read that is a mesh of another kind; None if there is none."""
+    """Why the mesh file of a target is not read, as it is of another kind; None if it is read."""
     for suffix in OTHER_MESHES:
         name = target.name + suffix
         if (folder / name).is_file():
@@ -104,13 +104,13 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 
 
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
-    """Files that nothing asks for, relative to the folder, sorted; what begins with a dot is the system's.
+    """Files that match nothing expected, relative to the folder, sorted; without hidden ones.
 
     Raises:
         PredictionError: there are more than `MOST_FILES`.
         OSError: a folder cannot be looked into.
     """
-    found, waiting, seen = list[str](), [(folder, "")], 0
+    strays, waiting, seen = list[str](), [(folder, "")], 0
     while waiting:
         inside, way = waiting.pop()
         with os.scandir(inside) as entries:
@@ -126,13 +126,13 @@ def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append((Path(entry.path), f"{name}/"))
                 elif name not in expected:
-                    found.append(name)
-    return tuple(sorted(found))
+                    strays.append(name)
+    return tuple(sorted(strays))
 
 
 @contextlib.contextmanager
 def _readable(folder: Path) -> Iterator[None]:
-    """Turn what the system says of a folder that cannot be looked into into one clear line."""
+    """Turn a system error about an unreadable folder into one clear line."""
     try:
         yield
     except OSError as error:
@@ -143,7 +143,7 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
-    """One line for each of the first files that answer no target, and one for all the rest.
+    """A line for each of the first files that match no target, and one for all others.
 
     Args:
         stray: their names, relative to the method's folder.
@@ -162,7 +162,7 @@ def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
 
 
 def missing_line(target: Target) -> str:
-    """One line that says which file is missing."""
+    """A line about a missing file."""
     return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
 
 
@@ -198,7 +198,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse what cannot hold predictions of any release.
+    """Refuse a folder that cannot hold predictions of any release.
 
     Raises:
         PredictionError: the folder is missing, or is a release.
@@ -223,7 +223,7 @@ def _answers(folder: Path, recordings: frozenset[str]) -> bool:
 
 
 def check_method(name: str) -> None:
-    """Refuse what cannot be a method's name: it is that of a folder of results, and a cell of tables.
+    """Refuse invalid method names: they become folder names and table cells.
 
     Raises:
         PredictionError: it is not made of letters, digits and a few signs, or is that of a file of ours.
@@ -239,7 +239,7 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     """Check one method's predictions for the test split, and for validation if it answers any of it.
 
     Args:
-        release: what the predictions are for.
+        release: of the predictions.
         folder: one method's predictions.
         progress: called with (files done, files in all).
 
@@ -250,24 +250,24 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
     """
-    found = find_predictions(folder, release.targets)
-    answered = {target.split for target in (*found.files, *found.problems)}
+    predictions = find_predictions(folder, release.targets)
+    answered = {target.split for target in (*predictions.files, *predictions.problems)}
     required = {"test", "validation"} & answered | {"test"}
-    missing = {target: missing_line(target) for target in found.missing if target.split in required}
-    problems = method_problems(folder, found.method, release)
+    missing = {target: missing_line(target) for target in predictions.missing if target.split in required}
+    problems = method_problems(folder, predictions.method, release)
     for done, target in enumerate(release.targets, start=1):
-        line = found.problems.get(target) or missing.get(target)
-        if target in found.files:
-            line = _file_problem(release, target, found.files[target], found.method)
+        line = predictions.problems.get(target) or missing.get(target)
+        if target in predictions.files:
+            line = _file_problem(release, target, predictions.files[target], predictions.method)
         if line:
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    return problems + stray_lines(found.stray, found.missing)
+    return problems + stray_lines(predictions.stray, predictions.missing)
 
 
 def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
-    """What is wrong with one file, or None."""
+    """The fault of one file, or None."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:

@@ -1,4 +1,4 @@
-"""Which voxels of a pair are counted: the protocols, and which of them the pairs of a release allow."""
+"""Protocols: which voxels of a pair count, and which protocols a release's pairs allow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ CODES = range(8)
 
 @dataclass(frozen=True)
 class Protocol:
-    """A mask over the voxels of a pair; what it leaves out is not counted.
+    """A mask over the voxels of a pair; others are not counted.
 
     Attributes:
         known: only voxels whose truth is known.
@@ -31,7 +31,7 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes of the voxels that it would count, were all of them known."""
+        """The codes of the voxels that it would count if all were known."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property
@@ -51,12 +51,12 @@ PRIMARY = "known"
 
 
 def distrusted(protocols: Sequence[str]) -> tuple[str, ...]:
-    """The grids of a pair file that some protocols need beside those that every pair has."""
+    """Grids of a pair file that some protocols need in addition to the common ones."""
     return tuple(dict.fromkeys(grid for name in protocols if (grid := PROTOCOLS[name].distrusts)))
 
 
 def check_protocols(protocols: Sequence[str] | None) -> None:
-    """Refuse names of protocols that are not known; none at all ask for those that the pairs allow.
+    """Refuse unknown protocols; an empty list stands for those that the pairs allow.
 
     Raises:
         SettingsError: one that is not.
@@ -68,7 +68,7 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """The protocols under which a release is scored: those asked for, else all that its pairs allow.
+    """The protocols of a release: those requested, else all that its pairs allow.
 
     The pairs of a recording are made at once, so the first of each tells which grids they have.
 
@@ -100,7 +100,7 @@ def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ..
 
 
 def _keys(release: Release, target: Target) -> tuple[str, ...]:
-    """The keys of a published pair file; none of one that is damaged, which counting then tells."""
+    """The keys of a published pair file; none if damaged, which counting reports."""
     try:
         return pair_keys(release.pair_content(target))
     except UNREADABLE:

@@ -42,7 +42,7 @@ class PublishedTable:
     """One table of the paper.
 
     Attributes:
-        title: what it is of.
+        title: of the table.
         views: how many viewing angles the names of its test folders say; None: real recordings.
         rows: the methods, best first.
     """
@@ -116,7 +116,7 @@ _IMPORTED = re.compile(r".+-(125|216)")
 
 
 def published_beside(recordings: Iterable[str]) -> tuple[PublishedTable, ...]:
-    """The tables that stand beside scores: the synthetic ones of imported data, else that of real recordings.
+    """The paper's tables to show beside scores: synthetic ones for imported data, else the real one.
 
     Args:
         recordings: of the test split. Those that `import` makes of the authors' files end in the number of

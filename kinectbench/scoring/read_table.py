@@ -1,4 +1,4 @@
-"""Score tables that came from a file: read as rows, everything else computed anew and held against the file.
+"""Read score tables as rows; everything else is computed again and compared with the file.
 
 A file can be wrong as a whole: whether its rows are those of any predictions only `recheck` can tell.
 """
@@ -24,12 +24,12 @@ TOLERANCE = 1e-9
 # interval's width (measured with 100 000 draws of another seed).
 OF_BOOTSTRAP = 0.05
 NOTHING: tuple[Any, ...] = (None, [], (), {})
-# Notes and marks are sentences, which another version may word in another way: they are only made anew.
+# Other versions may word notes and marks otherwise: they are computed again, not compared.
 FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
 
 
 def read_table(path: Path) -> ScoreTable:
-    """Read a score table; what follows from its rows is computed anew, `verified` is kept if it holds.
+    """Read a score table; values that follow from rows are recomputed, `verified` is kept if it holds.
 
     Raises:
         StorageError: it is missing or damaged, its rows contradict each other, or what it states beside them
@@ -39,7 +39,7 @@ def read_table(path: Path) -> ScoreTable:
 
 
 def recomputed(table: ScoreTable, where: str) -> ScoreTable:
-    """The table that another one's rows make; errors as those of `read_table`, beginning with `where`."""
+    """The table computed from another one's rows; errors as of `read_table`, with `where` first."""
     problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
@@ -61,7 +61,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterator[str]:
-    """Curves of an older table that do not go through the score at the threshold that was used."""
+    """Curves of an older table that contradict the score at its threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
             used = table.thresholds.get(category)
@@ -73,7 +73,7 @@ def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterato
 
 
 def _differences(table: ScoreTable, computed: Mapping[str, Any]) -> Iterator[str]:
-    """What the file states that does not follow from its rows; what it does not state is no difference."""
+    """Statements of the file that do not follow from its rows; missing ones are no difference."""
     for name in FIGURES:
         if name in table.model_fields_set:
             yield from differing(getattr(table, name), computed[name], name)
@@ -107,7 +107,7 @@ def differing(stated: Any, computed: Any, key: str, whole: bool = False) -> Iter
 
 
 def _bootstrapped(stated: Mapping[str, Any], computed: Mapping[str, Any], key: str) -> Iterator[str]:
-    """Intervals that were drawn: their ends may differ by a small part of their width."""
+    """Random intervals, whose ends may differ by a small part of their width."""
     for name, ends in stated.items():
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE
@@ -120,7 +120,7 @@ def _below(key: str, name: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A model or dataclass as a mapping; anything else as it is."""
+    """A model or dataclass as a mapping; other values unchanged."""
     if isinstance(value, Part):
         return value.json_value()
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
@@ -131,14 +131,14 @@ def _is_list(value: Any) -> bool:
 
 
 def _close(one: Any, other: Any) -> bool:
-    """Whether two values are the same but for rounding."""
+    """Whether two values are equal up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     return bool(one == other)
 
 
 def _short(value: Any) -> str:
-    """A value in a few characters, without what a stranger may have hidden in it."""
+    """A value in a few characters, without control characters."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return "nothing" if value is None else printable(repr(value), 60)

@@ -1,4 +1,4 @@
-"""Score predictions again and hold a score table against them, row by row."""
+"""Score predictions again and compare a score table with the result, row by row."""
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -21,7 +21,7 @@ from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.score import check_missing, score
 from kinectbench.scoring.thresholds import FROM_FILE
 
-# What is not compared as it stands: who counted; and what is compared in its own way.
+# Keys that are not compared, or compared in a special way.
 NOT_COMPARED = {"method", "package_version", "rows", "warnings", "hashes", "settings", "baseline", "verified"}
 
 
@@ -34,7 +34,7 @@ def recheck(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Score predictions as a table says that they were, and compare all that it states with what comes out.
+    """Score predictions as a table states, and compare the result with the table.
 
     If all is the same, `verified` is written into the table, bound to its rows and settings and to the
     predictions' hashes; if not, the table is left as it is.
@@ -59,7 +59,7 @@ def recheck(
     stated = read_table(path)
     folder = _folder(release, stated, path, predictions)
     _same_thresholds_file(stated, path, thresholds_file)
-    found = score(
+    table = score(
         release,
         folder,
         method=stated.method,
@@ -71,9 +71,9 @@ def recheck(
         jobs=jobs,
         progress=progress,
     )
-    differences = [*_words(stated, found, folder), *_differences(stated, found)]
+    differences = [*_words(stated, table, folder), *_differences(stated, table)]
     if not differences:
-        _verified(stated, found).write(path.parent, path.name)
+        _verified(stated, table).write(path.parent, path.name)
     return differences
 
 
@@ -126,21 +126,21 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
     return names[0]
 
 
-def _words(stated: ScoreTable, found: ScoreTable, folder: Path) -> Iterator[str]:
-    """Another name than that of the predictions, and warnings that are not in the table any more."""
+def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[str]:
+    """A different method name, and warnings that no longer occur."""
     method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
         yield f"'method' states '{name}'; the predictions are of '{said}', as {MethodFile.FILE} says"
-    for line in found.warnings:
+    for line in computed.warnings:
         if line not in stated.warnings:
             yield f"'warnings' does not have: {line}"
 
 
-def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:
-    """All that a table states and the predictions do not give, rows first."""
+def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
+    """Statements of a table that its predictions do not confirm, rows first."""
     rows = {(row.pair, row.heading): row for row in stated.rows}
-    again = {(row.pair, row.heading): row for row in found.rows}
+    again = {(row.pair, row.heading): row for row in computed.rows}
     for pair, protocol in sorted(rows.keys() | again.keys()):
         of = f"{pair} under {protocol}"
         one, other = rows.get((pair, protocol)), again.get((pair, protocol))
@@ -148,28 +148,28 @@ def _differences(stated: ScoreTable, found: ScoreTable) -> Iterator[str]:
             yield f"{of}: {'not in the table' if one is None else 'its prediction cannot be scored'}"
         else:
             yield from (f"{of}: {line}" for line in list(differing(one, other, "", whole=True))[:1])
-    for name in sorted(stated.hashes.keys() | found.hashes.keys()):
-        here, there = stated.hashes.get(name), found.hashes.get(name)
-        if here is None or there is None:
-            yield f"{name}: {'not in the table' if here is None else 'its prediction cannot be scored'}"
-        elif here.truth != there.truth or here.prediction not in (None, there.prediction):
+    for name in sorted(stated.hashes.keys() | computed.hashes.keys()):
+        old, new = stated.hashes.get(name), computed.hashes.get(name)
+        if old is None or new is None:
+            yield f"{name}: {'not in the table' if old is None else 'its prediction cannot be scored'}"
+        elif old.truth != new.truth or old.prediction not in (None, new.prediction):
             yield f"{name}: another file than the one that was scored"
-    rest = [table.model_copy(update={"rows": ()}).json_value() for table in (stated, found)]
-    yield from _beyond_the_rows(*rest)
+    contents = [table.model_copy(update={"rows": ()}).json_value() for table in (stated, computed)]
+    yield from _beyond_the_rows(*contents)
 
 
-def _beyond_the_rows(stated: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[str]:
-    """Differences in thresholds, base rates, failures, settings and whatever else a table states."""
+def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[str]:
+    """Differences in thresholds, base rates, failures, settings and other statements of a table."""
     settings = stated.get("settings", {})
-    for key in sorted((stated.keys() | found.keys()) - NOT_COMPARED):
-        yield from differing(stated.get(key), found.get(key), key, whole=True)
-    for key in sorted((settings.keys() | found["settings"].keys()) - {"baseline_version"}):
-        yield from differing(settings.get(key), found["settings"].get(key), f"settings.{key}", whole=True)
+    for key in sorted((stated.keys() | computed.keys()) - NOT_COMPARED):
+        yield from differing(stated.get(key), computed.get(key), key, whole=True)
+    for key in sorted((settings.keys() | computed["settings"].keys()) - {"baseline_version"}):
+        yield from differing(settings.get(key), computed["settings"].get(key), f"settings.{key}", whole=True)
 
 
-def _verified(stated: ScoreTable, found: ScoreTable) -> ScoreTable:
+def _verified(stated: ScoreTable, computed: ScoreTable) -> ScoreTable:
     """The table with the mark; it gets the hashes of predictions that it did not have."""
-    table = stated.model_copy(update={"hashes": found.hashes, "verified": None})
+    table = stated.model_copy(update={"hashes": computed.hashes, "verified": None})
     mark = Verified(
         date=datetime.now(UTC).date().isoformat(),
         package_version=__version__,

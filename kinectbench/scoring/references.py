@@ -1,4 +1,4 @@
-"""What scores are compared with: the base rate of a category, and the names of the baselines."""
+"""References of scores: base rates of categories, and names of baselines."""
 
 from collections.abc import Mapping
 from pathlib import Path

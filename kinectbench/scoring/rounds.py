@@ -1,4 +1,4 @@
-"""Which pairs of a method are counted, and counting them: validation first, as it gives the thresholds."""
+"""Count a method's pairs: validation first, as it gives the thresholds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import Progress
-from kinectbench.engine.executor import Executor, Lost, Say
+from kinectbench.engine.executor import Executor, SendMessage, WorkerLost
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
@@ -24,7 +24,7 @@ Missing = Literal["error", "empty"]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be counted of a method.
+    """The pairs of a method to count.
 
     Attributes:
         found: its files.
@@ -40,7 +40,7 @@ class Plan:
 
     @property
     def own(self) -> float | None:
-        """The method's own threshold, as its method.json says; None if it says none."""
+        """The method's own threshold from its method.json; None if it has none."""
         method = self.found.method
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
@@ -65,7 +65,7 @@ class Plan:
 
 
 def plan(release: Release, predictions: Path, thresholds_file: Path | None, missing: Missing) -> Plan:
-    """Find a method's files and say what is to be counted.
+    """Find a method's files, and plan their counting.
 
     A method that predicts nothing of the validation split has chosen to do without it; one that predicts a
     part of it has left out the rest.
@@ -76,18 +76,18 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=thresholds_file is None)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, test)
-    found = find_predictions(predictions, release.targets)
-    answered = any(target.split == "validation" for target in (*found.files, *found.problems))
+    predicted = find_predictions(predictions, release.targets)
+    answered = any(target.split == "validation" for target in (*predicted.files, *predicted.problems))
     splits = {"test", "validation"} if answered and fixed is None else {"test"}
-    files: dict[Target, Path | None] = dict(found.files)
-    failures = dict(found.problems)
-    for target in found.missing:
+    files: dict[Target, Path | None] = dict(predicted.files)
+    failures = dict(predicted.problems)
+    for target in predicted.missing:
         if missing == "empty":
             files[target] = None
         else:
             failures[target] = missing_line(target)
     return Plan(
-        found,
+        predicted,
         {target: file for target, file in files.items() if target.split in splits},
         {target: reason for target, reason in failures.items() if target.split in splits},
         fixed,
@@ -95,7 +95,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
-    """The test split; its truth must be there, and that of the validation split where it is needed.
+    """The test split, whose truth is required, and that of the validation split if needed.
 
     Raises:
         ReleaseError: no test pair, or its truth is held back.
@@ -111,12 +111,12 @@ def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
 
 @dataclass(frozen=True)
 class Rounds:
-    """How pairs are counted.
+    """Rules of counting pairs.
 
     Attributes:
         release: the truth.
         counting: the same for all pairs.
-        journal: keeps what is counted until all is.
+        journal: keeps counts until all are complete.
         jobs: processes of this machine, or where else pairs are counted.
         progress: called with (pairs done, pairs in all).
     """
@@ -147,7 +147,7 @@ class Rounds:
     def _round(
         self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
     ) -> dict[Target, PairResult | str]:
-        """Count some pairs; surface metrics only where there are thresholds."""
+        """Count some pairs; surface metrics only with thresholds."""
         jobs = [
             Job(
                 target,
@@ -164,7 +164,7 @@ class Rounds:
         results: dict[Target, PairResult | str] = {}
 
         def keep(job: Job, result: PairResult | str) -> None:
-            """Take note of a result as soon as it is there; what was counted survives a kill."""
+            """Record a result at once, so that it survives a kill."""
             if isinstance(result, PairResult):
                 self.journal.add(job, result)
             results[job.target] = result
@@ -180,7 +180,7 @@ class Rounds:
 
 
 class _Silent:
-    """Pairs are counted without a word: progress counts those whose recordings are done."""
+    """Counts pairs silently: progress counts pairs of finished recordings."""
 
     def heard(self, message: Any) -> None: ...
     def warn(self, message: str, task: Any = None) -> None: ...
@@ -189,13 +189,13 @@ class _Silent:
 def _by_recording(
     executor: Executor, jobs: Sequence[Job], keep: Callable[[Job, PairResult | str], None]
 ) -> None:
-    """Count the pairs by an executor: a task has those of a recording, as one pair takes too short a time."""
+    """Count pairs by an executor, one task per recording, as a single pair is too short for a task."""
     by_id: dict[str, list[Job]] = {}
     for job in jobs:
         by_id.setdefault(job.target.recording, []).append(_elsewhere(job))
-    with closing(executor.outcomes(_count_all, list(by_id.values()), _Silent(), slowest_twice=True)) as found:
-        for of_recording, results in found:
-            if isinstance(results, Lost):
+    with closing(executor.outcomes(_count_all, list(by_id.values()), _Silent(), slowest_twice=True)) as ended:
+        for of_recording, results in ended:
+            if isinstance(results, WorkerLost):
                 raise KinectBenchError(
                     results.reason.format(id=of_recording[0].target.recording), what="process-killed"
                 )
@@ -204,11 +204,11 @@ def _by_recording(
 
 
 def _elsewhere(job: Job) -> Job:
-    """The job as processes that started in other folders must be given it."""
+    """The job in a form for processes with other working folders."""
     return replace(job, truth=job.truth.absolute(), file=None if job.file is None else job.file.absolute())
 
 
-def _count_all(jobs: Sequence[Job], say: Say) -> list[PairResult | str]:
+def _count_all(jobs: Sequence[Job], say: SendMessage) -> list[PairResult | str]:
     return [count_job(job) for job in jobs]
 
 

@@ -1,4 +1,4 @@
-"""Score a method's predictions, or those of several methods, against a release."""
+"""Score one or several methods' predictions against a release."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -51,7 +51,7 @@ def score(
     """Score the test split; predictions of the validation split only choose the thresholds.
 
     Args:
-        release: what the predictions are for.
+        release: of the predictions.
         predictions: one method's folder, `<recording>/<view>.npy` or `.npz`; untrusted.
         method: its name.
         protocols: see `protocols_of`.
@@ -62,7 +62,7 @@ def score(
         jobs: number of processes, or where else pairs are counted, those of a recording at a time; the result
             does not depend on it.
         progress: called with (pairs done, pairs in all).
-        resume_in: a folder that keeps what is counted until all is; None keeps nothing.
+        resume_in: a folder that keeps counts until all are complete; None keeps nothing.
 
     Returns:
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
@@ -74,9 +74,9 @@ def score(
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
     check_words(protocols, upsampling)
-    if (said := read_in_camera(predictions)) is not None:
-        used, processes = protocols_in_space(protocols, said), _processes(jobs, thresholds_file)
-        return score_in_camera(release, predictions, said, method, used, missing, processes, progress)
+    if (method_file := read_in_camera(predictions)) is not None:
+        used, processes = protocols_in_space(protocols, method_file), _processes(jobs, thresholds_file)
+        return score_in_camera(release, predictions, method_file, method, used, missing, processes, progress)
     asked = plan(release, predictions, thresholds_file, missing)
     if space := space_alone(protocols, upsampling):
         table = score_grid_in_space(release, asked, method, space, missing, _processes(jobs), progress)
@@ -102,7 +102,7 @@ def _with_what_is_said(
     asked: Plan,
     release: Release,
 ) -> ScoreTable:
-    """The table with what method.json and the folder itself say; arguments as in `score`."""
+    """The table with values of method.json and the folder; arguments as in `score`."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),
@@ -116,7 +116,7 @@ def _with_what_is_said(
 
 
 def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], table: ScoreTable) -> list[str]:
-    """A line where files that were scored are not those of the run that method.json names."""
+    """A line about scored files that are not from the run that method.json names."""
     digests = {
         target.name + file.suffix: of.prediction
         for target, file in files.items()
@@ -127,7 +127,7 @@ def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], tab
 
 
 def _processes(jobs: int | Executor, thresholds: Path | None = None) -> int:
-    """The number of processes; refuse what the protocols of space, or predictions there, do not have."""
+    """The number of processes; refuses options that predictions in the camera frame do not support."""
     if thresholds is not None:
         raise SettingsError(f"--thresholds {thresholds}: predictions in the camera frame have none")
     if not isinstance(jobs, int):
@@ -136,7 +136,7 @@ def _processes(jobs: int | Executor, thresholds: Path | None = None) -> int:
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
-    """Refuse what would become a table that nobody could read, before it is counted."""
+    """Refuse a table too large to read, before counting."""
     if pairs * len(protocols) > MOST_ROWS:
         most = MOST_ROWS // len(protocols)
         raise SettingsError(
@@ -149,7 +149,7 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
 def counting_of(
     release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
 ) -> Counting:
-    """How the pairs of a release are counted; arguments and errors as of `score`."""
+    """The rules by which a release's pairs are counted; arguments and errors as of `score`."""
     return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
@@ -226,7 +226,7 @@ def score_methods(
 
 
 def _write(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> None:
-    """Write the table of a folder of predictions; where none can be scored, earlier scores are kept.
+    """Write the table of a folder of predictions; without scorable ones, earlier scores are kept.
 
     Raises:
         PredictionError: that, if it is the only method.
@@ -258,10 +258,10 @@ def count_methods(
     jobs: int | Executor = 1,
     progress: Progress | None = None,
 ) -> int:
-    """Count one part of the pairs for `score_methods`, which then finds them counted beside its table.
+    """Count one part of the pairs for `score_methods`, which reads the counts beside its table.
 
     Parts can be counted at the same time, on machines that share a disk; each keeps what it counted in a
-    file of its own. Arguments and errors are those of `score_methods`.
+    file of its own. Arguments and errors are as of `score_methods`.
 
     Returns:
         How many pairs of this part have no result, as their prediction is missing or cannot be scored.
@@ -292,7 +292,7 @@ def check_request(
     missing: str,
     upsampling: str,
 ) -> Missing:
-    """Refuse what can be told to be wrong without the release; arguments and errors as of `score_methods`.
+    """Refuse errors that can be found without the release; arguments and errors as of `score_methods`.
 
     `predictions` is None where baselines are scored.
 
@@ -309,7 +309,7 @@ def check_request(
 
 
 def check_missing(missing: str) -> Missing:
-    """What is to be done with a missing prediction.
+    """The treatment of a missing prediction.
 
     Raises:
         SettingsError: neither "error" nor "empty".
@@ -322,7 +322,7 @@ def check_missing(missing: str) -> Missing:
 def _methods(
     release: Release, predictions: Path, method: str | None, save_thresholds: Path | None
 ) -> dict[str, Path]:
-    """The folder of each method, by name; refuse several where what was asked for is of one."""
+    """The folder of each method, by name; refuses several if the request is about one."""
     methods = split_methods(predictions, release.targets)
     for option, value in (("--method names", method), ("--save-thresholds is of", save_thresholds)):
         if value is not None and len(methods) > 1:
@@ -343,7 +343,7 @@ def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
         raise SettingsError(
             f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
         )
-    # Without objects the file says that nobody can tell, as of the method's own thresholds.
+    # Without objects the file states that they are unknown, as for the method's own thresholds.
     objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(
         thresholds=table.thresholds,

@@ -48,8 +48,8 @@ def decode_sample(
         packed: as for `load`.
 
     Raises:
-        SettingsError: there is no such key.
-        PairError: the sample is damaged, or lacks what is asked for.
+        SettingsError: unknown key.
+        PairError: the sample is damaged, or lacks a requested key.
     """
     where = printable(str(sample.get("__key__", "sample")))
     wanted = checked_keys(keys)
@@ -65,13 +65,13 @@ def decode_sample(
 
 
 def _parts(sample: Mapping[str, Any], row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
-    """The arrays that some keys need; those of the truth, if it is there.
+    """The arrays for some keys; those of the truth if it is available.
 
     Raises:
         UNREADABLE: damaged, or one of them is missing.
     """
-    here = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
-    names = [n for n in wanted_parts(keys, hidden="full" not in here) if n in here or n not in OPTIONAL]
+    given = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
+    names = [n for n in wanted_parts(keys, hidden="full" not in given) if n in given or n not in OPTIONAL]
     if NPZ in sample:
         return dict(zip(names, pair_parts(sample[NPZ], names), strict=True))
     return checked_parts({name: _earlier(sample, row, name) for name in names}, names)

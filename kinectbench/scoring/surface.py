@@ -31,7 +31,7 @@ SAME = SurfaceMetrics(0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Distances:
-    """How far the cells of two surfaces are from each other, neither of them empty.
+    """Distances between the surface cells of two nonempty shapes.
 
     Attributes:
         mm: (k,) the distances that there are between cells.
@@ -66,7 +66,7 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
     """The surface metrics under each protocol.
 
     Args:
-        predicted: (256, 256, 32) uint8, packed: what is predicted occupied.
+        predicted: (256, 256, 32) uint8, packed: predicted occupancy.
         truth: the packed truth.
         protocols: names of `PROTOCOLS`.
 
@@ -82,24 +82,24 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
     keys = list(dict.fromkeys(cut.values()))
     everything = np.full_like(truth.known, 255)
     masks = [truth.distrusting(distrusts).known if known else everything for known, distrusts in keys]
-    there = dict(zip(keys, spreads(ours, theirs, masks, ~truth.seen), strict=True))
+    forward = dict(zip(keys, spreads(ours, theirs, masks, ~truth.seen), strict=True))
     back = dict(zip(keys, spreads(theirs, ours, masks, ~truth.seen), strict=True))
     return {
-        name: _metrics(there[cut[name]][hidden], back[cut[name]][hidden], truth)
+        name: _metrics(forward[cut[name]][hidden], back[cut[name]][hidden], truth)
         for name in protocols
         for hidden in (int(PROTOCOLS[name].hidden),)
     }
 
 
-def _metrics(there: "Spread", back: "Spread", truth: Truth) -> SurfaceMetrics:
+def _metrics(forward: "Spread", back: "Spread", truth: Truth) -> SurfaceMetrics:
     """The metrics of the prediction's surface cells and of the truth's; `truth` is for its lengths."""
-    if not len(there) and not len(back):
+    if not len(forward) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000
-    if not len(there) or not len(back):
+    if not len(forward) or not len(back):
         return SurfaceMetrics(math.sqrt(3) * FULL_CELLS * voxel_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    counts = np.zeros((2, max(len(there.cells), len(back.cells))), np.int64)
-    counts[0, : len(there.cells)], counts[1, : len(back.cells)] = there.cells, back.cells
+    counts = np.zeros((2, max(len(forward.cells), len(back.cells))), np.int64)
+    counts[0, : len(forward.cells)], counts[1, : len(back.cells)] = forward.cells, back.cells
     between = Distances(np.sqrt(np.arange(counts.shape[1])) * voxel_mm, *counts)
     size_mm = size_cells(truth.full) * voxel_mm
     one_percent, two_percent, near, wide = 0.01 * size_mm, 0.02 * size_mm, *F_SCORE_MM
@@ -110,7 +110,7 @@ def _metrics(there: "Spread", back: "Spread", truth: Truth) -> SurfaceMetrics:
         f_score_10mm=between.f_score(near),
         f_score_20mm=between.f_score(wide),
         surface_dice=between.dice(SIGMAS * truth.surface_sigma_m * 1000),
-        normal_consistency=(there.agreement / len(there) + back.agreement / len(back)) / 2,
+        normal_consistency=(forward.agreement / len(forward) + back.agreement / len(back)) / 2,
     )
 
 

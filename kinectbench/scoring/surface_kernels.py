@@ -38,7 +38,7 @@ class Cells:
         return len(self.index)
 
     def chosen(self, which: Bools) -> "Cells":
-        """Some of the cells, by a mask (n,); the boxes stay those of all."""
+        """The cells of a mask (n,); the boxes of all cells stay."""
         before = np.concatenate([[0], np.cumsum(which)]).astype(np.int32)
         return Cells(self.index[which], before[self.start], self.box)
 
@@ -65,7 +65,7 @@ class Surface:
         return Surface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
     def parts(self) -> Iterator["Surface"]:
-        """Pieces of whole blocks, of `_PART_CELLS` cells or little more."""
+        """Pieces of whole blocks, of about `_PART_CELLS` cells."""
         start, block = self.cells.start, 0
         while block < len(self.cells.box):
             first = start[block]
@@ -79,7 +79,7 @@ class Surface:
 
 @dataclass
 class Spread:
-    """How far the cells of a surface are from another surface, and how well the normals agree.
+    """Distances of a surface's cells to another surface, and agreement of the normals.
 
     Attributes:
         cells: (k,) int64, how many cells have each squared distance in cells, up to the largest.
@@ -103,7 +103,7 @@ class Spread:
 def spreads(
     queries: Surface, targets: Surface, masks: Sequence[Packed], hidden: Packed
 ) -> list[tuple[Spread, Spread]]:
-    """How far one surface is from another, counted in parts of the grid.
+    """Distances of one surface to another, counted by parts of the grid.
 
     The nearest cell in all of the other surface is the nearest of a part, too, if it lies there: only for the
     other cells one is searched again.
@@ -118,20 +118,20 @@ def spreads(
         For each mask: the spread of the queries in it, and of those in `hidden`. If there are no targets all
         distances and cosines are 0.
     """
-    found = [(Spread(), Spread()) for _ in masks]
+    results = [(Spread(), Spread()) for _ in masks]
     cut = [targets.within(mask) for mask in masks]
     for part in queries.parts():
         index = part.cells.index
         everywhere, position, agreed = _matched(part, targets)
         behind = is_set(hidden, index)
-        for mask, there, (whole, occluded) in zip(masks, cut, found, strict=True):
+        for mask, forward, (whole, occluded) in zip(masks, cut, results, strict=True):
             chosen, squared, cosines = is_set(mask, index), everywhere.copy(), agreed.copy()
             again = chosen & ~is_set(mask, targets.cells.index[position]) if len(targets.cells) else chosen
             some = Surface(part.packed, part.cells.chosen(again), part.moments[again])
-            squared[again], _, cosines[again] = _matched(some, there)
+            squared[again], _, cosines[again] = _matched(some, forward)
             whole.add(squared[chosen], cosines[chosen])
             occluded.add(squared[chosen & behind], cosines[chosen & behind])
-    return found
+    return results
 
 
 def surface_of(solid: Packed) -> Surface:
@@ -151,7 +151,7 @@ def _matched(queries: Surface, targets: Surface) -> tuple[Int32, Int32, Float64]
 
 
 def is_set(packed: Packed, index: Int32) -> Bools:
-    """Which of some cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
+    """Whether cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
     bits: Bools = _is_set(np.ascontiguousarray(packed).reshape(-1), index)
     return bits
 
@@ -181,8 +181,8 @@ def nearest(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
         `queries.index`.
     """
     boxes = targets.box.T.copy()
-    found = _nearest(queries.index, queries.start, queries.box, targets.index, targets.start, boxes)
-    return found[0], found[1]
+    indices = _nearest(queries.index, queries.start, queries.box, targets.index, targets.start, boxes)
+    return indices[0], indices[1]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -243,16 +243,16 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
                     break
                 if _to_box(x, y, z, box_rows, other) <= best:
                     begin, end = np.uint32(target_start[other]), np.uint32(target_start[other + np.uint32(1)])
-                    found = np.int32(1 << 30)
+                    least_squared = np.int32(1 << 30)
                     for m in range(begin, end):  # vector code
-                        found = min(found, _squared(x, y, z, target[np.uint32(m)]))
-                    if found <= best:
+                        least_squared = min(least_squared, _squared(x, y, z, target[np.uint32(m)]))
+                    if least_squared <= best:
                         for m in range(begin, end):
-                            if _squared(x, y, z, target[np.uint32(m)]) == found:
-                                if found < best or target[np.uint32(m)] < target[best_cell]:
+                            if _squared(x, y, z, target[np.uint32(m)]) == least_squared:
+                                if least_squared < best or target[np.uint32(m)] < target[best_cell]:
                                     best_cell = np.int64(m)
                                 break
-                        best = found
+                        best = least_squared
             nearest[0, n], nearest[1, n] = best, best_cell
             last = best_cell
     return nearest
@@ -260,7 +260,7 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
-    """Bounds of the squared distance between the cells of a box and those of each of `boxes` (6, b).
+    """Bounds of the squared distance from a box's cells to those of each of `boxes` (6, b).
 
     No pair is nearer than `least`; every cell of the box has one of the other within `most`.
     """
@@ -303,10 +303,10 @@ _MOMENT = (_BITS * np.arange(-RADIUS_CELLS, RADIUS_CELLS + 1, dtype=np.int32)).s
 
 
 def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
-    """Where the mass lies around some surface cells of a solid: (n, 3) int16, against the outward normal.
+    """First moments of the solid around surface cells: (n, 3) int16, opposite to the outward normal.
 
-    The sum of the offsets of what is occupied in the 7^3 cells around (outside the grid is empty): zero only
-    in pieces that are symmetric in them, such as a single cell or a plate one cell thick. Own rule.
+    The sum of the offsets of occupied cells in the 7^3 cells around (outside the grid is empty): zero only
+    in pieces that are symmetric in them, such as a single cell or a plate one cell thick.
 
     Args:
         solid: (256, 256, 32) uint8, packed, most significant bit first.
@@ -316,15 +316,15 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def agreement(first, second, found):  # type: ignore[no-untyped-def]
-    """(n,) float64: |n . n'| of moments (n, 3) and of the rows `found` of others.
+def agreement(first, second, rows):  # type: ignore[no-untyped-def]
+    """(n,) float64: |n . n'| of moments (n, 3) and the rows `rows` of others.
 
     1 where neither has a normal (both moments are zero), 0 where one has none.
     """
     cosines = np.empty(len(first))
     for n in range(len(first)):
         a, b, c = np.float64(first[n, 0]), np.float64(first[n, 1]), np.float64(first[n, 2])
-        m = found[n]
+        m = rows[n]
         d, e, f = np.float64(second[m, 0]), np.float64(second[m, 1]), np.float64(second[m, 2])
         ours, theirs = np.sqrt(a * a + b * b + c * c), np.sqrt(d * d + e * e + f * f)
         if ours > 0 and theirs > 0:

@@ -1,6 +1,6 @@
-"""Hold what a score table states as facts against the bounds that its schema gives them.
+"""Check a score table's values against the bounds of its schema.
 
-A share above 1 or a cell count below 0 is no score; the reader of a stranger's table refuses it.
+A share above 1 or a cell count below 0 is no score; the reader of an untrusted table refuses it.
 """
 
 import re
@@ -20,9 +20,9 @@ ROUNDING = 1e-9  # a share that was summed may be above 1 by 1e-15
 
 
 def out_of_bounds(table: ScoreTable) -> Iterator[str]:
-    """What lies outside the minimum, maximum, pattern or words that the schema states, a sentence each.
+    """Values outside the schema's minimum, maximum, pattern or words, a sentence each.
 
-    What follows from the rows is not looked at: it is computed anew.
+    Values that follow from the rows are not checked: they are computed again.
     """
     for name in ScoreTable.model_fields:
         if name not in DERIVED:
@@ -30,7 +30,7 @@ def out_of_bounds(table: ScoreTable) -> Iterator[str]:
 
 
 def _in_field(value: Any, extra: Mapping[str, Any], key: str) -> Iterator[str]:
-    """What is wrong with the value of one field, and below it."""
+    """Faults of one field's value and its parts."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
     elif isinstance(value, Part) or (is_dataclass(value) and not isinstance(value, type)):
@@ -71,6 +71,6 @@ def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, Any]], ...]:
 
 
 def _extra(kind: type, name: str) -> Mapping[str, Any]:
-    """What a field adds to the schema: its bounds are among it."""
+    """The bounds that a field adds to the schema."""
     info: FieldInfo = (kind.model_fields if issubclass(kind, Part) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

@@ -38,7 +38,7 @@ class Thresholds:
         source: "file:<sha256 of the file>", or the first of `SOURCES` that a category's is.
         warnings: one line each.
         sources: of each category.
-        objects: those that the thresholds were found on; None if nobody can tell: a file does not name them,
+        objects: those that the thresholds were found on; None if unknown: a file does not name them,
             or some are the method's own.
     """
 
@@ -50,12 +50,12 @@ class Thresholds:
 
 
 def best_threshold(tallies: Sequence[Tally]) -> float:
-    """The threshold of the highest mean pair IoU over all voxels (protocol `paper`), ties to the lowest.
+    """Threshold of highest mean pair IoU over all voxels (protocol `paper`), the lowest of equal ones.
 
     Args:
         tallies: the validation pairs of one category, at least one.
 
-    Source: the paper; the tie rule is an own rule.
+    Source: the paper; the rule for equal values is ours.
     """
     mean_iou = np.mean([ious(protocol_counts(tally, "paper")) for tally in tallies], axis=0)
     return THRESHOLDS[int(np.argmax(mean_iou))]
@@ -98,7 +98,7 @@ def searched_thresholds(
 
 
 def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
-    """The threshold of categories without a validation pair, and where it is from."""
+    """The threshold of categories without a validation pair, and its source."""
     if own is not None:
         return own, METHOD_SOURCE
     if tallies:
@@ -181,20 +181,20 @@ def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
 
 
 def _plain(name: str) -> str:
-    """A name without what people overlook: case, and blanks around it."""
+    """A name without case and surrounding blanks."""
     return name.strip().casefold()
 
 
 def _step(value: float, where: str) -> float:
-    """The threshold k / 20 that a number stands for."""
-    found = nearest_step(value)
-    if found is None:
+    """The threshold k / 20 of a number."""
+    step = nearest_step(value)
+    if step is None:
         raise SettingsError(
             f"{where} is {value!r}: it must be one of {STEPS_IN_WORDS}", what="bad-thresholds"
         )
-    return found
+    return step
 
 
 def nearest_step(value: float) -> float | None:
-    """The threshold k / 20 that a number stands for; None if it is none of the seventeen."""
+    """The threshold k / 20 of a number; None if it is none of the seventeen."""
     return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)

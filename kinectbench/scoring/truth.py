@@ -22,7 +22,7 @@ class Truth:
     Attributes:
         full: the solid shape.
         known: where the truth is trusted.
-        seen: what the input view saw.
+        seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
         others: by name the grids that some protocols do not trust.
@@ -40,7 +40,7 @@ class Truth:
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def distrusting(self, name: str | None) -> "Truth":
-        """The same without the cells of another grid in `known`; itself where those are none."""
+        """A copy whose `known` lacks another grid's cells; itself if that grid is empty."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])

@@ -1,4 +1,4 @@
-"""What a few objects can say: confidence intervals of means, tests of differences, Holm's correction.
+"""Statistics of few objects: confidence intervals of means, tests of differences, Holm's correction.
 
 Views of one object are not independent, objects are. A mean is that of the objects' means, or, under the
 protocol `paper`, that of all pairs: then an object weighs as much as it has pairs.
@@ -58,12 +58,12 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
 
     Returns:
         (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
-        two says nothing of how objects differ. The same for the same values: the seed is fixed.
+        two says little about how objects differ. The same for the same values: the seed is fixed.
 
     Of more than 2000 objects in all, only categories that have no more than their share of 2000 are
     resampled. The means of the others are drawn from the normal distribution that they have with so many.
 
-    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are an own rule.
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are added here.
     """
     counts = [len(values) for values, _ in groups]
     if min(counts) < MIN_OBJECTS:
@@ -90,14 +90,14 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
 def _add_resampled(
     means: Float64, rng: np.random.Generator, values: Float64, weights: Float64, groups: int
 ) -> None:
-    """Add the means of one category's resamples, as one of so many categories, to those of the others."""
+    """Add the resampled means of one category, weighted by the number of categories."""
     rows = min(RESAMPLES_AT_ONCE, max(1, DRAWN_AT_ONCE // values.size))
     for start in range(0, RESAMPLES, rows):
-        here = means[start : start + rows]
-        drawn = rng.integers(len(values), size=(len(here), len(values)))
+        batch = means[start : start + rows]
+        drawn = rng.integers(len(values), size=(len(batch), len(values)))
         drawn_weights = weights[drawn]
         sums = np.einsum("bk,bkm->bm", drawn_weights, values[drawn])
-        here += sums / drawn_weights.sum(axis=1, keepdims=True) / groups
+        batch += sums / drawn_weights.sum(axis=1, keepdims=True) / groups
 
 
 MAX_EXACT = 30
@@ -106,7 +106,8 @@ SAMPLES, LEAST_SAMPLES = 1_000_000, 10_000
 MOST_SIGNS = 500_000_000
 # Drawn together: 128 MB.
 ROWS_AT_ONCE, SIGNS_AT_ONCE = 8_000, 16_000_000
-TIE = 1e-12
+# Sums that differ by less, relative to their size, are equal.
+EQUAL = 1e-12
 
 
 def sign_flip_ps(differences: Float64) -> list[float]:
@@ -123,12 +124,12 @@ def sign_flip_ps(differences: Float64) -> list[float]:
     """
     scales = np.abs(differences).sum(axis=1)
     # equal sums in another order count as equal
-    observed = np.abs(differences.sum(axis=1)) - TIE * scales
+    observed = np.abs(differences.sum(axis=1)) - EQUAL * scales
     if differences.shape[1] > MAX_EXACT:
-        found = _sampled(differences, observed)
+        p_values = _sampled(differences, observed)
     else:
-        found = [_exact(*test) for test in zip(differences, observed, strict=True)]
-    return [p if scale > 0 else 1.0 for p, scale in zip(found, scales.tolist(), strict=True)]
+        p_values = [_exact(*test) for test in zip(differences, observed, strict=True)]
+    return [p if scale > 0 else 1.0 for p, scale in zip(p_values, scales.tolist(), strict=True)]
 
 
 def _exact(differences: Float64, observed: float) -> float:
@@ -170,7 +171,7 @@ def _sampled(differences: Float64, observed: Float64) -> list[float]:
 
 
 def samples(count: int) -> int:
-    """How many assignments of signs are drawn for so many differences: a million, fewer beyond 500."""
+    """The number of sign assignments drawn for so many differences: a million, fewer beyond 500."""
     return max(LEAST_SAMPLES, min(SAMPLES, MOST_SIGNS // count))
 
 

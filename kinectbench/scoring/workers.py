@@ -33,7 +33,7 @@ def run_tasks(
         keep: called in this process with each task and its result, in the order of the tasks.
 
     Raises:
-        KinectBenchError: what a task raises, or a process was killed, as by lack of memory.
+        KinectBenchError: an error of a task, or a process was killed, as by lack of memory.
     """
     results: list[Result] = []
 

@@ -1,1 +1,1 @@
-"""What a benchmark.yaml may say: models, defaults, words for what is wrong with one."""
+"""The settings of a benchmark.yaml: models, defaults, and messages about errors."""

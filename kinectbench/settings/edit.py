@@ -14,15 +14,15 @@ from kinectbench.settings.recording_table import ENDINGS
 
 
 def file_of(config: Path, recording: str, box: BoxPart) -> Path:
-    """The file that a recording stands in: a benchmark.yaml without errors, or one that it includes.
+    """The file with a recording: a benchmark.yaml without errors, or one that it includes.
 
     Args:
         config: the benchmark.yaml.
         recording: an id in it.
-        box: that is to be put there.
+        box: the new box.
 
     Raises:
-        SettingsError: it stands in a table, which is not changed; the cells to fill in are told.
+        SettingsError: it stands in a table, which is not changed; the message names the cells to fill in.
     """
     root = nodes_of(as_text(read_bytes(config), str(config)), str(config), config)
     entry = _entry(yaml_nodes.items(root)["recordings"], recording)
@@ -42,7 +42,7 @@ def _entry(recordings: yaml.Node, recording: str) -> yaml.MappingNode:
 
 
 def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
-    """The text of a file in which a recording has this box, and nothing else is changed.
+    """The file's text with this box for a recording, and no other change.
 
     Args:
         text: of a benchmark.yaml or a file that it includes, without errors.
@@ -51,7 +51,7 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
         box: in the floor frame.
 
     Raises:
-        SettingsError: the file is written in a way that cannot be changed safely; the line to paste is told.
+        SettingsError: the file cannot be changed safely; the message has the line to paste.
     """
     root = yaml_nodes.compose(text, source)
     entry = _entry(yaml_nodes.items(root)["recordings"], recording)
@@ -73,7 +73,7 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
 
 
 def _changed(text: str, entry: yaml.MappingNode, line: str) -> str:
-    """The text with the recording's box replaced, or put in after its id."""
+    """The text with the recording's box replaced, or inserted after its id."""
     nodes = yaml_nodes.items(entry)
     if "box" in nodes:
         start, end = nodes["box"].start_mark.index, nodes["box"].end_mark.index

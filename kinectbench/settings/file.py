@@ -28,9 +28,9 @@ from kinectbench.settings.words import (
 
 # Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes.
 RECORDINGS_AT_ONCE = 5000
-# Lines about what is wrong: of more than that one reason is usually behind all.
+# Lines about errors: more usually have a single cause.
 SHOWN = 20
-# What a line quotes of a value, characters; and what is looked at for it, as the rest may be megabytes.
+# Characters of a value that a line quotes, and that are read for it, as values may be megabytes.
 QUOTED, LOOKED_AT = 60, 1000
 
 
@@ -47,7 +47,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
 
     Raises:
         SettingsError: one line for each error, in the file's order: file and line (or the
-            override), dotted key, what was found and what is wanted.
+            override), dotted key, the value found and the value expected.
     """
     source = shown(path)
     return parse_benchmark(as_text(read_bytes(path), source), source, overrides, path)
@@ -63,7 +63,7 @@ def parse_benchmark(
         text: of the file.
         source: its name.
         overrides: as for `load_benchmark`.
-        config: where it lies, for what it includes; None: nowhere, and it includes nothing.
+        config: its file, for relative includes; None: no file and no includes.
     """
     root = nodes_of(text, source, config)
     for override in overrides:
@@ -72,7 +72,7 @@ def parse_benchmark(
 
 
 def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
-    """The nodes of the text of a benchmark.yaml, with those of the files that it includes.
+    """The nodes of a benchmark.yaml, including files that it includes.
 
     Raises:
         SettingsError: it holds no settings, something stands twice in it, or a file cannot be included.
@@ -93,7 +93,7 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
-    """The nodes with one `key=value` put in."""
+    """The nodes with one `key=value` inserted."""
     source = f"{yaml_nodes.OVERRIDE}{_shortened(override)}"
     key, equals, text = override.partition("=")
     if not equals or not all(key.split(".")):
@@ -105,21 +105,21 @@ def _overridden(root: yaml.Node, override: str) -> yaml.Node:
 
 
 def _override_path(root: yaml.Node, key: str, source: str) -> Location:
-    """Where a dotted key leads; a recording is named by its id, which may hold dots itself."""
-    section, _, rest = key.partition(".")
-    if section != "recordings" or not rest:
+    """The target of a dotted key; a recording is named by its id, which may contain dots."""
+    section, _, tail = key.partition(".")
+    if section != "recordings" or not tail:
         return tuple(key.split("."))
     entries = yaml_nodes.items(root).get("recordings")
     children = entries.value if isinstance(entries, yaml.SequenceNode) else []
     ids = [str(child.value) if (child := yaml_nodes.items(entry).get("id")) else "" for entry in children]
-    matching = [name for name in ids if name and rest.startswith(f"{name}.")]
+    matching = [name for name in ids if name and tail.startswith(f"{name}.")]
     if not matching:
-        name = rest if rest in ids else rest.split(".")[0]
+        name = tail if tail in ids else tail.split(".")[0]
         if name in ids:
             raise SettingsError(f"{source}: write --set recordings.{name}.key=value")
         raise SettingsError(f"{source}: no recording '{name}'; {suggestion(name, ids)}", what="no-recording")
     name = max(matching, key=len)
-    return ("recordings", ids.index(name), *rest[len(name) + 1 :].split("."))
+    return ("recordings", ids.index(name), *tail[len(name) + 1 :].split("."))
 
 
 def _validated(root: yaml.Node) -> BenchmarkSettings:
@@ -129,17 +129,17 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
         for key, value in yaml_nodes.plain(root).items()
         if value is not None or key not in fields or fields[key].is_required()
     }
-    found = _errors_of_first(values)
-    if not found:
+    errors = _errors_of_first(values)
+    if not errors:
         try:
             return BenchmarkSettings.model_validate(values)
         except ValidationError as error:
-            found = error.errors(include_url=False)
-    raise SettingsError(*_error_lines(root, values, found), what=WHAT_OF_TYPE.get(found[0]["type"], ""))
+            errors = error.errors(include_url=False)
+    raise SettingsError(*_error_lines(root, values, errors), what=WHAT_OF_TYPE.get(errors[0]["type"], ""))
 
 
 def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
-    """What is wrong with the first recordings of a long list that are wrong; nothing if the list is short."""
+    """Errors of the first wrong recordings of a long list; nothing for a short list."""
     recordings = values.get("recordings")
     if not isinstance(recordings, list) or len(recordings) <= RECORDINGS_AT_ONCE:
         return []
@@ -148,12 +148,12 @@ def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
         try:
             BenchmarkSettings.model_validate(part)
         except ValidationError as error:
-            found = [one for one in error.errors(include_url=False) if one["loc"]]
-            for one in found:
+            errors = [one for one in error.errors(include_url=False) if one["loc"]]
+            for one in errors:
                 if one["loc"][0] == "recordings" and len(one["loc"]) > 1:
                     one["loc"] = ("recordings", start + int(one["loc"][1]), *one["loc"][2:])
-            if found:
-                return found
+            if errors:
+                return errors
     return []
 
 
@@ -170,15 +170,15 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
     anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
     orders = [yaml_nodes.order(anchor, root.start_mark.name) for anchor in anchors]
     first = sorted(range(len(errors)), key=orders.__getitem__)[: 4 * SHOWN]
-    told = sorted((orders[n], _error_line(root, values, errors[n], known)) for n in first)
-    lines = list(dict.fromkeys(line for _, line in told))
-    if rest := len(lines[SHOWN:]) + len(errors) - len(first):
-        lines[SHOWN:] = [f"{root.start_mark.name}: and {rest} more errors"]
+    messages = sorted((orders[n], _error_line(root, values, errors[n], known)) for n in first)
+    lines = list(dict.fromkeys(line for _, line in messages))
+    if hidden := len(lines[SHOWN:]) + len(errors) - len(first):
+        lines[SHOWN:] = [f"{root.start_mark.name}: and {hidden} more errors"]
     return lines
 
 
 def _location(error: ErrorDetails) -> Location:
-    """Where the node of one of pydantic's errors is to be found."""
+    """The place of one of pydantic's errors: the location of its node."""
     # Of a mapping's key that is no name pydantic says so by one part more.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     if kind == "value_error":
@@ -189,7 +189,7 @@ def _location(error: ErrorDetails) -> Location:
 
 
 def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, known: yaml_nodes.Known) -> str:
-    """One of pydantic's errors in plain words."""
+    """A readable line for one of pydantic's errors."""
     location, kind = _location(error), error["type"]
     annotation, constraints, used = field_at(error["loc"])
     anchor, value = yaml_nodes.find(root, location, known)
@@ -216,7 +216,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
 
 
 def _key_hint(name: str, annotation: Any) -> str:
-    """What to do about an unknown key inside the model that the annotation names."""
+    """Advice for an unknown key of the annotation's model."""
     model = model_of(annotation)
     homes = [
         section
@@ -229,7 +229,7 @@ def _key_hint(name: str, annotation: Any) -> str:
 
 
 def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
-    """How to mend a value of the wrong kind, where that can be told."""
+    """Advice for a value of the wrong kind, if any is known."""
     if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
         return ""
     if choices := choices_of(annotation):
@@ -241,7 +241,7 @@ def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
 
 
 def _dotted(values: dict[str, Any], location: Location) -> str:
-    """The location as `--set` writes it: a recording by its id, or else by its index."""
+    """The location in the form of `--set`: a recording by its id, else by its index."""
     text = ""
     for depth, part in enumerate(location):
         if isinstance(part, str):
@@ -254,7 +254,7 @@ def _dotted(values: dict[str, Any], location: Location) -> str:
 
 
 def _found(node: yaml.Node | None) -> str:
-    """A value as it was written, in a few words."""
+    """A value as written, in a few words."""
     if isinstance(node, yaml.SequenceNode):
         if not node.value or not all(isinstance(child, yaml.ScalarNode) for child in node.value):
             return f"a list of {len(node.value)}"

@@ -1,4 +1,4 @@
-"""`include:` of a benchmark.yaml: recordings that stand in other files, YAML or tables, below its folder."""
+"""`include:` of a benchmark.yaml: recordings in other files, YAML or tables, below its folder."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,7 @@ MISSING = "correct the name under `include:`, or make the file"
 
 @dataclass
 class _Left:
-    """What the included files together may still hold: as much as one benchmark.yaml without them."""
+    """The remaining size for all included files together: that of one benchmark.yaml."""
 
     allowance: yaml_nodes.Allowance
     bytes: int = MOST_BYTES
@@ -84,21 +84,21 @@ def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
             f"folder of {config.name}, in a store, too"
         )
     try:
-        found = matching(config.parent, pattern.value)
+        files = matching(config.parent, pattern.value)
     except ValueError as error:
         raise SettingsError(f"{where}: {error}") from None
     except OSError as error:
         raise SettingsError(f"{where}: {error.filename}: {error.strerror}") from None
-    if not found:
+    if not files:
         place = shown(config.parent) if url_of(config) else followed(config.parent)
         raise SettingsError(f"{where}: no file is called '{printable(pattern.value)}' in {place}; correct it")
-    if len(found) > MOST_FILES:
-        raise SettingsError(f"{where}: {len(found)} files; at most {MOST_FILES} may be included")
-    return found
+    if len(files) > MOST_FILES:
+        raise SettingsError(f"{where}: {len(files)} files; at most {MOST_FILES} may be included")
+    return files
 
 
 def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) -> list[yaml.Node]:
-    """The recordings of one file; none if it was read before, as names and patterns may mean a file twice."""
+    """The recordings of one file; none if it was read before, as patterns may match a file twice."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     refuse_outside(path, config.parent)
     if followed(path) in left.seen:

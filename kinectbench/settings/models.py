@@ -1,4 +1,4 @@
-"""Typed settings of a benchmark. Every default has its home here; unknown keys are refused at every depth."""
+"""Typed settings of a benchmark. All defaults are here; unknown keys are refused at every depth."""
 
 import math
 from typing import Annotated, Any, Literal
@@ -43,7 +43,7 @@ UNDERSIDE = (
 
 
 class CameraSettings(Settings):
-    """Intrinsics that the recording does not say; what is given here wins over what it says."""
+    """Intrinsics that the recording lacks; values given here override its own."""
 
     width: int | None = Field(None, ge=16, le=MOST_SIDE_PX, description="depth image width, pixels")
     height: int | None = Field(None, ge=16, le=MOST_SIDE_PX, description="depth image height, pixels")
@@ -53,7 +53,7 @@ class CameraSettings(Settings):
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
     depth_code: DepthCode | None = Field(
-        None, description="how depth in files is to be read; default: told by its values"
+        None, description="how depth in files is to be read; default: by its values"
     )
     depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
     color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
@@ -77,7 +77,7 @@ class BoxSettings(Settings):
     size_m: Vector3 = Field(description="edge lengths, metres")
     yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
     anchor_frame: int | None = Field(
-        None, ge=0, description="with --pick: a frame that ties the box to its floor frame"
+        None, ge=0, description="with --pick: a frame that fixes the box in its floor frame"
     )
     anchor_pose: Vector7 | None = Field(None, description="of that frame's camera in it: x y z, qx qy qz qw")
     anchor_depth_sha256: str | None = Field(
@@ -115,7 +115,7 @@ class BoxSettings(Settings):
 
     @model_serializer(mode="wrap")
     def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As a release and a fingerprint have it: a box without an anchor as before there were any."""
+        """Leave out a missing anchor, as before anchors existed, in releases and fingerprints."""
         values: dict[str, Any] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
@@ -184,17 +184,17 @@ class RecordingSettings(Settings):
 
     @property
     def trajectory_mode(self) -> TrajectoryMode | None:
-        """What is done with a given trajectory: that of the camera says nothing of an object that moves."""
+        """The use of a given trajectory; a camera's poses are not used for an object that moves."""
         return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property
     def object_name(self) -> str:
-        """The object recorded: `object`, or else the recording's id."""
+        """The recorded object: `object`, else the recording's id."""
         return self.object or self.id
 
 
 class CategorySettings(Settings):
-    """What holds for all recordings of a category, unless one says it itself."""
+    """Defaults for all recordings of a category."""
 
     underside: Underside = Field("unseen", description=UNDERSIDE)
 
@@ -245,7 +245,7 @@ class FusionSettings(Settings):
 
 
 class FloorCuts(Settings):
-    """What is floor, and what stands on it."""
+    """Bounds between the floor and objects on it."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
     floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
@@ -255,18 +255,18 @@ class FloorCuts(Settings):
 
 
 class MaskCuts(FloorCuts):
-    """What of a view is the object."""
+    """Bounds of the object's mask in a view."""
 
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
 
 
 class ObjectCuts(FloorCuts):
-    """What is floor, and what of the space around the object some camera could see; the rest is the object.
+    """Bounds of the floor and of air, the space that some camera could see; the rest is the object.
 
-    One value for a whole benchmark: of what was never measured these lengths decide what is solid.
+    One value for a whole benchmark: in unmeasured space these lengths decide which voxels are solid.
     """
 
-    # Own choices: a line of less than two voxels of 5 mm is lost in their rounding, and one of 10 cm closes a
+    # A line of less than two voxels of 5 mm is lost in their rounding, and one of 10 cm closes a
     # shelf; cameras see from 5 cm to 2 m on, are as large as a fingertip or a helmet, and lie on the floor.
     line_width_m: float = Field(
         SensorLimits.line_width_m,
@@ -299,21 +299,21 @@ class ViewSettings(Settings):
     count: int = Field(50, ge=1, le=1000, description="views per recording")
     seed: int = Field(0, ge=0, description="seed of the draw")
     strategy: Literal["random", "coverage"] = Field(
-        "random", description="random: uniform over the good frames (paper); coverage: every side alike"
+        "random", description="random: uniform over the good frames (paper); coverage: every side equally"
     )
     min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
     recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
 
 
 class PairForm(Settings):
-    """How a pair is made."""
+    """The form of pairs."""
 
     framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
     partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
 
 
 class FitLimits(Settings):
-    """How well a view has to fit the object."""
+    """Limits on the fit of a view to the object."""
 
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
     max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
@@ -325,13 +325,13 @@ class PairSettings(FitLimits, PairForm):  # fields of the last base come first
 
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
-    """An error about a recording that does not go with one before it."""
+    """An error about a recording that conflicts with an earlier one."""
     context = {"problem": problem, "at": ("recordings", index), "earlier": earlier}
     return PydanticCustomError("value_error", "{problem}", context)
 
 
 class BenchmarkSettings(Settings):
-    """All of benchmark.yaml."""
+    """The content of benchmark.yaml."""
 
     name: Name = Field(description="name of the benchmark")
     license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
@@ -383,18 +383,18 @@ class BenchmarkSettings(Settings):
         return self
 
     def by_id(self) -> dict[str, RecordingSettings]:
-        """The recordings by their ids; made anew at each call, so keep it for many look-ups."""
+        """The recordings by their ids; rebuilt at each call, so keep it for many look-ups."""
         return {recording.id: recording for recording in self.recordings}
 
     def underside_of(self, recording: RecordingSettings) -> Underside:
-        """What a person says of a recording's underside: its own word, or else its category's."""
+        """The stated underside of a recording: its own setting, else its category's."""
         of_category = self.categories.get(recording.category, CategorySettings())
         return recording.underside or of_category.underside
 
     def license_of(self, recording: RecordingSettings) -> str:
-        """The licence of a recording: its own, or else the benchmark's; "unspecified" if nobody said."""
+        """The licence of a recording: its own, else the benchmark's; "unspecified" without either."""
         return recording.license or self.license
 
     def source_of(self, recording: RecordingSettings) -> str:
-        """Where a recording is from: its own words, or else the benchmark's; "unspecified" if nobody said."""
+        """The source of a recording: its own, else the benchmark's; "unspecified" without either."""
         return recording.source or self.source

@@ -1,4 +1,4 @@
-"""Settings from the words of the command line; one clear line for every wrong one."""
+"""Settings from command-line options; one clear line for every wrong one."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -57,7 +57,7 @@ def _nested(override: str) -> dict[str, Any]:
 
 
 def _line(model: type[Settings], error: Any) -> str:
-    """One of pydantic's errors in plain words."""
+    """A readable line for one of pydantic's errors."""
     location = tuple(error["loc"])
     annotation, constraints, used = field_at(location, model)
     key = ".".join(str(part) for part in location)

@@ -1,4 +1,4 @@
-"""Settings of a release: what is published of a benchmark, and what is stated of it."""
+"""Settings of a release: which data it contains, and its description."""
 
 import re
 from datetime import date
@@ -19,7 +19,7 @@ CITED = {
 
 
 class ReviewSettings(Settings):
-    """What a person decided after looking at what was built of a recording."""
+    """A person's decision after a review of a recording's build."""
 
     decision: Literal["accept", "reject"] = Field(
         description="accept: publish it, whatever `triage` says against it; reject: leave it out"
@@ -28,7 +28,7 @@ class ReviewSettings(Settings):
 
 
 class CitationSettings(Settings):
-    """How the benchmark wants to be cited."""
+    """The citation of the benchmark."""
 
     title: Line | None = Field(None, description="default: the benchmark's name")
     authors: list[Line] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
@@ -49,37 +49,37 @@ class CitationSettings(Settings):
 
 
 class DatasheetSettings(Settings):
-    """What only a person can tell of the data; each a sentence or more."""
+    """Facts about the data that only a person knows; each a sentence or more."""
 
     motivation: Text | None = Field(None, description="why was it made, and for which task?")
     creators: Text | None = Field(None, description="who made it, for whom, and who paid for it?")
     collection: Text | None = Field(None, description="who recorded what, where and when, with which camera?")
-    consent: Text | None = Field(None, description="can people be seen or told from it, and did they agree?")
+    consent: Text | None = Field(None, description="can people be seen or identified, and did they agree?")
     uses_to_avoid: Text | None = Field(None, description="what should it not be used for?")
     maintenance: Text | None = Field(None, description="who keeps it, and where are faults reported?")
 
 
 class ChangeSettings(Settings):
-    """What is new in one version of the data."""
+    """Changes in one version of the data."""
 
     version: Line = Field(description="such as 1.0.0")
     changes: list[Line] = Field(min_length=1, description="a line each")
 
 
 class GateSettings(Settings):
-    """What a recording must keep to be published, unless its `review` accepts it.
+    """Limits for publishing a recording, unless its `review` accepts it.
 
     Wider than the limits of the warnings, which say where to look: those beyond these would mislead.
     """
 
-    # Own choice, between what was measured: 0.83 to 0.97 of sound recordings (simulated furniture, a real
+    # Chosen from measurements: 0.83 to 0.97 of sound recordings (simulated furniture, a real
     # cabinet), 0.45 where three things were taken for one. Of the paper's networks IoU is 0.5 to 0.7: a truth
     # that is less like the object than predictions are cannot rank them.
     min_estimated_iou: float = Field(
         0.7, ge=0, le=1, description="least estimate; with a trajectory that is not good, its lower end"
     )
     min_grade: Grade = Field("not good", description="of the trajectory: not good, fair or good")
-    # Own choice: beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.
+    # Beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.
     max_unknown_share: float = Field(
         0.5, ge=0, le=1, description="of the solid: never seen, and some camera could see it"
     )

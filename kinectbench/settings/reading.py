@@ -20,7 +20,7 @@ INIT = "`kinectbench init FOLDER` writes one for the recordings in FOLDER"
 
 
 def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) -> bytes:
-    """The bytes of a file of settings, here, in a store or on a web server.
+    """The bytes of a settings file on disk, in a store or on a web server.
 
     Args:
         path: the file, or its URL as a path.
@@ -92,11 +92,11 @@ def matching(folder: Path, pattern: str) -> list[Path]:
         raise ValueError(f"'{printable(pattern)}' looks through folders of any depth; write '*' for each")
     if (url := url_of(folder)) is not None:
         return _matching_there(url, folder, parts)
-    found = [folder]
+    paths = [folder]
     for part in parts:
-        found = [way for above in found for way in _inside(above, part)]
-    found.sort(key=lambda way: way.parts)  # in a store, too
-    return [way for way in found if way == path or way.is_file()]
+        paths = [way for above in paths for way in _inside(above, part)]
+    paths.sort(key=lambda way: way.parts)  # in a store, too
+    return [way for way in paths if way == path or way.is_file()]
 
 
 def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
@@ -107,8 +107,8 @@ def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path
     if is_web(url):
         raise ValueError("a web server does not list its files; name each of them")
     names = (each.name.split("/") for each in Store(url).objects("/".join(known)))
-    found = sorted(name for name in names if len(name) == len(parts) and _all_match(name, parts))
-    return [folder.joinpath(*name) for name in found]
+    matches = sorted(name for name in names if len(name) == len(parts) and _all_match(name, parts))
+    return [folder.joinpath(*name) for name in matches]
 
 
 def _all_match(name: Sequence[str], parts: Sequence[str]) -> bool:
@@ -121,7 +121,7 @@ def _matches(name: str, part: str) -> bool:
 
 
 def _inside(above: Path, part: str) -> Iterator[Path]:
-    """What one part of a pattern means in a folder."""
+    """Entries of a folder that match one part of a pattern."""
     if not any(sign in part for sign in SIGNS):
         yield above / part
     elif above.is_dir():

@@ -19,13 +19,13 @@ from kinectbench.settings.words import model_of, suggestion, without_none
 
 CSV, PARQUET = ".csv", ".parquet"
 ENDINGS = (CSV, PARQUET)
-# Rows of a Parquet file, where a million may take a few bytes (own choice: ten times the largest benchmark).
+# Rows of a Parquet file, where a million may take a few bytes (ten times the largest benchmark).
 MOST_ROWS = 100_000
 INSTALL = "reading it needs the package pyarrow; run `pip install 'kinectbench[tables]'`, or save it as CSV"
 
 
 def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
-    """The rows of a table as entries of `recordings:`; an empty cell says nothing.
+    """The rows of a table as entries of `recordings:`; empty cells are skipped.
 
     A column is called as its key in benchmark.yaml, with dots for keys inside others, such as `camera.fx`.
     A cell holds what would stand behind the key: a text (without quotes), a number, true or false, or a list
@@ -58,7 +58,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
 
 def columns() -> dict[str, Any]:
-    """Every column that a table may have, in the models' order, and what its cells hold."""
+    """Every column that a table may have, in the models' order, with the meaning of its cells."""
     return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
 
 
@@ -108,14 +108,14 @@ def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[
 
 
 def _check_parquet(file: Any, source: str) -> None:
-    """Refuse what a Parquet file says of itself before its values are read."""
+    """Check a Parquet file's metadata before its values are read."""
     from pyarrow import types
 
-    said, schema = file.metadata, file.schema_arrow
+    metadata, schema = file.metadata, file.schema_arrow
     _check_header([str(name) for name in schema.names], source)
-    if said.num_rows > MOST_ROWS:
+    if metadata.num_rows > MOST_ROWS:
         raise SettingsError(
-            f"{source}: {said.num_rows} rows; at most {MOST_ROWS} may be there", what="too-large"
+            f"{source}: {metadata.num_rows} rows; at most {MOST_ROWS} may be there", what="too-large"
         )
     for name, kind in zip(schema.names, schema.types, strict=True):
         inner = kind.value_type if types.is_list(kind) or types.is_large_list(kind) else kind
@@ -126,9 +126,9 @@ def _check_parquet(file: Any, source: str) -> None:
                 "values or lists of numbers"
             )
     chunks = (
-        said.row_group(group).column(column)
-        for group in range(said.num_row_groups)
-        for column in range(said.num_columns)
+        metadata.row_group(group).column(column)
+        for group in range(metadata.num_row_groups)
+        for column in range(metadata.num_columns)
     )
     unpacked = sum(chunk.total_uncompressed_size + 8 * chunk.num_values for chunk in chunks)
     if unpacked > UNPACKED_BYTES:
@@ -142,7 +142,7 @@ def _numbers(types: Any) -> tuple[Callable[[Any], bool], ...]:
 
 
 def _cells(column: Any, source: str) -> list[str]:
-    """A column as a CSV file would have it, as far as that is no larger than such a file may be."""
+    """A column in the form of a CSV file, at most as large as such a file may be."""
     cells, left = [], MOST_BYTES
     for value in column:
         cells.append(_cell(value.as_py()))
@@ -217,7 +217,7 @@ def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
 
 
 def _is_text(annotation: Any) -> bool:
-    """Whether a field's cell is a text whatever it looks like, such as an id of digits."""
+    """Whether a field's cell is always text, such as an id of digits."""
     return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
 
 

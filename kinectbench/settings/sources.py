@@ -1,4 +1,4 @@
-"""Settings of a recipe, sources.yaml: where public scans are, what they are of, and whose they are."""
+"""Settings of a recipe, sources.yaml: places, content and owners of public scans."""
 
 import hashlib
 import re
@@ -26,8 +26,8 @@ UNPACKED = (".tgz", ".tar.gz", ".tar")
 
 
 def _base(value: str) -> str:
-    if said := unusable(value):
-        raise ValueError(said)
+    if problem := unusable(value):
+        raise ValueError(problem)
     if not is_web(value) or re.search(r"[\s?#@]", value):
         raise ValueError("wanted an address that begins with https://, without user and query")
     return value.rstrip("/")
@@ -45,7 +45,7 @@ File = Annotated[str, AfterValidator(_file)]
 
 
 class SplitSettings(Settings):
-    """How objects are divided; what is in no other split is for testing."""
+    """The division of objects into splits; objects in no other split are for testing."""
 
     seed: int = Field(0, ge=0, description="of the draw; also of the scans that --limit takes")
     train: float = Field(0.0, ge=0, le=1, description="share of the objects")
@@ -59,7 +59,7 @@ class SplitSettings(Settings):
 
 
 class IndexSettings(Settings):
-    """The source's own list of what its scans are of: JSON, {category: [id, …]}."""
+    """The source's own list of scans by category: JSON, {category: [id, …]}."""
 
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
     file: File = Field(description="its name below them")
@@ -69,7 +69,7 @@ class IndexSettings(Settings):
 
 
 class ScanSettings(Settings):
-    """One scan of a source that has no list of its own."""
+    """One scan of a source without a list of its own."""
 
     id: Name = Field(description="of the scan, and of its recording")
     category: Category = Field(description="in the source's words")
@@ -88,7 +88,7 @@ class EntrySettings(Settings):
 
 
 class SourcesSettings(Settings):
-    """All of sources.yaml."""
+    """The content of sources.yaml."""
 
     format_version: Literal[1] = Field(description="version of this file's format")
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
@@ -127,7 +127,7 @@ class Scan(Settings):
         category: the benchmark's word.
         object: the thing itself.
         split: of the thing.
-        camera: what the scan does not say.
+        camera: values that the scan lacks.
     """
 
     id: str
@@ -140,12 +140,12 @@ class Scan(Settings):
 
     @property
     def unpacked(self) -> bool:
-        """Whether its archive is unpacked here, whatever is in it."""
+        """Whether its archive is unpacked here, whatever its content."""
         return self.file.endswith(UNPACKED)
 
     @property
     def path(self) -> str:
-        """Its recording as it came, relative to benchmark.yaml: a file by the scan's id, or a folder."""
+        """Its recording as downloaded, relative to benchmark.yaml: a file by the scan's id, or a folder."""
         return self.folder if self.unpacked else f"{self.folder}{PurePosixPath(self.file).suffix}"
 
     @property
@@ -190,21 +190,21 @@ def chosen_scans(
         rows = [
             ScanSettings(id=id_, category=name) for name in sources.categories for id_ in listed.get(name, ())
         ]
-    found: dict[str, list[Scan]] = {}
+    scans: dict[str, list[Scan]] = {}
     for row in rows:
         category = sources.categories.get(row.category)
         if category is None or (categories and category not in categories):
             continue
-        if row.id in found:
+        if row.id in scans:
             raise SettingsError(f"the scan '{row.id}' is listed twice; correct {SOURCES_YAML} or its index")
-        found[row.id] = list(_recordings(sources, _scan(sources, row, category)))
+        scans[row.id] = list(_recordings(sources, _scan(sources, row, category)))
     counts = dict.fromkeys(known, 0)
     chosen = []
-    for name in sorted(found, key=lambda name: _draw(sources.split.seed, "scan", name)):
-        category = found[name][0].category
+    for name in sorted(scans, key=lambda name: _draw(sources.split.seed, "scan", name)):
+        category = scans[name][0].category
         counts[category] += 1
         if limit is None or counts[category] <= limit:
-            chosen += found[name]
+            chosen += scans[name]
     if not chosen:
         raise SettingsError(f"{SOURCES_YAML}: no scan of {', '.join(categories or known)} is listed")
     return chosen
@@ -232,6 +232,6 @@ def _recordings(sources: SourcesSettings, scan: Scan) -> Iterator[Scan]:
 
 
 def _draw(seed: int, what: str, name: str) -> float:
-    """A number from 0 to 1 that the seed and a name give, whatever other names there are."""
+    """A random number from 0 to 1 that depends only on the seed and the name."""
     digest = hashlib.sha256(f"{seed} {what} {name}".encode()).digest()
     return int.from_bytes(digest[:6], "big") / 2**48

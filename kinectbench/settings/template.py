@@ -28,18 +28,18 @@ HEADER = """\
 """
 
 
-def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
+def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
     """Text of a benchmark.yaml for the recordings found in a folder; it loads as it is.
 
     Args:
         folder: where the file will lie; its name becomes the benchmark's.
-        found: (path relative to `folder`, name of the format) of each recording.
+        recordings: (path relative to `folder`, name of the format) of each recording.
         suffixes: endings of the paths, such as ".bag", that do not become part of an id.
 
     Raises:
         SettingsError: there are no recordings.
     """
-    if not found:
+    if not recordings:
         raise SettingsError(
             f"{folder}: no recording of a known format in it; `kinectbench inspect FOLDER` says of one why, "
             "and `kinectbench formats` what is read; put one there and try again",
@@ -47,9 +47,9 @@ def init_benchmark(folder: Path, found: Sequence[tuple[str, str]], suffixes: Seq
         )
     folder_name = folder.resolve().name
     # A folder that is itself the recording goes by its own name.
-    names = _unique_ids([folder_name if path == "." else path for path, _ in found], suffixes)
+    names = _unique_ids([folder_name if path == "." else path for path, _ in recordings], suffixes)
     lines = [HEADER.rstrip(), "", *_top_level(folder_name), "", "recordings:"]
-    for number, ((path, kind), name) in enumerate(zip(found, names, strict=True)):
+    for number, ((path, kind), name) in enumerate(zip(recordings, names, strict=True)):
         lines += _recording(name, path, kind)
         lines += _recording_options() if number == 0 else []
     lines += ["", *_categories()]
@@ -70,7 +70,7 @@ def _top_level(folder_name: str) -> list[str]:
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
-    """The lines of one recording; what only a person knows is asked for."""
+    """The lines of one recording, with questions that only a person can answer."""
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
@@ -97,7 +97,7 @@ def _recording_options() -> list[str]:
 
 
 def _categories() -> list[str]:
-    """What may be said of a category, as comments: one that no recording has would be refused."""
+    """Settings of a category as comments, since a category without recordings would be refused."""
     about = (CategorySettings.__doc__ or "").splitlines()[0]
     inner = ", ".join(
         f"{key}: {yaml_text(field.default)}" for key, field in CategorySettings.model_fields.items()
@@ -124,7 +124,7 @@ def _commented(text: str, comment: str | None) -> str:
 
 
 def yaml_text(value: Any) -> str:
-    """A value on one line of YAML, in quotes where it needs them."""
+    """A value on one line of YAML, with quotes if needed."""
     if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
         return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()
     return (
@@ -140,7 +140,7 @@ def _safe(text: str, otherwise: str) -> str:
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
-    """An id for each path: its last part, or all of it where that is taken, with a number if need be."""
+    """An id for each path: its last part, or all of it if that is taken, with a number if needed."""
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
     whole = [ending.sub("", path.strip("/")) for path in paths]
     last = [path.rsplit("/", 1)[-1] for path in whole]

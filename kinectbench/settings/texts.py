@@ -1,4 +1,4 @@
-"""Texts of people that a release repeats: in its card, its licence and its pages, before strangers."""
+"""Texts of people that a release publishes in its card, its licence and its pages."""
 
 from typing import Annotated
 

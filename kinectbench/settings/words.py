@@ -1,4 +1,4 @@
-"""The settings' models in plain words: what is wanted where, and which names are valid."""
+"""Readable descriptions of the settings' models: expected values, and valid names."""
 
 import difflib
 import types
@@ -11,15 +11,15 @@ from pydantic.fields import FieldInfo
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 
-# More than any section has keys; of a thousand recordings nobody reads the names.
+# More than any section has keys; a thousand names of recordings are not listed.
 LISTED = 40
 Location = tuple[str | int, ...]
-# What went wrong, by the type of the first of pydantic's errors; of other types that of the class.
+# Error code by the type of pydantic's first error; for other types that of the class.
 WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
 def without_none(annotation: Any) -> Any:
-    """`X | None` as X, without what checks it; anything else as it is."""
+    """`X | None` as X, without validators; other annotations unchanged."""
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -40,7 +40,7 @@ def choices_of(annotation: Any) -> tuple[str, ...]:
 
 
 def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tuple[Any, Sequence[Any], int]:
-    """Follow a location into the models as far as they go, starting from `root`.
+    """Follow a location into the models as far as possible, starting from `root`.
 
     Returns:
         The annotation and its constraints there, and how many parts of the location were used: a
@@ -64,7 +64,7 @@ def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tu
 
 
 def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
-    """What a field takes, such as `a number from 0.001 to 0.05`."""
+    """The expected value of a field, such as `a number from 0.001 to 0.05`."""
     inner = without_none(annotation)
     model = model_of(inner)
     if model is not None:
@@ -86,7 +86,7 @@ def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
 
 
 def range_in_words(constraints: Sequence[Any]) -> str:
-    """The range that constraints allow, such as `from 1 to 64` or `above 0`; empty if there is none."""
+    """The range of the constraints, such as `from 1 to 64` or `above 0`; empty if there is none."""
     words = []
     for constraint in constraints:
         if isinstance(constraint, annotated_types.Ge):
@@ -108,7 +108,7 @@ def field_range(field: FieldInfo) -> str:
 
 
 def suggestion(name: str, valid: Sequence[str]) -> str:
-    """A hint at the nearest valid name, or else all of them."""
+    """A hint with the most similar valid name, or all of them."""
     return near_miss(name, valid) or f"valid here: {listed(valid)}"
 
 

@@ -15,7 +15,7 @@ from kinectbench.settings.words import WHAT_OF_TYPE, field_at, model_of, suggest
 Model = TypeVar("Model", bound=Settings)
 # Such a file has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
 MOST_BYTES = 1 << 20
-# Of its errors; each line takes as long as all keys; nobody reads more.
+# Lines of errors; each takes as long as all keys.
 SHOWN = 20
 
 
@@ -24,11 +24,11 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
 
     Args:
         path: the file.
-        model: what it holds.
-        example: of a line of it, for whoever wrote something else.
+        model: of its content.
+        example: of a valid line, for the message.
 
     Raises:
-        SettingsError: it cannot be read, or one line for each error: file and line, key, what is wanted.
+        SettingsError: it is unreadable, or one line for each error: file and line, key, expected value.
     """
     try:
         text = read_plain_text(path, MOST_BYTES)
@@ -43,15 +43,15 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        found = error.errors(include_url=False)
-        lines = [_line(root, one, model) for one in found[:SHOWN]]
-        if len(found) > SHOWN:
-            lines.append(f"{path}: and {len(found) - SHOWN} more errors")
-        raise SettingsError(*dict.fromkeys(lines), what=WHAT_OF_TYPE.get(found[0]["type"], "")) from None
+        errors = error.errors(include_url=False)
+        lines = [_line(root, one, model) for one in errors[:SHOWN]]
+        if len(errors) > SHOWN:
+            lines.append(f"{path}: and {len(errors) - SHOWN} more errors")
+        raise SettingsError(*dict.fromkeys(lines), what=WHAT_OF_TYPE.get(errors[0]["type"], "")) from None
 
 
 def _line(root: yaml.Node, error: object, model: type[Settings]) -> str:
-    """One of pydantic's errors in plain words."""
+    """A readable line for one of pydantic's errors."""
     assert isinstance(error, dict)
     # Of a mapping's key that is no name pydantic says so by one part more.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]

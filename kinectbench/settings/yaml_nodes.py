@@ -54,12 +54,12 @@ class _TooManyError(yaml.composer.ComposerError):
 
 @dataclass
 class Allowance:
-    """How many keys and values may still come, of one file or of several; each takes a kilobyte as a node."""
+    """The number of further keys and values, over one or several files; each takes a kilobyte as a node."""
 
     values: int = MOST_VALUES
 
     def take(self, count: int, source: str, line: int) -> None:
-        """Count some in the line of a file.
+        """Count further values for the error's line.
 
         Raises:
             SettingsError: these are too many.
@@ -75,7 +75,7 @@ class _Counting(Composer):
     allowance: Allowance
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """The next node; a file of more than `MOST_VALUES` keys and values is refused at the one too many."""
+        """The next node; refuses a file with more than `MOST_VALUES` keys and values."""
         self.allowance.values -= 1
         if self.allowance.values < 0:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's
@@ -115,7 +115,7 @@ for _tag, _pattern in _PATTERNS.items():
 
 
 def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.Node:
-    """Parse YAML text into nodes; nothing at all is a null node.
+    """Parse YAML text into nodes; empty text is a null node.
 
     Args:
         text: the YAML.
@@ -148,7 +148,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
 
 @contextlib.contextmanager
 def unsearched() -> Iterator[None]:
-    """Within the block nothing is searched for garbage: values are many and stay; it took half the time."""
+    """Disable garbage collection within the block: nodes are many and stay; it took half the time."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -160,7 +160,7 @@ def unsearched() -> Iterator[None]:
 
 @unsearched()
 def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
-    """The nodes of a text; what is wrong with a short one is said by PyYAML's own parser, which says more."""
+    """The nodes of a text; for a short one PyYAML's own parser explains errors in more detail."""
     before = allowance.values
     if _Parser:
         try:
@@ -194,7 +194,7 @@ def _place(source: str, line: int) -> str:
 
 
 def place(node: yaml.Node) -> str:
-    """Where a node stands: `file:line`, or the override."""
+    """The position of a node: `file:line`, or the override."""
     return _place(node.start_mark.name, node.start_mark.line)
 
 
@@ -281,7 +281,7 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
-    """A text in one line, without quotes, as the node that YAML 1.2 makes of it."""
+    """A single-line text without quotes as a YAML 1.2 node."""
     tag = next((tag for tag, pattern in _PATTERNS.items() if re.fullmatch(pattern, text)), STR_TAG)
     return yaml.ScalarNode(tag, text, mark, mark)
 
@@ -298,12 +298,12 @@ Known = dict[int, dict[str, tuple[yaml.Node, yaml.Node]]]
 def find(
     node: yaml.Node, path: tuple[str | int, ...], known: Known | None = None
 ) -> tuple[yaml.Node, yaml.Node | None]:
-    """Find what stands at a path.
+    """Find the node at a path.
 
     Args:
         node: where it begins.
         path: keys of mappings and indices of lists.
-        known: kept by whoever looks for many paths in the same nodes: no mapping is gone through twice.
+        known: a cache for many look-ups in the same nodes.
 
     Returns:
         The node whose line to show (the key, or the list's entry; the nearest that exists), and the
@@ -328,16 +328,16 @@ def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.No
     """Copy the mappings along a path with `value` at its end; shared (aliased) nodes stay as they are."""
     if not path:
         return value
-    head, rest = path[0], path[1:]
+    head, tail = path[0], path[1:]
     if isinstance(head, int):
         assert isinstance(node, yaml.SequenceNode), "paths lead through entries that exist"
-        entries = [replaced(child, rest, value) if i == head else child for i, child in enumerate(node.value)]
+        entries = [replaced(child, tail, value) if i == head else child for i, child in enumerate(node.value)]
         return yaml.SequenceNode(node.tag, entries, node.start_mark, node.end_mark)
     pairs = list(node.value) if isinstance(node, yaml.MappingNode) else []
     old = {key.value: (key, child) for key, child in pairs}
     new_key = yaml.ScalarNode(STR_TAG, head, value.start_mark, value.end_mark)
     key, child = old.get(head, (new_key, None))
-    new_pair = (key if rest and head in old else new_key, replaced(child, rest, value))
+    new_pair = (key if tail and head in old else new_key, replaced(child, tail, value))
     pairs = [new_pair if pair[0] is key else pair for pair in pairs] if head in old else [*pairs, new_pair]
     start, end = (node.start_mark, node.end_mark) if node else (value.start_mark, value.end_mark)
     return yaml.MappingNode(MAP_TAG, pairs, start, end)

@@ -45,14 +45,14 @@ class MadePair:
 
 @dataclass(frozen=True)
 class FullShape:
-    """An object as all its pairs need it, made once.
+    """The parts of an object that its pairs share, computed once.
 
     Attributes:
         mesh: closed.
         volume_m3: of the mesh.
         known: where its truth is trusted: not labelled UNKNOWN, on the fine grid and the coarse one around.
         interior: of these the voxels labelled INTERIOR, which are not measured.
-        said: of the known ones what is so by a person's word alone, an underside that nobody saw.
+        said: known cells that rest on a person's statement alone: an unseen underside.
         surface_sigma_m: standard deviation of its surface, metres.
     """
 
@@ -65,7 +65,7 @@ class FullShape:
 
 
 def full_shape(model: ObjectModel) -> FullShape:
-    """What the pairs need of an object."""
+    """The parts of an object that pairs need."""
     mesh = model.shape.mesh
     shape, coarse = model.shape, model.surround_labels != Label.UNKNOWN
     known, interior = shape.labels != Label.UNKNOWN, shape.labels == Label.INTERIOR
@@ -83,7 +83,7 @@ def full_shape(model: ObjectModel) -> FullShape:
 def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
     """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
 
-    The closed mesh is voxelised anew for each view (paper, Sec. 4.1: the full shape is turned into the
+    The closed mesh is voxelised again for each view (paper, Sec. 4.1: the full shape is turned into the
     view's camera orientation); resampling one volume would be slower and less exact.
 
     Args:
@@ -152,7 +152,7 @@ def write_pairs(
     folder: Path,
     progress: Progress,
 ) -> None:
-    """Write a pair of each view that allows it, one after the other, and pairs.json.
+    """Write a pair of each suitable view, one by one, and pairs.json.
 
     Args:
         views: of one recording.

@@ -78,7 +78,7 @@ def test_comparisons_of_any_width(categories: tuple[str, ...], width: int) -> No
     for scope, means in found.means.items():
         for name, mean in means.items():
             assert f"{found.groups[scope][name]}  {mean:.3f}" in cells
-    assert "cannot be told apart" in text
+    assert "cannot be distinguished" in text
 
 
 def test_what_sets_a_method_apart_is_said() -> None:

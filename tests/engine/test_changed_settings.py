@@ -55,6 +55,6 @@ def test_one_line_for_all_recordings_that_differ_alike(
     _tell_changed_settings(jobs, "pairs")
     told = capsys.readouterr().err
     changed = "built with other settings (views.count was 5, now 50)"
-    assert told == f"note: a, b: {changed}; made anew by benchmark.yaml and --set\n"
+    assert told == f"note: a, b: {changed}; made again by benchmark.yaml and --set\n"
     _tell_changed_settings([job(tmp_path, "a", count=5)], "pairs")
     assert capsys.readouterr().err == ""

@@ -23,7 +23,7 @@ from kinectbench.core.errors import ClusterError, KinectBenchError, ReleaseError
 from kinectbench.engine import cluster as module
 from kinectbench.engine import cluster_run
 from kinectbench.engine.cluster import Cluster, cluster
-from kinectbench.engine.executor import Here, Lost, Say
+from kinectbench.engine.executor import SendMessage, SerialExecutor, WorkerLost
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.release.release import Release, open_release
@@ -74,7 +74,7 @@ def threads() -> Iterator[tuple[LocalCluster, Cluster]]:
             yield here, Cluster(client, "tcp://here")
 
 
-def doubled(task: int, say: Say) -> int:
+def doubled(task: int, say: SendMessage) -> int:
     say((str(task), "doubling", 0, 1))
     return 2 * task
 
@@ -109,7 +109,7 @@ def test_few_tasks_are_in_flight(
     assert max(most) == where.slots() + 1
 
 
-def wrong(task: int, say: Say) -> int:
+def wrong(task: int, say: SendMessage) -> int:
     raise ReleaseError("pairs/a/000.npz: changed") if task else ZeroDivisionError("division by zero")
 
 
@@ -121,7 +121,7 @@ def test_what_a_task_raises_comes_here(threads: tuple[LocalCluster, Cluster]) ->
         list(where.outcomes(wrong, [0], Heard()))
 
 
-def asked_gb(task: int, say: Say) -> float:
+def asked_gb(task: int, say: SendMessage) -> float:
     from distributed import get_worker
 
     worker: Any = get_worker()
@@ -179,7 +179,7 @@ held: dict[str, int] = {}
 released = threading.Event()
 
 
-def slow_once(task: int, say: Say) -> int:
+def slow_once(task: int, say: SendMessage) -> int:
     """The last task sleeps, but not where it is tried a second time; workers are threads of this process."""
     held[str(task)] = held.get(str(task), 0) + 1
     released.wait(200 if task == 9 and held["9"] == 1 else 0.05)
@@ -338,7 +338,7 @@ def test_scores_are_those_of_one_process(
     assert [table.text() for table in found] == [table.text() for table in plain]
 
 
-class Elsewhere(Here):
+class Elsewhere(SerialExecutor):
     """An executor whose processes started in another folder."""
 
     def outcomes(self, function: Any, tasks: Any, audience: Any, *_: Any, **__: Any) -> Iterator[Any]:  # type: ignore[override]
@@ -369,8 +369,8 @@ class Killer:
     def slots(self) -> int:
         return 1
 
-    def outcomes(self, function: Any, tasks: Any, *_: Any, **__: Any) -> Iterator[tuple[Any, Lost]]:
-        yield from ((task, Lost("killed on {id}")) for task in tasks)
+    def outcomes(self, function: Any, tasks: Any, *_: Any, **__: Any) -> Iterator[tuple[Any, WorkerLost]]:
+        yield from ((task, WorkerLost("killed on {id}")) for task in tasks)
 
 
 def test_a_score_whose_worker_is_killed_is_told(release: Release, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from test_many_recordings import Deadly, Listener
 
 from kinectbench.engine import cluster as module
 from kinectbench.engine.cluster import Cluster, cluster
-from kinectbench.engine.executor import Say
+from kinectbench.engine.executor import SendMessage
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
@@ -29,7 +29,7 @@ pytestmark = [
 ]
 
 
-def dies_once(task: tuple[int, str], say: Say) -> int:
+def dies_once(task: tuple[int, str], say: SendMessage) -> int:
     """The first try of the task that names a file kills its worker."""
     number, marker = task
     if marker and not Path(marker).exists():

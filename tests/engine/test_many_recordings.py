@@ -19,7 +19,7 @@ from test_resume import group, wait_for, wait_until_all_ended
 
 from kinectbench.core.storage import replaced_folder
 from kinectbench.engine import parallel, pool
-from kinectbench.engine.executor import Lost, Say
+from kinectbench.engine.executor import SendMessage, WorkerLost
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
@@ -166,7 +166,7 @@ def test_a_recording_that_kills_its_process_fails_alone(small: Path, tmp_path: P
     assert "a worker process was killed" in warning and "going on with 1 recording at a time" in warning
 
 
-def once_killed(task: int, say: Say) -> int:
+def once_killed(task: int, say: SendMessage) -> int:
     """The first task kills its process; the others tell it."""
     if task == 0:
         os._exit(1)
@@ -176,7 +176,7 @@ def once_killed(task: int, say: Say) -> int:
 
 def test_once_the_culprit_is_known_all_processes_are_at_work_again() -> None:
     found = dict(Pool(2).outcomes(once_killed, list(range(6)), Listener()))
-    assert isinstance(found[0], Lost)
+    assert isinstance(found[0], WorkerLost)
     # The second task may have ended in the first pool, where the first task's process was slow to start.
     assert len({found[task] for task in range(2, 6)}) >= 2
 

@@ -10,11 +10,11 @@ from raising import raises
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
-from kinectbench.core.artefacts.object import WORDS_OF_DOUBTS
+from kinectbench.core.artefacts.object import MEASUREMENT_WARNINGS
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.check.verify import verify
-from kinectbench.release.publish.gate import NOT_TOLD, gate
+from kinectbench.release.publish.gate import WITHHELD, gate
 from kinectbench.release.publish.publish import publish
 from kinectbench.stages.segment.find.choice_warnings import LOOK
 
@@ -61,10 +61,10 @@ def built(folder: Path, grade: str = "good", **quality: Any) -> Path:
         (
             {"warnings": [f"falls into 3; {LOOK}"]},
             {},
-            "falls into 3 (1 doubt of the object, its floor or its size, more",
+            "falls into 3 (1 warning of the object, its floor or its size, more",
         ),
-        ({"warnings": [f"begins 0.2 m up: {WORDS_OF_DOUBTS[1]}"]}, {}, "publish.gate.max_doubts: 0"),
-        ({"warnings": [f"the solid is in 2 {WORDS_OF_DOUBTS[2]}: x"]}, {}, "publish.gate.max_doubts: 0"),
+        ({"warnings": [f"begins 0.2 m up: {MEASUREMENT_WARNINGS[1]}"]}, {}, "publish.gate.max_doubts: 0"),
+        ({"warnings": [f"the solid is in 2 {MEASUREMENT_WARNINGS[2]}: x"]}, {}, "publish.gate.max_doubts: 0"),
         # A file with doubts says itself which of its warnings are some, in any words.
         (
             {"warnings": ["in other words; x", "thin"], "doubts": ["in other words; x"]},
@@ -107,7 +107,7 @@ def test_doubtful_lengths_of_a_recording_are_a_doubt_of_its_size(tmp_path: Path)
     (tmp_path / NAME / "sequence").mkdir()
     head.write(tmp_path / NAME / "sequence")
     (line,) = gate(settings(), tmp_path, [NAME], allow_poor=False).reasons()
-    assert "fit better with depth 0.91 times as far (1 doubt of the object, its floor or its size" in line
+    assert "fit better with depth 0.91 times as far (1 warning of the object, its floor or its size" in line
     assert gate(settings(max_doubts=1), tmp_path, [NAME], allow_poor=False).published == (NAME,)
 
 
@@ -225,10 +225,10 @@ def test_no_figure_and_no_reason_of_a_truth_that_is_held_back(
         assert not found if is_public else found
     content = json.loads((summary.folder / "benchmark.json").read_text())
     said = content["recordings"].get(NAME, {}).get("poor", [content.get("left_out", {}).get(NAME)])
-    assert all(NOT_TOLD in line for line in said)
+    assert all(WITHHELD in line for line in said)
     assert f"- {NAME} is " in (summary.folder / "README.md").read_text()
     # Whoever publishes sees why.
-    assert any(line.startswith(f"{NAME} is ") and NOT_TOLD not in line for line in summary.warnings)
+    assert any(line.startswith(f"{NAME} is ") and WITHHELD not in line for line in summary.warnings)
 
 
 def is_text(path: Path) -> bool:

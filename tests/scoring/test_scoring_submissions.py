@@ -65,7 +65,7 @@ FAN = "".join(f"v {x} {y} 0.5\n" for x in (0, 1) for y in np.linspace(0, 1, 400)
 )
 MESHES: dict[str, tuple[str, bytes, str]] = {
     "open": ("ply", exported(OPEN, "ply"), "the mesh is not closed"),
-    "turned": ("obj", exported(TURNED, "obj"), "not oriented alike"),
+    "turned": ("obj", exported(TURNED, "obj"), "not consistently oriented"),
     "far": ("ply", exported(BOX.copy().apply_translation([500, 0, 0]), "ply"), "vertices beyond 16.4 m"),
     "not finite": ("obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertices beyond|not a readable"),
     "points only": ("ply", exported(trimesh.Trimesh(BOX.vertices), "ply"), "without faces|not a readable"),

@@ -1,1 +1,1 @@
-"""A typed model for each file of `build/`, of a release and of scores: nothing else reads or writes them."""
+"""Typed models of all files of `build/`, releases and scores; nothing else reads or writes these files."""

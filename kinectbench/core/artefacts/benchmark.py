@@ -1,4 +1,4 @@
-"""benchmark.json: what a release says of itself; and publish.json, what was published last from a build."""
+"""benchmark.json, the description of a release, and publish.json, the record of the last publication."""
 
 import contextlib
 from typing import Any, ClassVar, Literal, Self
@@ -18,7 +18,7 @@ UNSPECIFIED = "unspecified"
 # Which `benchmark_sha256` a release has; without the key it is the first, of the list of files alone.
 SHA256_VERSION_KEY = "benchmark_sha256_version"
 SHA256_VERSION: Literal[2] = 2
-# No part of what the second is computed from: itself, and the two that parts name each other by.
+# Excluded from the second hash: itself, and the two by which parts name each other.
 HASH_KEYS = ("benchmark_sha256", "private_benchmark_sha256", "public_benchmark_sha256")
 DOWNLOAD_AGAIN = "make or download it again"
 
@@ -31,7 +31,7 @@ class ReleaseFile(Stored):
 
 
 class Distribution(Part):
-    """Whether the release may be given away."""
+    """Whether the release may be distributed."""
 
     allowed: bool = Field(description="licence and source of every recording are stated")
     reasons: tuple[str, ...] = Field(description="why it may not, one line each")
@@ -91,7 +91,7 @@ class RecordingInfo(Part):
 
 
 class Flow(Part):
-    """How many recordings were tried, and what became of them."""
+    """The number of recordings tried, and their outcomes."""
 
     tried: int = Field(description="recordings of the benchmark")
     not_built: int = Field(description="of these, not built, or not asked for")
@@ -106,13 +106,13 @@ class Flow(Part):
 
     @property
     def left_out(self) -> int:
-        """How many are not published."""
+        """The number of recordings that are not published."""
         steps = (self.not_built, self.failed, self.rejected, self.below_limits)
         return sum(steps) + self.without_pair + self.of_one_object
 
 
 class ReleaseInfo(ReleaseFile):
-    """All of benchmark.json."""
+    """The content of benchmark.json."""
 
     FILE: ClassVar[str] = BENCHMARK_JSON
 
@@ -155,13 +155,13 @@ class ReleaseInfo(ReleaseFile):
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """As `Stored.parse`; another format is told before its keys are looked at, for they may be others."""
+        """Like `Stored.parse`, but reports another format before checking keys."""
         with contextlib.suppress(ValueError, AttributeError, RecursionError):
             version = strict_json(text).get("format_version")
             if version != FORMAT_VERSION:
-                said = version if version is None or type(version) is int else "unknown"
+                stated = version if version is None or type(version) is int else "unknown"
                 raise ReleaseError(
-                    f"{where}: format version {said}; this package reads {FORMAT_VERSION}",
+                    f"{where}: format version {stated}; this package reads {FORMAT_VERSION}",
                     what="other-version",
                 )
         return super().parse(text, where)
@@ -172,12 +172,12 @@ class ReleaseInfo(ReleaseFile):
         return info is not None and info.split in self.held_back
 
     def isolates(self, recording: str) -> bool:
-        """Whether nothing but one view of a recording is here; False in the part that scores."""
+        """Whether only one view of a recording is included; False in the part that scores."""
         return self.hides(recording) and recording in self.isolated
 
 
 class PublishOptions(Part):
-    """What is asked of `publish` beyond the settings."""
+    """Options of `publish` beyond the settings."""
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
@@ -190,7 +190,7 @@ class PublishOptions(Part):
 
 
 class PublishStamp(Stored):
-    """build/publish.json: what was published last; it is not published itself."""
+    """build/publish.json: the last publication; not published itself."""
 
     FILE: ClassVar[str] = "publish.json"
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError

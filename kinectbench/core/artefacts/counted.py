@@ -1,4 +1,4 @@
-"""What is counted of a pair, and .counted.jsonl, where it lies until a method is scored: one pair a line."""
+"""Counts of a pair, and .counted.jsonl, which keeps them until a method is scored: one pair a line."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from kinectbench.core.storage import canonical_json
 from kinectbench.core.types import Float64, Int64
 
 JOURNAL = ".counted.jsonl"
-# Of the parts that several runs counted at the same time, each in a file of its own.
+# Files of parts that several runs count in parallel, one each.
 PART_JOURNAL, JOURNALS = ".counted.{number}-of-{of}.jsonl", ".counted*.jsonl"
 
 
@@ -33,7 +33,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class PairResult:
-    """What was counted of one pair.
+    """The counts of one pair.
 
     Attributes:
         tally: of the prediction.
@@ -41,7 +41,7 @@ class PairResult:
         ceilings: {protocol: the IoU that this side can reach}.
         surface: {protocol: surface metrics}; empty if they were not asked for.
         digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
-        outside_share: of a mesh's volume, what lies outside the grid and was cut off.
+        outside_share: share of a mesh's volume outside the grid, which was cut off.
         tallies: {protocol: its tally}, where it trusts less of the truth than `tally`.
     """
 
@@ -59,12 +59,12 @@ class PairResult:
 
 
 class CountedPair(Part):
-    """A line of the journal: a pair's name, what its result depends on, and the result, every bit of it."""
+    """A line of the journal: a pair's name, the inputs of its result, and the exact result."""
 
     pair: str
     key: str
     result: PairResult
 
     def line(self) -> str:
-        """As the journal has it."""
+        """The line in the journal."""
         return canonical_json(self.json_value()) + "\n"

@@ -46,7 +46,7 @@ def write_gallery(cells: Gallery, scores: Path) -> None:
 
 
 def read_gallery(scores: Path) -> Gallery | None:
-    """Read the gallery beside a scores.json; it may be a stranger's.
+    """Read the gallery beside a scores.json; it is untrusted.
 
     Returns:
         None if there is none, or if it belongs to other scores than these.

@@ -1,4 +1,4 @@
-"""What a build keeps beside its results: what each was made from, how long it took, and why a run failed."""
+"""Records beside a build's results: inputs and duration of each, and why a run failed."""
 
 from typing import ClassVar, NamedTuple
 
@@ -9,7 +9,7 @@ from kinectbench.core.storage import canonical_json
 
 
 class Manifest(Stored):
-    """manifest.json of an artefact's folder: from what it was made, and which files it must hold."""
+    """manifest.json of an artefact: its inputs, and the files that it must hold."""
 
     FILE: ClassVar[str] = "manifest.json"
 
@@ -42,7 +42,7 @@ class Timing(Stored):
 
 
 class Failed(Stored):
-    """failed.json of `build/<recording>/`: why its last run failed; there until that stage succeeds."""
+    """failed.json of `build/<recording>/`: why its last run failed; deleted once that stage succeeds."""
 
     FILE: ClassVar[str] = "failed.json"
 

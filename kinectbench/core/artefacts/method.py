@@ -16,7 +16,7 @@ from kinectbench.core.untrusted import printable
 
 # What `predict` has written of a run that is not complete, a file a line.
 PREDICTED = ".predicted.jsonl"
-# Keys of a method.json that are nobody's.
+# Unknown keys of a method.json.
 MOST_UNKNOWN = 200
 # Characters of a key that are compared with the known ones, which have up to 19.
 LONGEST_NAME = 40
@@ -40,7 +40,7 @@ Similarity = Annotated[Matrix4, AfterValidator(_checked_similarity)]
 
 
 def _letters(name: str) -> str:
-    """A key without capitals and what joins words."""
+    """A key without capitals and separators."""
     return re.sub(r"[\W_]", "", name[:LONGEST_NAME]).casefold()
 
 
@@ -66,7 +66,7 @@ def is_misspelt(name: str, known: str) -> bool:
 
 
 class MethodFile(Stored):
-    """method.json: what made a folder of predictions; all but the name may be missing."""
+    """method.json: how a folder of predictions was made; all keys but the name are optional."""
 
     FILE: ClassVar[str] = "method.json"
     ADVICE: ClassVar[str] = "have the method write it again"
@@ -138,7 +138,7 @@ class MethodFile(Stored):
 
     @model_validator(mode="after")
     def _no_misspelt_key(self) -> Self:
-        """Refuse a key that is meant for one that decides the score, and would not be looked at."""
+        """Refuse a misspelt key that would otherwise be ignored although it decides the score."""
         unknown = self.model_extra or {}
         if len(unknown) > MOST_UNKNOWN:
             raise ValueError(f"{len(unknown)} keys that are not known: at most {MOST_UNKNOWN} are read")
@@ -151,15 +151,15 @@ class MethodFile(Stored):
         return self
 
     def meant(self, key: str) -> str | None:
-        """The known key that an unknown one is nearly; None if there is none."""
+        """The known key most similar to an unknown one; None if there is none."""
         return next((known for known in type(self).model_fields if is_misspelt(key, known)), None)
 
 
 class UnfinishedFile(Stored):
-    """unfinished.json: which run of `predict` has left predictions that are not complete."""
+    """unfinished.json: the run of `predict` whose predictions are incomplete."""
 
     FILE: ClassVar[str] = "unfinished.json"
-    ADVICE: ClassVar[str] = "remove it, and predict anew"
+    ADVICE: ClassVar[str] = "remove it, and predict again"
     ERROR: ClassVar[type[KinectBenchError]] = PredictionError
 
     version: str = Field(description="of kinectbench")
@@ -175,24 +175,24 @@ class UnfinishedFile(Stored):
 
     @property
     def sha256(self) -> str:
-        """Of all that decides the bytes of the predictions."""
+        """Hash of everything that decides the bytes of the predictions."""
         return sha256_text(canonical_json(self.json_value()))
 
 
 class PredictedFile(Part):
-    """A line of .predicted.jsonl: a file that a run wrote whole."""
+    """A line of .predicted.jsonl: a file that a run completed."""
 
     run_sha256: str = Field(description="of the run")
     file: str = Field(description="relative to the method's folder")
     digest: Blake3 = Field(description="of its bytes")
 
     def line(self) -> str:
-        """As the journal has it."""
+        """The line in the journal."""
         return canonical_json(self.json_value()) + "\n"
 
 
 class TrainingRow(Part):
-    """What was seen at a validation; losses are means since the row before."""
+    """Values at a validation; losses are means since the row before."""
 
     step: int = Field(description="steps that were done")
     epoch: float = Field(description="how often every pair was seen")
@@ -202,14 +202,14 @@ class TrainingRow(Part):
     validation_iou: float | None = Field(None, description="mean over validation pairs, protocol known")
     threshold: float | None = Field(None, description="at which it is highest, of 0.1, 0.15, … 0.9")
 
-    def told(self) -> str:
-        """The row as a line for people."""
+    def line(self) -> str:
+        """The row as a printed line."""
         more = "" if self.validation_iou is None else f", validation IoU {self.validation_iou:.3f}"
         return f"step {self.step}, epoch {self.epoch:.2f}: loss {self.loss:.4g}{more}"
 
 
 class TrainingFile(Stored):
-    """training.json: how the weights beside it came to be."""
+    """training.json: the making of the weights beside it."""
 
     FILE: ClassVar[str] = "training.json"
     ADVICE: ClassVar[str] = "train the method again, or get its folder whole"
@@ -235,7 +235,7 @@ class TrainingFile(Stored):
 
     @property
     def threshold(self) -> float | None:
-        """Of the weights: the one of the last validation up to their step; None if there was none."""
+        """Threshold of the weights: from the last validation up to their step; None if there was none."""
         step = math.inf if self.weights_step is None else self.weights_step
-        found = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
-        return found[-1] if found else None
+        thresholds = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
+        return thresholds[-1] if thresholds else None

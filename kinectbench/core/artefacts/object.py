@@ -1,4 +1,4 @@
-"""What `object/` holds of a recording (floor.json, quality.json, volume.npz, surround.npz), and candidates.
+"""Files in a recording's `object/` (floor.json, quality.json, volume.npz, surround.npz), and candidates.
 
 mesh.ply beside them is binary PLY (`core.geometry.mesh`): the closed surface in the world frame, metres.
 """
@@ -14,19 +14,19 @@ from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.types import Split, Underside
 
 Triple = tuple[float, float, float]
-# What the ends of the estimate's interval are, wherever they are told; docs/ground-truth.md has the rule, and
+# The ends of the estimate's interval, wherever they are shown; docs/ground-truth.md has the rule, and
 # in how many simulated objects the IoU lay between them.
 INTERVAL_LOW = "lower end of its interval: more is missing, and every guess behind an opening wrong; no bound"
 INTERVAL_HIGH = (
     "upper end of its interval: less is missing, and every guess behind an opening right; no bound"
 )
-# Files from before `doubts` say by these words of a warning that it is one.
-WORDS_OF_DOUBTS = (
+# Words of warnings that belong to `doubts`, for older files, which lack that key.
+MEASUREMENT_WARNINGS = (
     "`kinectbench segment --suggest` lists boxes to choose from",
     "what carries it gave no depth",
     "large pieces that do not touch",
 )
-# Before the lines of `estimated_iou_reasons`, where an estimate is told with its interval in brackets.
+# Before the lines of `estimated_iou_reasons`, where an estimate is shown with its interval in brackets.
 REASONS_FOLLOW = "the interval in brackets is so wide because of"
 
 
@@ -39,7 +39,7 @@ class BoxPart(Part):
 
     @classmethod
     def of(cls, box: OrientedBox, decimals_m: int, decimals_rad: int) -> Self:
-        """A box rounded to so many decimals of metres and of radians."""
+        """A box rounded to this many decimals of metres and of radians."""
         x, y, z = (round(value, decimals_m) for value in box.center_m)
         length, width, height = (round(value, decimals_m) for value in box.size_m)
         return cls(
@@ -52,7 +52,7 @@ class BoxPart(Part):
 
 
 class FloorCandidate(Part):
-    """A plane that may have been the floor, and why it is not."""
+    """A plane that may have been the floor, and the reason against it."""
 
     plane_world: Vector4 = Field(description="[a, b, c, d], as of the floor; before it was refined")
     inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
@@ -70,7 +70,7 @@ class FloorCandidate(Part):
 
 
 class AnchoredBoxPart(BoxPart):
-    """A box that can be chosen, tied to the floor frame that it is in."""
+    """A box that can be chosen, with the floor frame that it is in."""
 
     anchor_frame: int = Field(description="a frame of the sequence, by which the floor frame is known again")
     anchor_pose: Pose = Field(
@@ -140,7 +140,7 @@ class UnseenSidePart(ScaledPart):
 
 
 class MovingPart(Part):
-    """Frames in which something stands before the scene that the others do not see."""
+    """Frames that show something in front of the scene that other frames do not see."""
 
     judged: int = Field(description="frames looked at")
     frames: tuple[int, ...] = Field(description="indices of those in which something moves")
@@ -148,7 +148,7 @@ class MovingPart(Part):
 
 
 class FrontierPart(Part):
-    """An opening that nobody looked into: unseen space borders on free space without any surface."""
+    """An opening into unseen space: it borders on free space without a surface between."""
 
     direction: Literal["up", "side", "down"] = Field(description="from the unseen region outward")
     area_m2: float = Field(
@@ -180,8 +180,8 @@ class QualityFile(Stored):
     warnings: tuple[str, ...] = Field((), description="one line each")
     doubts: tuple[str, ...] | None = Field(
         None,
-        description="the warnings that doubt what was measured: that the object is one thing and whole, and "
-        "that it stands on the floor that was found",
+        description="the warnings that the measured object may not be one whole thing, or may not "
+        "stand on the floor that was found",
     )
     repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
@@ -225,24 +225,24 @@ class QualityFile(Stored):
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
 
     @property
-    def known_doubts(self) -> tuple[str, ...]:
-        """The doubts; of a file without them, the warnings of the object that say so by their words."""
+    def measurement_warnings(self) -> tuple[str, ...]:
+        """The content of `doubts`; of an older file, the warnings that match by their words."""
         if self.doubts is not None:
             return self.doubts
-        return tuple(line for line in self.warnings if any(words in line for words in WORDS_OF_DOUBTS))
+        return tuple(line for line in self.warnings if any(words in line for words in MEASUREMENT_WARNINGS))
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What to record again, a line for each opening that nobody looked into."""
+        """What to record again, a line for each unobserved opening."""
         return tuple(frontier.advice for frontier in self.frontiers)
 
     def estimated_iou_words(self, decimals: int = 2) -> str | None:
-        """`0.74 (0.35 to 0.80)`: the estimated IoU with its interval, if there is one; None without it."""
+        """The estimated IoU with its interval, such as `0.74 (0.35 to 0.80)`; None without an estimate."""
         return with_interval(self.estimated_iou, self.estimated_iou_low, self.estimated_iou_high, decimals)
 
 
 def with_interval(value: float | None, low: float | None, high: float | None, decimals: int) -> str | None:
-    """`0.74 (0.35 to 0.80)`; without the ends of its interval the value alone; None without a value."""
+    """`0.74 (0.35 to 0.80)`; without an interval the value alone; None without a value."""
     if value is None:
         return None
     ends = "" if low is None or high is None else f" ({low:.{decimals}f} to {high:.{decimals}f})"
@@ -262,14 +262,14 @@ class SynthesisedQualityFile(Stored):
 
 
 class MadeGroup(Part):
-    """What became of the views of a model that were synthesised together."""
+    """The outcome of a model's views that were synthesised together."""
 
     views: tuple[str, ...] = Field(description="names of those that have a pair")
     refused: tuple[str, ...] = Field(description="why each of the others has none")
 
 
 class MadeModel(Stored):
-    """made.json of a model's artefact while a benchmark is synthesised: what it adds to the report."""
+    """made.json of a model's artefact during synthesis: its contribution to the report."""
 
     FILE = "made.json"
     ADVICE = "run the command again"
@@ -280,7 +280,7 @@ class MadeModel(Stored):
 
 
 class CandidateRow(Part):
-    """A box that the object may be chosen by."""
+    """A candidate box for the object."""
 
     number: int = Field(description="from 1 on, as in the pictures")
     automatic: bool = Field(description="it is what is chosen without a box")

@@ -1,4 +1,4 @@
-"""What `object/` holds as arrays on a grid: the solid with its labels, and the space around it."""
+"""Arrays on grids in `object/`: the solid with its labels, and the space around it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -37,7 +37,7 @@ class OnGrid:
 
     Attributes:
         FILE: its name.
-        VERSION: what the file holds of its format.
+        VERSION: the format version in the file.
         ADDED: arrays that older files lack: nothing is set in them.
         grid: `voxel_size_m` and `T_world_grid` in the file.
     """
@@ -49,7 +49,7 @@ class OnGrid:
     grid: Grid
 
     def write(self, folder: Path) -> None:
-        """Write the file into a folder that is there."""
+        """Write the file into an existing folder."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "grid"}
         grid = {"voxel_size_m": np.asarray(self.grid.voxel_size_m), "T_world_grid": self.grid.T_world_grid}
         (folder / self.FILE).write_bytes(npz_bytes({**self.VERSION, **arrays, **grid}, level=1))
@@ -100,7 +100,7 @@ class ObjectVolume(OnGrid):
 
 @dataclass(frozen=True)
 class Surround(OnGrid):
-    """surround.npz: what is known of the space around the object, on a coarse grid.
+    """surround.npz: labels of the space around the object, on a coarse grid.
 
     Attributes:
         grid: as far as any pair's cube can reach; its voxel size in metres.

@@ -1,4 +1,4 @@
-"""What a release says of its own making: lineage.json, privacy.json and thresholds.json."""
+"""The provenance of a release: lineage.json, privacy.json and thresholds.json."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
@@ -19,7 +19,7 @@ ColorPublished = Literal["left out", "published", "none"]
 
 
 class LineageStage(Part):
-    """What made one artefact of a recording."""
+    """How one artefact of a recording was made."""
 
     package_version: str = Field(description="version of kinectbench; a record only")
     stage_version: int | None = Field(
@@ -38,7 +38,7 @@ class LineageView(Part):
 
 
 class LineageRecording(Part):
-    """Where the pairs of one recording come from."""
+    """The origin of the pairs of one recording."""
 
     source: str = Field(description="who recorded it, or where it is from")
     license: str = Field(description="of the data")
@@ -58,7 +58,7 @@ def files_hash(files: Mapping[str, str]) -> str:
 
 
 class Lineage(ReleaseFile):
-    """All of lineage.json; the versions of other packages are in benchmark.json."""
+    """The content of lineage.json; the versions of other packages are in benchmark.json."""
 
     FILE: ClassVar[str] = LINEAGE_JSON
 
@@ -76,7 +76,7 @@ class Removed(Part):
 
 
 class Privacy(ReleaseFile):
-    """All of privacy.json: what was looked for, and removed or kept."""
+    """The content of privacy.json: what was searched for, and removed or kept."""
 
     FILE: ClassVar[str] = PRIVACY_JSON
 
@@ -89,7 +89,7 @@ class Privacy(ReleaseFile):
 
 
 class ThresholdsFile(ReleaseFile):
-    """All of thresholds.json: the frozen thresholds of a method."""
+    """The content of thresholds.json: the frozen thresholds of a method."""
 
     FILE: ClassVar[str] = THRESHOLDS_JSON
     ADVICE: ClassVar[str] = "`kinectbench score --save-thresholds` writes one"

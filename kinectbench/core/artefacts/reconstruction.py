@@ -1,4 +1,4 @@
-"""reconstruction.json of `build/<recording>/reconstruction/`: how far depth made surface, and what is beyond.
+"""reconstruction.json of `build/<recording>/reconstruction/`: the depth range that was fused, and the rest.
 
 mesh.ply beside it is binary PLY (`core.geometry.mesh`); volume.npz belongs to the stage `fuse`.
 """
@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.stored import Part, Stored
 
 
 class DepthRangePart(Part):
-    """How far depth makes surface of the scene, why so far, and how much depth lies beyond."""
+    """The largest depth that is fused into the scene, the reason, and the share of depth beyond it."""
 
     max_depth_m: float = Field(description="farther depth makes no surface of the scene, metres")
     chosen_by: Literal["recording", "setting"] = Field(
@@ -31,7 +31,7 @@ class DepthRangePart(Part):
 
 
 class ReconstructionFile(Stored):
-    """reconstruction.json: what is to be known of the fused scene."""
+    """reconstruction.json: facts about the fused scene."""
 
     FILE: ClassVar[str] = "reconstruction.json"
 

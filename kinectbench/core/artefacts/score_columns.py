@@ -45,7 +45,7 @@ _PLAIN_ROW, _PLAIN_IN_SPACE = TypeAdapter(ScoreRow), TypeAdapter(InSpace)
 
 
 class RowsFile(Part):
-    """What scores.json says of the rows that lie beside it."""
+    """The description in scores.json of the rows beside it."""
 
     rows: int = Field(ge=0, le=MOST_ROWS, description="how many")
     sha256: Sha256 = Field(description="SHA-256 of rows.npz")
@@ -59,10 +59,10 @@ def rows_as_json(rows: Sequence[ScoreRow]) -> Iterator[str]:
 
 
 def write_rows(rows: Sequence[ScoreRow], folder: Path) -> RowsFile | None:
-    """Write rows.npz into a folder; of few rows write none, and remove that of an earlier table.
+    """Write rows.npz into a folder; for few rows delete it instead.
 
     Returns:
-        What scores.json must say of it; None where it holds the rows itself.
+        The entry for scores.json; None where it holds the rows itself.
 
     Raises:
         StorageError: the disk is full or read-only.
@@ -82,9 +82,9 @@ def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
     """The arrays of rows.npz."""
     arrays: dict[str, NDArray[Any]] = {}
     for name in (*TEXTS, IN_SPACE):
-        found: dict[str, int] = {}
-        places = [found.setdefault(_text(row, name), len(found)) for row in rows]
-        arrays[name], arrays[WORDS.format(name)] = np.array(places, np.int32), np.array([*found], np.str_)
+        positions: dict[str, int] = {}
+        places = [positions.setdefault(_text(row, name), len(positions)) for row in rows]
+        arrays[name], arrays[WORDS.format(name)] = np.array(places, np.int32), np.array([*positions], np.str_)
     for name in NUMBERS:
         values = (getattr(row, name) for row in rows)
         arrays[name] = np.fromiter((math.nan if of is None else of for of in values), np.float64, len(rows))
@@ -97,7 +97,7 @@ def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
 
 
 def _text(row: ScoreRow, name: str) -> str:
-    """What a column of texts holds of a row."""
+    """One row's value in a column of texts."""
     if name != IN_SPACE:
         return str(getattr(row, name))
     if row.part is None:
@@ -106,22 +106,22 @@ def _text(row: ScoreRow, name: str) -> str:
     return canonical_json({key: plain[key] for key in fields_of(InSpace)})
 
 
-def read_rows(folder: Path, said: RowsFile) -> tuple[ScoreRow, ...]:
-    """Read rows.npz, which may be a stranger's.
+def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
+    """Read rows.npz, which is untrusted.
 
     Args:
         folder: that it lies in.
-        said: what the scores.json beside it says.
+        stated: the entry in scores.json beside it.
 
     Raises:
         StorageError: it is missing, damaged, larger than it may be, or not the file that is meant. One line.
     """
-    path, count = folder / ROWS_NPZ, said.rows
+    path, count = folder / ROWS_NPZ, stated.rows
     try:
         with open_plain(path) as file:
             if size_of(file) > MOST_BYTES:
                 raise ValueError(f"larger than {MOST_BYTES} bytes")
-            if hashlib.file_digest(file, "sha256").hexdigest() != said.sha256:
+            if hashlib.file_digest(file, "sha256").hexdigest() != stated.sha256:
                 raise ValueError("another file than scores.json names")
             file.seek(0)
             arrays = arrays_of(file, MOST_BYTES)
@@ -155,24 +155,24 @@ def _check(arrays: dict[str, NDArray[Any]], count: int) -> None:
 
 
 def _rows(arrays: dict[str, NDArray[Any]], start: int) -> Iterator[ScoreRow]:
-    """The rows from one on, as many as are made at once; their bounds are looked at by who reads a table."""
-    here = slice(start, start + AT_ONCE)
+    """Up to `AT_ONCE` rows from an index on; the caller checks their bounds."""
+    batch = slice(start, start + AT_ONCE)
     columns: dict[str, list[Any]] = {}
     for name in TEXTS:
         words = arrays[WORDS.format(name)].tolist()
-        columns[name] = [words[at] for at in arrays[name][here].tolist()]
+        columns[name] = [words[at] for at in arrays[name][batch].tolist()]
     for name in NUMBERS:
-        columns[name] = [None if math.isnan(of) else of for of in arrays[name][here].tolist()]
+        columns[name] = [None if math.isnan(of) else of for of in arrays[name][batch].tolist()]
     columns["cells"] = [int(of) if of is not None and of.is_integer() else of for of in columns["cells"]]
-    columns[CURVE] = [None if math.isnan(of[0]) else tuple(of) for of in arrays[CURVE][here].tolist()]
-    more = _in_space(arrays, here) if IN_SPACE in arrays else [{}] * len(columns[CURVE])
+    columns[CURVE] = [None if math.isnan(of[0]) else tuple(of) for of in arrays[CURVE][batch].tolist()]
+    more = _in_space(arrays, batch) if IN_SPACE in arrays else [{}] * len(columns[CURVE])
     for *values, beside in zip(*columns.values(), more, strict=True):
         yield ScoreRow(**dict(zip(columns, values, strict=True)), **beside)
 
 
-def _in_space(arrays: dict[str, NDArray[Any]], here: slice) -> list[dict[str, Any]]:
-    """What some rows state beside their columns."""
+def _in_space(arrays: dict[str, NDArray[Any]], batch: slice) -> list[dict[str, Any]]:
+    """Values of some rows that have no column."""
     words = arrays[WORDS.format(IN_SPACE)].tolist()
-    used = {at: words[at] for at in set(arrays[IN_SPACE][here].tolist())}
+    used = {at: words[at] for at in set(arrays[IN_SPACE][batch].tolist())}
     read = {at: vars(_PLAIN_IN_SPACE.validate_json(text)) if text else {} for at, text in used.items()}
-    return [read[at] for at in arrays[IN_SPACE][here].tolist()]
+    return [read[at] for at in arrays[IN_SPACE][batch].tolist()]

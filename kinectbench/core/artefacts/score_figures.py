@@ -1,4 +1,4 @@
-"""The figures of scores.json: metrics, what they are read beside, rows of pairs, and averages.
+"""Figures of scores.json: metrics, their context, rows of pairs, and averages.
 
 Each metric is declared once, as a field of `VoxelMetrics` or `SurfaceMetrics`, with its meaning, unit, range,
 and whether more is better. Rows, averages, the JSON schema and the page's tables are made from these fields.
@@ -21,7 +21,7 @@ OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANG
 
 # Protocols of predictions in the camera frame.
 IN_SPACE = ("camera", "aligned")
-# What of a shape one of their rows is of: all, what the view saw, or the rest.
+# The part of a shape in a row: all, seen by the view, or the rest.
 ShapePart = Literal["whole", "visible", "occluded"]
 # Rows and averages are dataclasses: of a hundred thousand rows, models would take twice the memory.
 FINITE = ConfigDict(allow_inf_nan=False)
@@ -38,7 +38,7 @@ def _share(heading: str | None, meaning: str) -> Any:
 
 
 def _loss(heading: str | None, meaning: str, unit: str) -> Any:
-    """A metric from 0 on, the lower the better; arguments as those of `_share`."""
+    """A metric that is 0 at best and has no upper bound; arguments as those of `_share`."""
     extra: dict[str, JsonValue] = {"minimum": 0, "unit": unit, "better": "lower"}
     return Field(None, title=heading, description=meaning, json_schema_extra=extra)
 
@@ -56,7 +56,7 @@ class VoxelMetrics:
 
 @dataclass(frozen=True, config=FINITE)
 class SurfaceMetrics:
-    """Metrics of surfaces at the row's threshold; None if they were not asked for."""
+    """Metrics of surfaces at the row's threshold; None if not requested."""
 
     chamfer_mm: float | None = _loss(
         "Chamfer, mm", "mean of the mean distances from each surface to the other", "mm"
@@ -90,14 +90,14 @@ def any_in_space(protocols: Iterable[str]) -> bool:
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
     """The fields of a class of figures, in file order."""
-    found: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
-    return found
+    fields: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
+    return fields
 
 
 VOXEL_METRICS = tuple(fields_of(VoxelMetrics))
 SURFACE_METRICS = tuple(fields_of(SurfaceMetrics))
 METRICS = (*VOXEL_METRICS, *SURFACE_METRICS)
-# Metrics in [0, 1], of which more is better; of the others less is.
+# Metrics in [0, 1], higher is better; for all others lower is better.
 SHARES = frozenset(
     name
     for kind in (VoxelMetrics, SurfaceMetrics)
@@ -108,7 +108,7 @@ SHARES = frozenset(
 
 @dataclass(frozen=True, config=FINITE)
 class Context:
-    """What the metrics of a pair, or their averages, are to be read beside."""
+    """The context needed to interpret the metrics of a pair, or their averages."""
 
     base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
         default=None, description="cross-entropy of the category's base-rate constant, nats a voxel"
@@ -140,7 +140,7 @@ class Pair:
 
 @dataclass(frozen=True, config=FINITE)
 class Resolution:
-    """The resolution of a prediction, and what it allows."""
+    """The resolution of a prediction, and the best score that it allows."""
 
     cells: int = Field(
         default=256,
@@ -154,7 +154,7 @@ class Resolution:
 
 @dataclass(frozen=True, config=FINITE)
 class Unknown:
-    """How much of the truth of a pair is unknown, whatever the protocol."""
+    """The unknown share of a pair's truth, independent of the protocol."""
 
     unknown_share: OptionalUnitRange = Field(
         default=None, description="of the true shape's voxels, those that are not known"
@@ -194,7 +194,7 @@ class Hypotheses:
 
 @dataclass(frozen=True, config=FINITE)
 class Ceiling:
-    """What the truth's own surface uncertainty leaves to a perfect prediction; docs/scoring-in-space.md."""
+    """The scores of a perfect prediction, limited by the truth's uncertainty; docs/scoring-in-space.md."""
 
     chamfer_l1_m: float | None = _loss(None, "of `chamfer_l1_m`", "m")
     chamfer_l2_m2: float | None = _loss(None, "of `chamfer_l2_m2`", "m^2")
@@ -209,7 +209,7 @@ class Ceiling:
 
 @dataclass(frozen=True, config=FINITE)
 class AsPapers:
-    """Figures by the constants of other papers' code; docs/scoring-in-space.md says what differs."""
+    """Figures by the constants of other papers' code; docs/scoring-in-space.md lists the differences."""
 
     octmae_chamfer_l1_mm: float | None = _loss("CD-L1 as OctMAE, mm", "half of both ways", "mm")
     octmae_chamfer_l2_mm2: float | None = _loss(None, "half of both ways, of squares", "mm^2")
@@ -226,7 +226,7 @@ class AsPapers:
 
 @dataclass(frozen=True, config=FINITE)
 class InSpace:
-    """What only rows of the protocols `camera` and `aligned` state."""
+    """Values that only rows of the protocols `camera` and `aligned` have."""
 
     part: ShapePart | None = Field(
         default=None, description="which part of the shape; null under the other protocols"
@@ -270,7 +270,7 @@ class ByThreshold:
 
 @dataclass(frozen=True, config=FINITE)
 class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
-    """One pair under one protocol; its metrics are null where the protocol leaves it out as all unknown."""
+    """One pair under one protocol; metrics are null if all its voxels are unknown there."""
 
     @property
     def pair(self) -> str:
@@ -279,7 +279,7 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 
     @property
     def heading(self) -> str:
-        """What its figures are averaged and compared under: the protocol, and what else it is of.
+        """The group of its averages and comparisons: the protocol and variant.
 
         `known`, `camera`, `camera-occluded`, `aligned-t+s` or `camera-best-of-5`, for example.
         """
@@ -299,7 +299,7 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 
     @property
     def counts(self) -> bool:
-        """Whether it has figures; else its pair is all unknown there."""
+        """Whether it has figures; else all its voxels are unknown there."""
         return self.iou is not None or self.chamfer_l1_m is not None
 
 

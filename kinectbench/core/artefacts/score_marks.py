@@ -1,4 +1,4 @@
-"""What must be known of a table before its numbers are believed: marks, and whether it was rechecked."""
+"""Caveats of a table: marks, and whether it was rechecked."""
 
 from typing import Annotated, Final, Literal
 
@@ -32,21 +32,21 @@ REPORTED = "reported"
 
 
 class Mark(Part):
-    """One thing that sets a method's scores apart from those of a complete submission."""
+    """A reason why a method's scores differ from those of a complete submission."""
 
     kind: Kind = Field(description="which of them")
     words: str = Field(description="in a few words, with the counts")
 
 
 class ValidationUse(Part):
-    """How much of the validation split the thresholds were searched on."""
+    """How many validation pairs were used to choose the thresholds."""
 
     pairs: int = Field(description="of the validation split", json_schema_extra={"minimum": 0})
     predicted: int = Field(description="those that were predicted", json_schema_extra={"minimum": 0})
 
 
 class Verified(Part):
-    """That `score --recheck` scored the predictions again and found the same rows."""
+    """`score --recheck` scored the predictions again and found the same rows."""
 
     date: str = Field(
         description="when, in UTC", json_schema_extra={"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}

@@ -150,7 +150,7 @@ class Extremes(Part):
 
 
 class Hashes(Part):
-    """What a pair was scored from."""
+    """Hashes of the files that a pair was scored from."""
 
     truth: Sha256 = Field(description="SHA-256 of the pair file")
     prediction: str | None = Field(
@@ -160,14 +160,14 @@ class Hashes(Part):
 
 
 def _without_nulls(content: Any) -> Any:
-    """Of a stranger's object, the keys that have a value; null stands for no keys."""
+    """The keys with a value of an untrusted object; null stands for no keys."""
     if not isinstance(content, Mapping):
         return {} if content is None else content
     return {key: value for key, value in content.items() if value is not None}
 
 
 def _lines(content: Any) -> Any:
-    """A list of JSON as the tuple that it was; a stranger's null stands for none."""
+    """The tuple in a list of JSON; null stands for an empty one."""
     return tuple(content) if isinstance(content, list) else () if content is None else content
 
 
@@ -184,7 +184,7 @@ class ScoreTable(Stored):
 
     FILE: ClassVar[str] = SCORES_JSON
     ADVICE: ClassVar[str] = "score the predictions again"
-    # Of 10,000 pairs under three protocols, each of its own recording, whose quality is told as well: 6.9 kB
+    # Of 10,000 pairs under three protocols, each of its own recording, with its quality: 6.9 kB
     # and 288 values each; read in 7 s and 0.63 GB.
     MAX_BYTES: ClassVar[int] = 80 << 20
     MAX_VALUES: ClassVar[int] = 3_000_000
@@ -285,7 +285,7 @@ class ScoreTable(Stored):
 
     @property
     def counted_by(self) -> str:
-        """How predictions were counted, in words: tables that differ in it are not compared.
+        """How predictions were counted, as text; tables with different values are not compared.
 
         `missing` is no part of it: with any choice a pair that is predicted has the same numbers.
         """
@@ -293,21 +293,21 @@ class ScoreTable(Stored):
 
     @property
     def score_version(self) -> int:
-        """The version of `score` that counted; 1 where a table does not say it, as none did at first."""
+        """The version of `score` that counted; 1 if the table does not state it, as in early ones."""
         return self.settings.score_version or 1
 
     def averages(self, protocol: str) -> dict[str, CategoryAverages | OverallAverages]:
         """The averages under a protocol by category, and over all categories under `OVERALL`."""
-        found: dict[str, CategoryAverages | OverallAverages] = {**(self.by_category or {}).get(protocol, {})}
+        values: dict[str, CategoryAverages | OverallAverages] = {**(self.by_category or {}).get(protocol, {})}
         over_all = (self.overall or {}).get(protocol)
-        return found if over_all is None else {**found, OVERALL: over_all}
+        return values if over_all is None else {**values, OVERALL: over_all}
 
     def pairs(self, protocol: str) -> list[ScoreRow]:
         """The rows under a heading (`ScoreRow.heading`), which of most protocols is their name."""
         return [row for row in self.rows if row.heading == protocol]
 
     def left_out_line(self, protocol: str) -> str:
-        """How many pairs a protocol leaves out, in a sentence; "" if none."""
+        """The number of pairs that a protocol leaves out, as a sentence; "" if none."""
         count, pairs = len(self.all_unknown_pairs.get(protocol, ())), len(self.pairs(protocol))
         if not count:
             return ""
@@ -327,7 +327,7 @@ class ScoreTable(Stored):
         return buffer.getvalue()
 
     def write(self, folder: Path, name: str = SCORES_JSON) -> None:
-        """Write scores.json and scores.csv into a folder, each whole or not at all.
+        """Write scores.json and scores.csv into a folder, each atomically.
 
         Args:
             folder: made if it is not there.
@@ -358,7 +358,7 @@ class ScoreTable(Stored):
         return table.model_copy(update={"rows": rows, "rows_file": None})
 
 
-# What follows from the rows and the settings, or says nothing of the numbers.
+# Fields that follow from rows and settings, or have no effect on the numbers.
 DERIVED = (
     *("by_category", "overall", "truth_unknown_share", "all_unknown_pairs", "notes", "extremes"),
     *("iou_by_threshold", "marks"),

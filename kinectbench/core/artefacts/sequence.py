@@ -1,4 +1,4 @@
-"""camera.json and frames.json of `build/<recording>/sequence/`: one camera, and where each frame lies."""
+"""camera.json and frames.json of `build/<recording>/sequence/`: the camera, and the files of each frame."""
 
 from typing import ClassVar, Literal
 
@@ -13,7 +13,7 @@ AGAIN = "delete the folder and run `kinectbench ingest` again"
 
 
 class CameraFile(Stored):
-    """camera.json: the depth camera, and what is to be known of the recording as a whole."""
+    """camera.json: the depth camera, and facts about the whole recording."""
 
     FILE: ClassVar[str] = "camera.json"
     ADVICE: ClassVar[str] = AGAIN
@@ -40,7 +40,7 @@ class CameraFile(Stored):
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
     doubts: tuple[str, ...] = Field(
         default=(),
-        description="What speaks against depth_scale and intrinsics; in `warnings`, too; absent: nothing.",
+        description="Evidence against depth_scale and intrinsics; in `warnings`, too; absent: nothing.",
     )
     trajectory_error: str = Field(
         default="", description='Why the trajectory that came with the recording is not used, or "".'

@@ -1,4 +1,4 @@
-"""The constants by which a solid was made, as quality.json keeps them under `method`."""
+"""The constants that made a solid, as quality.json keeps them under `method`."""
 
 from pydantic import Field
 
@@ -10,7 +10,7 @@ Curve = tuple[tuple[float, float], ...]
 
 
 class AirMethod(Part):
-    """What a camera could see, by which air is defined; lengths in metres."""
+    """The space that a camera could see, which defines air; lengths in metres."""
 
     line_width_m: float = Field(description="a line of sight is as wide")
     narrower: float = Field(description="lines of so much of that width are asked: slits are unknown")
@@ -24,12 +24,12 @@ class AirMethod(Part):
 
     @property
     def limits(self) -> SensorLimits:
-        """Of the sensor."""
+        """Limits of the sensor."""
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
 class CarriedLegs(Part):
-    """When a piece on the floor is a leg whose upper end was hidden, and goes on up to the object."""
+    """Rule for pieces on the floor that are legs with a hidden upper end, and are extended to the object."""
 
     min_height_m: float = Field(description="its least height, metres")
     max_gap_m: float = Field(description="how far below the object it ends at most, metres")
@@ -38,7 +38,7 @@ class CarriedLegs(Part):
 
 
 class FrontierMethod(Part):
-    """Which regions that some camera could still see are told, and from where one would look into them."""
+    """Which unseen regions that a camera could see are reported, and from where to look into them."""
 
     least_share: float = Field(description="of the solid's volume, that lies behind one at least")
     least_underside_share: float | None = Field(None, description="the same of an underside")
@@ -50,7 +50,7 @@ class FrontierMethod(Part):
 
 
 class EstimateMethod(Part):
-    """How the IoU to the unknown truth is estimated, and what widens its interval."""
+    """The estimate of the IoU to the unknown truth, and the terms of its interval."""
 
     off_m: float = Field(description="how far the surface is off whatever was measured, metres")
     off_if_thin_m: float = Field(
@@ -74,7 +74,7 @@ class EstimateMethod(Part):
 
 
 class SolidMethod(Part):
-    """The constants by which a solid was made from what the frames saw; older files have others beside."""
+    """The constants that made a solid from the frames' votes; older files have further ones."""
 
     name: str = Field(description="its steps, in words")
     air: AirMethod | None = Field(None, description="the definition of air")

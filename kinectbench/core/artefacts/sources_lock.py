@@ -1,4 +1,4 @@
-"""What a recipe's fetch keeps beside sources.yaml, and the list of scans that it reads from a source."""
+"""Records of a recipe's fetch beside sources.yaml, and the list of scans from a source."""
 
 from typing import ClassVar
 
@@ -10,14 +10,14 @@ from kinectbench.core.names import Name
 
 
 class LockedFile(Part):
-    """A file as it first came."""
+    """A file at its first download."""
 
     bytes: int = Field(ge=0, description="its size")
     sha256: str = Field(pattern="^[0-9a-f]{64}$", description="of its content")
 
 
 class SourcesLock(Stored):
-    """sources.lock of a recipe: what each file was when it first came; later fetches are held to it."""
+    """sources.lock of a recipe: each file at its first download; later downloads must equal it."""
 
     FILE: ClassVar[str] = "sources.lock"
     ADVICE: ClassVar[str] = "take it from where the recipe is from, or remove it to lock what comes next"

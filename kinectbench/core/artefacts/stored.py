@@ -1,6 +1,6 @@
-"""What the models of all stored JSON files share: how a typed value becomes a file, and comes back.
+"""Base of all stored JSON files: writes a typed value to a file and reads it back.
 
-Inside the package every length is in metres and every angle in radians, and what is not known is None. Some
+Inside the package every length is in metres and every angle in radians, and unknown values are None. Some
 keys of the files are in millimetres or degrees, for people who open them. Such a field is named for what it
 holds in memory; its model is a `ScaledPart`, which makes the key: `shift_m: MillimetresInFile` is `shift_mm`.
 """
@@ -43,7 +43,7 @@ JSON_BYTES = 64 << 20
 # Of one file that are written out as Python's values, a kilobyte each.
 MOST_ERRORS = 1000
 # pydantic copies an object for each key that it lacks: in a longer text the first is looked for beforehand
-# (own choice; forty copies of it are 40 MB of text).
+# (chosen here; forty copies of it are 40 MB of text).
 LONG_TEXT = 1 << 20
 
 
@@ -68,7 +68,7 @@ def _leave_early(schema: Any) -> None:
 
 
 class Part(BaseModel):
-    """A part of a stored file: frozen, without NaN or infinity; keys that it does not know are kept.
+    """A part of a stored file: frozen, without NaN or infinity; unknown keys are kept.
 
     Newer versions may write more keys, and what reads a file and writes it again must not lose them. Nor does
     it add any: a key whose default is None or () is written only if it was given, as null for example.
@@ -86,7 +86,7 @@ class Part(BaseModel):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """As pydantic makes it, but a list or a mapping is left at its first wrong entry, half a kilobyte."""
+        """Pydantic's schema; validation of lists and mappings stops at the first error, to save memory."""
         schema = handler(source)
         _leave_early(schema)
         return schema
@@ -110,9 +110,9 @@ class Stored(Part):
 
     Attributes:
         FILE: its name, relative to the folder it lies in.
-        ADVICE: what a person can do if it is damaged.
-        ERROR: what is raised if it is.
-        MAX_BYTES: a larger file is not read: it may be a stranger's.
+        ADVICE: the advice if it is damaged.
+        ERROR: the exception if it is damaged.
+        MAX_BYTES: a larger file is not read: it is untrusted.
         MAX_VALUES: one of more values is not, either.
     """
 
@@ -127,12 +127,12 @@ class Stored(Part):
         return pretty_json(self.json_value())
 
     def write(self, folder: Path) -> None:
-        """Write the file into a folder that is there."""
+        """Write the file into an existing folder."""
         (folder / self.FILE).write_text(self.text(), encoding="utf-8")
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read the file in a folder; errors as those of `read_file`."""
+        """Read the file in a folder; errors as of `read_file`."""
         return cls.read_file(folder / cls.FILE)
 
     @classmethod
@@ -146,8 +146,8 @@ class Stored(Part):
             text = read_plain_text(path, cls.MAX_BYTES)
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or error
-            told = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({reason})"
-            raise cls.ERROR(f"{path}: {told}; {cls.ADVICE}") from error
+            problem = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({reason})"
+            raise cls.ERROR(f"{path}: {problem}; {cls.ADVICE}") from error
         return cls.parse(text, str(path))
 
     @classmethod
@@ -157,7 +157,7 @@ class Stored(Part):
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """The value that a file's text holds; a number written as text, for example, is not taken for one.
+        """The value in a file's text; types are strict: a number written as text is refused.
 
         Args:
             text: JSON.
@@ -173,13 +173,13 @@ class Stored(Part):
             return cls.validated(text)
         except ValidationError as error:
             if error.error_count() > MOST_ERRORS:
-                told = f"{error.error_count()} values are not as they should be"
-                raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
+                problem = f"{error.error_count()} values are not as they should be"
+                raise cls.ERROR(f"{where}: {problem}; {cls.ADVICE}") from error
             first = error.errors(include_input=False)[0]
             key = ".".join(str(part) for part in first["loc"])
             why = first["msg"].removeprefix("Value error, ")
-            told = f"'{printable(key)}': {printable(why, 200)}" if key else why
-            raise cls.ERROR(f"{where}: {told}; {cls.ADVICE}") from error
+            problem = f"'{printable(key)}': {printable(why, 200)}" if key else why
+            raise cls.ERROR(f"{where}: {problem}; {cls.ADVICE}") from error
         except (ValueError, RecursionError) as error:
             raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error
 
@@ -191,7 +191,7 @@ class Stored(Part):
 
     @classmethod
     def validated(cls, text: str) -> Self:
-        """As `parse`, but raises pydantic's ValidationError, which holds all that is wrong."""
+        """Like `parse`, but raises pydantic's ValidationError, which holds all errors."""
         return cls.model_validate_json(text, strict=True, by_alias=True, by_name=False)
 
 
@@ -218,21 +218,21 @@ class Bare(Stored):
 
 
 def known(value: float | np.floating[Any], decimals: int | None = None) -> float | None:
-    """A number as the models hold it: None for NaN, else a float, rounded if asked for."""
+    """A number for a model: None for NaN, else a float, rounded on request."""
     if not np.isfinite(value):
         return None
     return float(value) if decimals is None else round(float(value), decimals)
 
 
 def number(value: float | None) -> float:
-    """What `known` made None: JSON has no NaN and no infinity."""
+    """The inverse of `known`: NaN for None, as JSON has no NaN and no infinity."""
     return math.nan if value is None else value
 
 
 def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:
     """Annotations of a number that the file holds `factor` times larger, rounded to `decimals`.
 
-    The value in memory is rounded alike, so that it is the same before it is written and after it is read.
+    The value in memory is rounded, too, so that it equals the value that is read.
     """
 
     def from_file(value: Any, info: ValidationInfo) -> Any:

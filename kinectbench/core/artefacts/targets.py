@@ -1,4 +1,4 @@
-"""targets.csv, the pairs of a release that are to be predicted; splits.json; and SHA256SUMS.
+"""targets.csv, the pairs to predict; splits.json; and SHA256SUMS.
 
 SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
 `benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
@@ -48,7 +48,7 @@ def _column(description: str) -> Any:
 
 @dataclass(frozen=True, order=True)
 class Target:
-    """One line of targets.csv: a pair to be predicted; the columns are described with the fields."""
+    """One line of targets.csv: a pair to predict; the fields describe the columns."""
 
     recording: str = _column("id of the recording")
     object: str = _column("the thing recorded; it belongs to one split")
@@ -64,11 +64,11 @@ class Target:
 
     @property
     def name(self) -> str:
-        """`<recording>/<view>`, what messages call it."""
+        """`<recording>/<view>`, its name in messages."""
         return f"{self.recording}/{self.view}"
 
 
-# Column of targets.csv → what it holds.
+# Column of targets.csv → its content.
 COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
 NUMBER_COLUMNS = ("unknown_share",)
 # Those of releases published before pairs stated their share of unknown.
@@ -110,7 +110,7 @@ def _target(row: list[str]) -> Target:
 
 
 def _row_problem(row: list[str], columns: int) -> str | None:
-    """What is wrong with a line of a targets.csv that has so many columns, or None."""
+    """The fault of a line of targets.csv with this number of columns, or None."""
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
     if len(row) > len(EARLIER_COLUMNS) and not _SHARE.fullmatch(row[-1]):
@@ -138,14 +138,14 @@ def targets_text(targets: Sequence[Target], columns: Sequence[str] = tuple(COLUM
 
 def by_recording(targets: Iterable[Target]) -> dict[str, list[Target]]:
     """The targets of each recording, in their order."""
-    found: dict[str, list[Target]] = {}
+    groups: dict[str, list[Target]] = {}
     for target in targets:
-        found.setdefault(target.recording, []).append(target)
-    return found
+        groups.setdefault(target.recording, []).append(target)
+    return groups
 
 
 def check_names(targets: Sequence[Target], where: str) -> None:
-    """Refuse names that cannot stand together, a category called as a mean is, and an object in two splits.
+    """Refuse contradictory names, categories named like a mean, and an object in two splits.
 
     Raises:
         ReleaseError: one line that says which.
@@ -212,14 +212,14 @@ def list_of_files(sums: str) -> str:
 
 
 def benchmark_sha256(sums: str, stated: str) -> str:
-    """What identifies a release, by the version that its benchmark.json names.
+    """The identity of a release, by the version that its benchmark.json names.
 
     Args:
         sums: the text of SHA256SUMS.
         stated: the text of benchmark.json, which was parsed before.
 
     Raises:
-        ValueError, RecursionError: it is no JSON.
+        ValueError, RecursionError: it is not JSON.
     """
     content: dict[str, Any] = strict_json(stated)
     if content.get(SHA256_VERSION_KEY) is None:

@@ -1,4 +1,4 @@
-"""What is stored beside the poses of a trajectory: health.json and depth_calibration.json."""
+"""Files beside the poses of a trajectory: health.json and depth_calibration.json."""
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -53,12 +53,12 @@ class RejectedFrame(ScaledPart):
 
 
 class ConstraintCounts(Part):
-    """How many registrations between keyframes the pose graph holds, by their kind."""
+    """The number of constraints in the pose graph, by kind."""
 
     odometry: int = Field(0, description="between consecutive keyframes")
     covisible: int = Field(0, description="between keyframes near in time")
     loop: int = Field(0, description="loop closures: a place seen again")
-    refused: int = Field(0, description="tried and not believed, not in the graph")
+    refused: int = Field(0, description="tried and refused, not in the graph")
 
 
 class LoopClosure(ScaledPart):
@@ -95,7 +95,7 @@ class GivenFigures(ScaledPart):
 
 
 class Covisibility(Part):
-    """What keyframes see of each other."""
+    """Which points keyframes share."""
 
     keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")
     share: list[list[float]] = Field(
@@ -104,7 +104,7 @@ class Covisibility(Part):
 
 
 class FrameHealth(ScaledPart):
-    """One frame. What is not known is null."""
+    """One frame; unknown values are null."""
 
     frame: int = Field(description="its index")
     state: FrameState = Field("tracked", description="whether it has a pose; if not, why")
@@ -119,7 +119,7 @@ class FrameHealth(ScaledPart):
 
 
 class TrajectoryHealth(ScaledPart, Stored):
-    """health.json: what can be said of a trajectory without a ground truth; docs/tracking.md explains it."""
+    """health.json: figures of a trajectory that need no ground truth; docs/tracking.md explains them."""
 
     FILE: ClassVar[str] = "health.json"
 
@@ -194,7 +194,7 @@ class TrajectoryHealth(ScaledPart, Stored):
         return self
 
     def pose_sigma_m(self) -> Float64:
-        """(n,) by how much each frame's pose may be off, metres; NaN where it is not known."""
+        """(n,) standard deviation of each frame's position, metres; NaN if unknown."""
         sigma_m = np.full(self.frames, np.nan)
         for row in self.per_frame:
             sigma_m[row.frame] = np.nan if row.shift_m is None else row.shift_m

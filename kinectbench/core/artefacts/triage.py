@@ -1,4 +1,4 @@
-"""triage.json: which recordings of a build can be trusted, which a person should look at, and why."""
+"""triage.json: which recordings of a build are trustworthy, which need a review, and why."""
 
 from collections import Counter
 from typing import ClassVar, Literal
@@ -13,7 +13,7 @@ DECISIONS: tuple[Decision, ...] = ("reject", "look", "accept")  # the gravest fi
 
 
 class TriageRow(Part):
-    """What becomes of one recording."""
+    """The decision on one recording."""
 
     recording: str = Field(description="its id")
     object: str = Field(description="the thing recorded")
@@ -41,7 +41,7 @@ class SameObject(Part):
 
     @property
     def line(self) -> str:
-        """The same for people."""
+        """The row as a printed line."""
         a, b = self.recordings
         apart = self.splits[0] != self.splits[1]
         where = f", and stand in the splits {self.splits[0]} and {self.splits[1]}" if apart else ""
@@ -52,19 +52,19 @@ class SameObject(Part):
 
 
 class TriageFile(Stored):
-    """triage/triage.json: what the rules and people decide of each recording of a benchmark."""
+    """triage/triage.json: the decisions of rules and people on each recording of a benchmark."""
 
     FILE: ClassVar[str] = "triage.json"
     ADVICE: ClassVar[str] = "`kinectbench triage` makes it again"
 
     format_version: Literal[1] = Field(1, description="of this file's format")
-    rows: tuple[TriageRow, ...] = Field(description="the largest doubt first")
+    rows: tuple[TriageRow, ...] = Field(description="the most severe reason first")
     same_object: tuple[SameObject, ...] = Field(
         (), description="recordings that may show one object, and do not say so"
     )
 
     @property
     def counts(self) -> dict[Decision, int]:
-        """How many recordings have each decision, in the order of `DECISIONS`."""
-        found = Counter(row.decision for row in self.rows)
-        return {decision: found[decision] for decision in DECISIONS}
+        """The number of recordings per decision, in the order of `DECISIONS`."""
+        counter = Counter(row.decision for row in self.rows)
+        return {decision: counter[decision] for decision in DECISIONS}

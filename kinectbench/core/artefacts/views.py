@@ -74,7 +74,7 @@ class ViewRow(Part):
 
 
 class Refused(Part):
-    """A frame that was no view, or a view of which no pair was made."""
+    """A frame that was not used as a view, or a view without a pair."""
 
     view: ViewName | None = Field(None, description="zero-padded index; frames that were no views have none")
     steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
@@ -135,7 +135,7 @@ class PairsFile(Stored):
 
 
 class DrawnOn(Part):
-    """What a person's mask was drawn on."""
+    """The image that a person's mask was drawn on."""
 
     image: Digest = Field(description="SHA-256 of the frame's depth as it was recorded")
     picture: Digest | Literal["recorded"] | None = Field(
@@ -155,11 +155,11 @@ class MasksFile(Stored):
 
     @classmethod
     def of(cls, drawn_on: Mapping[str, DrawnOn]) -> Self:
-        """The file that holds these, by file name."""
+        """The file with these entries, by file name."""
         return cls.model_validate({file: on if on.picture else on.image for file, on in drawn_on.items()})
 
     @property
     def drawn_on(self) -> dict[str, DrawnOn]:
-        """What each mask was drawn on, by file name."""
+        """The image that each mask was drawn on, by file name."""
         entries = self.__pydantic_extra__.items()
         return {file: DrawnOn(image=on) if isinstance(on, str) else on for file, on in entries}

@@ -21,7 +21,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class BoxAnchor(NamedTuple):
-    """What ties a box to the floor frame that it was chosen in.
+    """Anchors a box in the floor frame that it was chosen in.
 
     Attributes:
         frame: index of a frame in the sequence.

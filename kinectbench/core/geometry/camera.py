@@ -1,4 +1,4 @@
-"""The pinhole camera: optical axes (x right, y down, z forward), integer pixel centres; and what it sees."""
+"""Pinhole cameras with optical axes (x right, y down, z forward) and integer pixel centres."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +35,7 @@ class Camera:
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
     def every(self, step_px: int) -> "Camera":
-        """The camera of an image of which every `step_px`-th row and column is kept, from the first on."""
+        """The camera of an image subsampled to every `step_px`-th row and column, starting with the first."""
         width, height = -(-self.width // step_px), -(-self.height // step_px)
         return Camera(width, height, *(float(each) for each in self.intrinsics / step_px))
 

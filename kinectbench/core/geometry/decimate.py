@@ -1,4 +1,4 @@
-"""Meshes with fewer triangles, and how far apart two surfaces are."""
+"""Decimation of meshes, and the distance between two surfaces."""
 
 import threading
 
@@ -15,7 +15,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
-    """The mesh with as many triangles as wanted; the same mesh, if it has no more. Colours are left out.
+    """The mesh reduced to this many triangles, or unchanged if it has no more. Colours are left out.
 
     By quadric error metrics (Garland and Heckbert, SIGGRAPH 1997) below a threshold that grows, which is
     fast-simplification's: 1 µs a triangle, a tenth of Open3D's with its queue, in one thread: the same mesh

@@ -1,4 +1,4 @@
-"""How depth cameras err: the axial noise of a Kinect v1, and a distortion that varies over the image.
+"""Errors of depth cameras: the axial noise of a Kinect v1, and a smooth distortion over the image.
 
 A structured-light sensor errs in disparity, by an amount that is a smooth function of the pixel (Herrera,
 Kannala and Heikkila, PAMI 2012; Teichman, Miller and Thrun, RSS 2013): it is a correction of inverse depth.
@@ -46,11 +46,11 @@ class DepthCalibration:
 
     @property
     def is_none(self) -> bool:
-        """Whether depth stays as it is."""
+        """Whether depth is unchanged."""
         return not self.coefficients_per_m.any()
 
     def correction_per_m(self, width: int, height: int) -> Float32:
-        """(height, width) float32: what is added to 1 / depth at each pixel, 1/m."""
+        """(height, width) float32: added to 1 / depth at each pixel, 1/m."""
         u, v = np.meshgrid(np.arange(width), np.arange(height))
         terms = legendre_terms(u.ravel().astype(float), v.ravel().astype(float), width, height)
         return np.asarray((terms @ self.coefficients_per_m).reshape(height, width), np.float32)
@@ -84,7 +84,7 @@ def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
 
 
 def too_far_for_mm(depth_m: Float32) -> float:
-    """Of the pixels with depth (metres), the share that `depth_in_mm` cannot hold; 0 without any."""
+    """Share of pixels whose depth (metres) exceeds the range of `depth_in_mm`; 0 without depth."""
     measured, too_far = (int(np.count_nonzero(of)) for of in (depth_m > 0, np.rint(depth_m * 1000) > MOST_MM))
     return too_far / max(measured, 1)
 

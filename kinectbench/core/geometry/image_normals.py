@@ -1,4 +1,4 @@
-"""Normals of what a depth image shows, by the differences between neighbouring pixels."""
+"""Normals of a depth image, from differences of neighbouring pixels."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from kinectbench.core.types import Float32, Float64
 
 
 def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:
-    """Unit normals towards the camera, by neighbours in the image; NaN where one is missing.
+    """Unit normals towards the camera, from neighbouring pixels; NaN if one is missing.
 
     Args:
         surface: (height, width, 3) points, camera axes.

@@ -61,7 +61,7 @@ class TriangleMesh:
 
     @property
     def vertex_normals(self) -> Float64:
-        """Unit normals (n, 3), means over the triangles around by their areas; 0 where there is none."""
+        """Unit normals (n, 3): area-weighted means over adjacent triangles; 0 without any."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         doubled, corners = np.cross(b - a, c - a), self.faces.ravel()
         sums = [np.bincount(corners, along.repeat(3), len(self.vertices)) for along in doubled.T]
@@ -85,7 +85,7 @@ class TriangleMesh:
 
 
 def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """One mesh of all the triangles of several, one after the other; colours are left out."""
+    """All triangles of several meshes in one mesh, in order, without colours."""
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
     return TriangleMesh(
@@ -99,7 +99,7 @@ def box_mesh(box: OrientedBox) -> TriangleMesh:
 
 
 def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple[Any, Any]:
-    """Meshes made ready for casting rays at them, in float32 (Open3D's RaycastingScene, which is Embree).
+    """Meshes prepared for casting rays, in float32 (Open3D's RaycastingScene, which is Embree).
 
     Args:
         meshes: the library's geometry ids count from 0 in their order.
@@ -156,7 +156,7 @@ def _open3d() -> Any:
     name = "open3d.visualization.draw_plotly"
 
     def later(function: str) -> Callable[..., Any]:
-        """The function of that name, whose module is imported when it is called."""
+        """A function whose module is imported at the first call."""
         if function.startswith("__"):  # such as __file__, which `inspect` asks every module for
             raise AttributeError(function)
 
@@ -182,7 +182,7 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
 
 
 def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
-    """Read a mesh that `write_ply` wrote; with its colours, if it has any and they are asked for.
+    """Read a mesh that `write_ply` wrote; with its colours on request.
 
     Raises:
         StorageError: the file is missing or damaged.
@@ -196,9 +196,9 @@ def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
 
 
 def parse_ply(content: bytes, *, colors: bool = False) -> TriangleMesh:
-    """Read the bytes of a mesh that `write_ply` wrote, which may come from anybody; see `read_own_ply`.
+    """Read the bytes of a mesh that `write_ply` wrote, as untrusted input; see `read_own_ply`.
 
-    Of the PLY format only what is written here is read, binary triangles: nothing is believed before it is
+    Of the PLY format only what is written here is read, binary triangles: nothing is trusted before it is
     known to be there, and it costs no more than the file. A library would split texts, or unpack lists.
 
     Raises:

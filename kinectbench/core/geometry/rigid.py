@@ -10,7 +10,7 @@ from kinectbench.core.types import Float64
 
 # Of a rotation's entries: what rounding leaves is a ten-thousandth of it.
 ORTHONORMAL_TOLERANCE = 1e-6
-# Of a stranger's similarity: products of float32 leave 1e-6, and 1e-4 moves a point at a metre by 0.1 mm.
+# For an untrusted similarity: products of float32 leave 1e-6, and 1e-4 moves a point at a metre by 0.1 mm.
 SIMILAR_TOLERANCE = 1e-4
 # Millimetres are 1e-3; a shape that is 1 wide in a room of a thousand units is far within (chosen here).
 MOST_SCALE = 1e6

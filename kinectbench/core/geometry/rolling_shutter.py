@@ -1,4 +1,4 @@
-"""Undo a rolling shutter: move pixels to where all of them would be, taken at the frame's middle.
+"""Undo a rolling shutter: move pixels to their place at the middle of the frame's readout.
 
 The rows of a frame are read one after the other, while the camera moves. A Kinect v1 takes about 30 ms from
 the first row to the last (Ringaby & Forssen: Scan rectification for structured light range sensors with
@@ -26,7 +26,7 @@ MAX_STEP_S = 0.1
 
 @dataclass(frozen=True)
 class RollingShutter:
-    """When the pixels of each frame are taken, and how the camera moves meanwhile.
+    """The readout times of each frame's pixels, and the camera's motion meanwhile.
 
     Attributes:
         readout_s: from the first row to the last; negative: the last row comes first.
@@ -43,7 +43,7 @@ class RollingShutter:
 def upright_depth(
     depth: NDArray[np.uint16], units_per_m: float, camera: Camera, motion: Float64, readout_s: float
 ) -> NDArray[np.uint16]:
-    """Depth (height, width) as it would be, taken at once.
+    """Depth (height, width) as a global shutter would see it.
 
     Args:
         depth: (height, width) uint16, 0 = none.
@@ -63,7 +63,7 @@ def upright_gray(
     readout_s: float,
     delay_s: float,
 ) -> NDArray[np.uint8]:
-    """Gray or colour as it would be, taken at once and together with the middle of the depth.
+    """Grey or colour as a global shutter would see it, at the time of the middle of depth.
 
     Args:
         gray: (height, width) or (height, width, 3) uint8.
@@ -91,12 +91,12 @@ def upright_mask(
 
 
 def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Float64:
-    """How the camera moves at each frame, (n, 12) as `RollingShutter.motion`.
+    """The camera's motion at each frame, (n, 12) as `RollingShutter.motion`.
 
     Args:
         T_segment_camera: (n, 4, 4), NaN where it is not known; where no neighbour says how a frame moves,
-            what lies between those around is taken.
-        segment: (n,) the world that each pose is in: those of two worlds say nothing of each other.
+            it is interpolated.
+        segment: (n,) the world that each pose is in: poses of two worlds are unrelated.
         stamps_s: (n,) of the frames, seconds.
     """
     n = len(stamps_s)
@@ -110,10 +110,10 @@ def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Flo
             continue
         step = twist_from_rigid(invert_rigid(T_segment_camera[around[0]]) @ T_segment_camera[around[-1]])
         rates[index] = step / apart_s
-    told = np.flatnonzero(np.isfinite(rates[:, 0]))
-    if len(told) < 2:
+    measured = np.flatnonzero(np.isfinite(rates[:, 0]))
+    if len(measured) < 2:
         return np.zeros((n, 12))
-    between = np.column_stack([np.interp(np.arange(n), told, rates[told, k]) for k in range(6)])
+    between = np.column_stack([np.interp(np.arange(n), measured, rates[known, k]) for k in range(6)])
     return np.column_stack([between, np.gradient(between, _ascending(stamps_s), axis=0)])
 
 
@@ -145,7 +145,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """Where the pixels of the middle were taken, u and v: (height, width) each."""
+    """Source pixels of the corrected image, u and v: (height, width) each."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -164,7 +164,7 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
-    """Depth between pixels, moved to the middle; of the nearest pixel where the four are of two surfaces."""
+    """Depth between pixels, moved to mid-readout; the nearest pixel's across a depth edge."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     moved = np.zeros((height, width), np.uint16)

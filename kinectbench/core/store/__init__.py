@@ -1,1 +1,1 @@
-"""Object stores and web servers by their URLs: what is read, put and listed there, and how failures read."""
+"""Object stores and web servers by URL: reading, writing, listing, and messages of failures."""

@@ -1,10 +1,10 @@
-"""URLs of places: recognised where a path may stand, joined, and shown without what is secret in them."""
+"""URLs of stores: recognised in place of a path, joined, and printed without secrets."""
 
 import posixpath
 import re
 from pathlib import Path
 
-# What obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
+# Schemes that obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
 # Those whose first part is a bucket or a container.
 IN_BUCKETS = ("s3", "s3a", "gs", "az", "abfs", "abfss")
@@ -21,18 +21,18 @@ _SECRET = re.compile(r"(//)[^/]*@")
 
 
 def url_of(path: str | Path) -> str | None:
-    """The URL that a path stands for, without a slash at its end; None if it is a path of this machine."""
+    """The URL that a path stands for, without a trailing slash; None for a local path."""
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
-    scheme, slashes, rest = match[1], match[2] or "", (match[3] or "").rstrip("/")
+    scheme, slashes, path_part = match[1], match[2] or "", (match[3] or "").rstrip("/")
     if scheme in ("file", "memory"):
-        return f"{scheme}:///{rest}" if slashes else None
-    return f"{scheme}:///{rest}" if len(slashes) > 2 and rest else f"{scheme}://{rest}"
+        return f"{scheme}:///{path_part}" if slashes else None
+    return f"{scheme}:///{path_part}" if len(slashes) > 2 and path_part else f"{scheme}://{path_part}"
 
 
 def other_scheme(path: str | Path) -> str | None:
-    """What is said of a URL of a scheme that is not read; None if it is none."""
+    """The message for a URL of an unsupported scheme; None if there is none."""
     match = _OTHER.match(str(path))
     if match is None or url_of(path) is not None or Path(path).parts[:1] != (f"{match[1]}:",):
         return None
@@ -40,14 +40,14 @@ def other_scheme(path: str | Path) -> str | None:
 
 
 def unusable(text: str) -> str | None:
-    """What is wrong with a URL as somebody wrote it; None if nothing is, or if it is none.
+    """The fault of a URL as typed; None if it has none or is no URL.
 
     To be asked before it becomes a path, which keeps one slash of several: `s3:///x` would be a bucket's.
     """
     written = _WRITTEN.fullmatch(text)
     if written is None or (written[3] and len(written[2]) < 2):
         return None
-    scheme, slashes, rest = written[1], written[2], written[3]
+    scheme, slashes, path_part = written[1], written[2], written[3]
     if scheme not in SCHEMES:
         return f"{scheme}://{NOT_READ}" if slashes else None
     if scheme == "file":
@@ -55,15 +55,15 @@ def unusable(text: str) -> str | None:
     if scheme == "memory":
         return None
     part = "bucket" if scheme in IN_BUCKETS else "host"
-    if len(slashes) == 2 and (_BUCKET if part == "bucket" else _HOST).match(rest):
+    if len(slashes) == 2 and (_BUCKET if part == "bucket" else _HOST).match(path_part):
         return None
-    none = len(slashes) != 2 or not re.match(r"[^/?@:]", rest)
-    said = f"no {part} in the URL" if none else f"no {part} can be called so"
-    return f"{_shown(text)}: {said}; wanted {scheme}://{part.upper()}/…"
+    none = len(slashes) != 2 or not re.match(r"[^/?@:]", path_part)
+    message = f"no {part} in the URL" if none else f"no {part} can be called so"
+    return f"{_shown(text)}: {message}; wanted {scheme}://{part.upper()}/…"
 
 
 def is_web(url: str) -> bool:
-    """Whether it is a plain web server's: files are read there by their names, and none is listed or put."""
+    """Whether it is a plain web server: its files can only be read by name, not listed or written."""
     return url.startswith(("http://", "https://"))
 
 
@@ -73,12 +73,12 @@ def joined(url: str, name: str) -> str:
 
 
 def parent_of(url: str) -> str:
-    """The URL of the folder that something lies in."""
+    """The URL of the parent folder."""
     return url.rpartition("/")[0]
 
 
 def shown(place: str | Path) -> str:
-    """A path or URL as a line for people may quote it: without user, password and query."""
+    """A path or URL to print, without user, password and query."""
     url = url_of(place)
     return str(place) if url is None else _shown(url)
 

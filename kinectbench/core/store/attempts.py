@@ -1,4 +1,4 @@
-"""Trying again while a store may recover, and one line for each way in which it does not."""
+"""Retries while a store may recover, and one message for each kind of failure."""
 
 import logging
 import math
@@ -20,14 +20,14 @@ T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 # Seconds without success, or a byte of progress, after which a store is given up: it may answer 503 for some
-# minutes (own choice; the Rust crate object_store waits as long).
+# minutes (the Rust crate object_store waits as long).
 PATIENCE_S = 180.0
 PATIENCE_VARIABLE = "KINECTBENCH_STORE_PATIENCE_S"
 # Exponential backoff with jitter, as the AWS Architecture Blog advises; the bounds are object_store's.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 15.0
-# Of what a store says went wrong: two lines of a terminal.
+# Characters of a store's message: two lines of a terminal.
 REASON_CHARS = 160
-# Seconds of failure after which a line says so: most pass sooner.
+# Seconds of failure before a warning; most failures are shorter.
 TELL_AFTER_S = 5.0
 
 _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")
@@ -44,35 +44,35 @@ NO_CREDENTIALS = (
 )
 # What the errors of obstore say where credentials are missing: it asks the cloud's own machines for some.
 _ASKS_FOR_CREDENTIALS = ("169.254.169.254", "169.254.170.2", "metadata.google.internal", "MissingAccount")
-# What rustls says of a certificate that it does not accept, and of a server that speaks no TLS.
+# Messages of rustls on a refused certificate, and on a server without TLS.
 _TLS = ("InvalidCertificate", "invalid peer certificate", "InvalidContentType")
 _TLS_REASON = re.compile(r"\b(UnknownIssuer|NotValidForName|Expired|CaUsedAsEndEntity|InvalidContentType)")
-# What the resolvers of Linux and macOS, of musl and of Windows say of a name that there is not.
+# Messages of the resolvers of Linux and macOS, musl and Windows on an unknown name.
 _NO_SUCH_HOST = ("not known", "does not resolve", "No such host is known")
 
 
 class MissingObjectError(StorageError):
-    """There is no such object."""
+    """The object does not exist."""
 
     what = "no-file"
 
 
 class StoreGoneError(StorageError):
-    """The store does not answer any more: whoever has more to do there ends."""
+    """The store has stopped answering: callers should end."""
 
     what = "no-answer"
 
 
 class StoppedError(Exception):
-    """Another call that belongs to this one has failed, or an interrupt ends them all."""
+    """A related call has failed, or an interrupt ends them all."""
 
 
 class UnsettledError(Exception):
-    """What was read does not fit together, as somebody is writing: worth another attempt."""
+    """The data read is inconsistent, as another process is writing: retry."""
 
 
 def patience_s() -> float:
-    """Seconds that a store may fail before it is given up.
+    """Seconds of failure after which a store is given up.
 
     Raises:
         SettingsError: the variable is no number of seconds.
@@ -96,14 +96,14 @@ _thread = threading.local()
 # Stores that were given up in this process and have not answered since, with when they first did not: what
 # comes next does not wait for minutes again.
 _given_up: dict[str, float] = {}
-# Stores of which it was told that they do not answer.
-_told: set[str] = set()
+# Stores that were reported as not answering.
+_reported: set[str] = set()
 # Stores that have answered to this process: they have names that are known.
 _answered: set[str] = set()
 
 
 def wait_until(stop: threading.Event) -> None:
-    """Let this thread's attempts end when the event is set."""
+    """End this thread's retries when the event is set."""
     _thread.stop = stop
 
 
@@ -116,7 +116,7 @@ def _pause(seconds: float) -> None:
 
 
 def check_stopped() -> None:
-    """End this thread's work, if its waiting would end.
+    """Raise an error if this thread's retries were ended.
 
     Raises:
         StoppedError: the event of `wait_until` is set.
@@ -132,7 +132,7 @@ def has_answered(url: str) -> bool:
 
 
 def note_answer(url: str) -> None:
-    """Keep that the host of a URL has answered to this process."""
+    """Remember that the host of a URL has answered this process."""
     _heard_of(_host(url))
 
 
@@ -151,7 +151,7 @@ def patiently(
     Args:
         place: the URL that errors name.
         call: is called again after each failure that may pass.
-        progress: how far the calls have come; the time without success begins anew when it changes.
+        progress: how far the calls have come; the time without success restarts when it changes.
         answers: another call; a store that answers to it is not gone.
 
     Raises:
@@ -181,9 +181,9 @@ def patiently(
 
 
 def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
-    """One warning for each store in a process: somebody may be waiting."""
-    if failed_s >= TELL_AFTER_S and host not in _told:
-        _told.add(host)
+    """Print one warning per store and process, as a user may be waiting."""
+    if failed_s >= TELL_AFTER_S and host not in _reported:
+        _reported.add(host)
         _log.warning(
             "warning: %s: the store does not answer well (%s); trying again for %.0f s",
             *(place, _reason(error), left_s),
@@ -191,7 +191,7 @@ def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exceptio
 
 
 def _called(place: str, call: Callable[[], T]) -> T:
-    """Call; a panic of Rust, which is no Exception, becomes a line.
+    """Call the function; turn a panic of Rust, which is no Exception, into a message.
 
     Raises:
         StorageError: obstore panicked.
@@ -240,7 +240,7 @@ def _has_answer(place: str, answers: Callable[[], object] | None) -> bool:
 
 
 def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> None:
-    """Raise what no further attempt would change; `known`: the store has answered before."""
+    """Raise errors that a retry cannot change; `known`: the store has answered before."""
     if isinstance(error, UnsettledError):
         return
     if isinstance(error, FileNotFoundError) or "NoSuchBucket" in str(error):
@@ -300,7 +300,7 @@ def _lasting(place: str, error: Exception) -> StorageError:
 
 
 def _reason(error: Exception) -> str:
-    """Why in some words: the status and the store's own code, or else the end of the first line."""
+    """The reason in a few words: status and error code of the store, else the start of the first line."""
     text = str(error)
     status, code = _STATUS.search(text), _CODE.search(text)
     if status:

@@ -1,4 +1,4 @@
-"""A file from plain web servers: by several addresses, from where it stopped, and held to what is known."""
+"""Downloads from web servers: from several addresses, resumable, and verified."""
 
 import contextlib
 import errno
@@ -40,27 +40,27 @@ MOST_REDIRECTS = 5
 FULL = (errno.ENOSPC, errno.EDQUOT)
 # Of an archive: 46 times the average of Redwood's scans (4 TB by 10,933).
 MOST_FILE_BYTES = 16 << 30
-# A sign of what was begun; it lies beside the file until that is whole.
+# Ending of a partial download, which lies beside the file until that is complete.
 ENDING = ".part"
 
 
 class Content(NamedTuple):
-    """What a file is: its size in bytes, SHA-256 as hex."""
+    """The expected content of a file: its size in bytes, SHA-256 as hex."""
 
     size: int
     sha256: str
 
 
 class _RefusedError(Exception):
-    """This address does not give the file, and will not."""
+    """This address refuses the file for good."""
 
 
 class _UnknownError(_RefusedError):
-    """No such host is known: nobody here gives anything, or there is no network."""
+    """The host is unknown: unknown server, or no network."""
 
 
 class _BrokenError(Exception):
-    """This address may give it another moment."""
+    """This address may deliver the file later."""
 
 
 def download(
@@ -73,19 +73,19 @@ def download(
     most_bytes: int = MOST_FILE_BYTES,
     room: Callable[[int], object] = lambda size: None,
 ) -> Content:
-    """Bring a file to this machine; it appears at `path` when it is whole, and it is the known one.
+    """Download a file; it appears at `path` when it is complete and verified.
 
-    What was begun lies beside it, and the next call goes on from there. All addresses are tried in order,
+    A partial download lies beside it, and the next call resumes it. All addresses are tried in order,
     again and again for as long as a store may fail (`attempts.patience_s`).
 
     Args:
         urls: addresses of the same file.
         path: its folder is made.
-        sha256: of its content; None: what comes is taken.
+        sha256: of its content; None: any content is accepted.
         size: its bytes, where they are known, too.
-        check: called with the file when all of it has come; with what it raises the next address is asked.
+        check: called with the complete file; if it raises, the next address is tried.
         most_bytes: a larger one is refused.
-        room: called with the bytes that are to come before they do; what it raises ends the call.
+        room: called with the expected bytes in advance; if it raises, the call ends.
 
     Raises:
         StoreGoneError: none of the servers answers at all, in one line with the reasons.
@@ -98,7 +98,7 @@ def download(
         furthest = max(furthest, at // LEAST_BYTES)
 
     def attempt() -> Content:
-        """The file from the first address that gives it."""
+        """Download the file from the first address that delivers it."""
         refused, broken, unknown = list[str](), list[str](), 0
         for url in tuple(order):
             try:
@@ -123,13 +123,13 @@ def download(
 
 
 def begun(path: Path) -> list[Path]:
-    """What lies beside a file's place of downloads of it that were stopped."""
+    """Partial downloads beside a file's place."""
     names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
     return [each for each in names if each.name.startswith(f"{path.name}.")]
 
 
 class _Download:
-    """One attempt at one address."""
+    """One attempt to download from one address."""
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class _Download:
         self.most_bytes, self.room, self.come = most_bytes, room, come
 
     def run(self) -> Content:
-        """Bring the file to its place.
+        """Download the file to its place.
 
         Raises:
             _RefusedError, _BrokenError: this address does not give it.
@@ -179,18 +179,18 @@ class _Download:
         return size
 
     def _goes_on(self, answer: Any, at: int, size: int) -> int:
-        """Where the bytes of an answer belong: 0 if the server begins at the start, which it may."""
+        """Offset of an answer's first byte in the file; 0 if the server ignores the requested range."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
                 raise _BrokenError("changed while it was fetched")
             return 0
-        said = answer.headers.get("Content-Range", "")
-        if answer.status != http.HTTPStatus.PARTIAL_CONTENT or said != f"bytes {at}-{size - 1}/{size}":
-            raise _RefusedError(f"asked for bytes from {at} of {size}, it sends '{printable(said, 40)}'")
+        span = answer.headers.get("Content-Range", "")
+        if answer.status != http.HTTPStatus.PARTIAL_CONTENT or span != f"bytes {at}-{size - 1}/{size}":
+            raise _RefusedError(f"asked for bytes from {at} of {size}, it sends '{printable(span, 40)}'")
         return at
 
     def _copy(self, answer: Any, part: Path, at: int, size: int) -> None:
-        """Write the bytes of an answer from a place on, no more than there are to be."""
+        """Write the bytes of an answer from an offset on, up to the expected size."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
             while at < size:
@@ -207,28 +207,28 @@ class _Download:
                     since, then = time.monotonic(), at
 
     def _taken(self, part: Path, size: int) -> Content:
-        """Put what came in its place if it is what it must be; else it goes."""
+        """Move the download into place if it is as expected; else delete it."""
         with storage_errors(self.path):
             content = Content(size, sha256_file(part))
-            said = ""
+            problem = ""
             if self.sha256 not in (None, content.sha256):
-                said = "sends other bytes than came first (SHA-256 differs)"
+                problem = "sends other bytes than came first (SHA-256 differs)"
             else:
                 try:
                     self.check(part)
                 except KinectBenchError as error:
                     if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL:
                         raise  # the archive is well
-                    said = str(error).removeprefix(f"{part}: ")
-            if said:
+                    problem = str(error).removeprefix(f"{part}: ")
+            if problem:
                 part.unlink()
-                raise _RefusedError(said)
+                raise _RefusedError(problem)
             part.replace(self.path)
         return content
 
 
 def _mark(answer: Any) -> str:
-    """The mark of this content, another one for the next at the same address (RFC 9110, 8.8), or ""."""
+    """The validator of this content, which changes with it (RFC 9110, 8.8), or ""."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 
@@ -254,7 +254,7 @@ def _read(answer: IO[bytes], most: int) -> bytes:
 
 @contextlib.contextmanager
 def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[Any]:
-    """The answer of a server, from a byte on if it will; redirections are followed to web servers alone."""
+    """A server's answer, from a byte on if supported; redirections only lead to web servers."""
     headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
     if at:
         headers |= {"Range": f"bytes={at}-", "If-Range": mark}
@@ -284,7 +284,7 @@ def _any_answers(urls: Sequence[str]) -> None:
 
 
 def _next(url: str, answer: Any) -> str | None:
-    """Where an answer redirects to; None if it is the file."""
+    """The target of a redirect; None if the answer is the file."""
     status = answer.status
     if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
         return None
@@ -293,10 +293,10 @@ def _next(url: str, answer: Any) -> str | None:
         if not is_web(place) or (url.startswith("https:") and not place.startswith("https:")):
             raise _RefusedError(f"redirects to {_shown(place)}, which is not followed")
         return place
-    said = f"answers {status} {printable(answer.reason or '', 40)}".rstrip()
+    message = f"answers {status} {printable(answer.reason or '', 40)}".rstrip()
     if status in PASSING or (status >= 500 and status not in LASTING):
-        raise _BrokenError(said)
-    raise _RefusedError(said)
+        raise _BrokenError(message)
+    raise _RefusedError(message)
 
 
 def _joined(url: str, place: str) -> str:
@@ -334,12 +334,12 @@ def _why(error: Exception) -> str:
         return f"no secure connection ({printable(error.verify_message, 60)})"
     if isinstance(error, TimeoutError):
         return f"sends nothing for {NEXT_S:.0f} s"
-    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return printable(said, 80)
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return printable(reason, 80)
 
 
 class _Bounded(http.client.HTTPConnection):
-    """A connection whose headers are waited for as a whole, and not byte by byte."""
+    """A connection with a time limit for all headers together, not for each byte."""
 
     def getresponse(self) -> http.client.HTTPResponse:
         """The answer with its headers."""

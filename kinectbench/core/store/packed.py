@@ -24,7 +24,7 @@ def unpack(archive: Path, folder: Path, sizes: Mapping[str, int]) -> None:
     """Write the files of a tar into a folder: those that are named, at their sizes, and nothing else.
 
     Args:
-        archive: from a store, perhaps a stranger's.
+        archive: from a store, untrusted.
         folder: made if it is not there.
         sizes: bytes of each file that it must hold, by name.
 

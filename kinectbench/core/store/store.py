@@ -1,4 +1,4 @@
-"""A place by its URL: files are read, listed, put once or replaced there, each as a whole."""
+"""A store by its URL: files are read, listed, created or replaced, each atomically."""
 
 import asyncio
 import itertools
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Of one request, with its answer: a part of 8 MB at 140 kB/s. What takes longer is cut off and goes on.
+# Of one request, with its answer: a part of 8 MB at 140 kB/s. A longer one is cut off and resumed.
 REQUEST_TIMEOUT, CONNECT_TIMEOUT = "60s", "10s"
 # Until the next of what a store lists, longer than one request takes: a store may answer with empty pages for
 # ever, each of which says that there is more.
@@ -40,16 +40,16 @@ AT_ONCE = 8
 WAITING = 256
 # Objects of one listing: twice those of a benchmark of ten thousand recordings; 500 bytes each in memory.
 MOST_OBJECTS = 1_000_000
-# A file of a recording or of a stage (own choice: S3's bound of one object is 5 TB, no recording's is near).
+# A file of a recording or of a stage (chosen here: S3's bound of one object is 5 TB, no recording's is near).
 MOST_OBJECT_BYTES = 1 << 40
 
 
 @dataclass(frozen=True)
 class StoredObject:
-    """What a listing says of a file.
+    """An entry of a listing.
 
     Attributes:
-        name: relative to the store's URL, with "/" between folders; a stranger may have chosen it.
+        name: relative to the store's URL, with "/" between folders; untrusted.
         size: bytes.
         e_tag: another one where the content is another.
         modified_s: seconds since 1970.
@@ -63,7 +63,7 @@ class StoredObject:
 
 @dataclass(frozen=True)
 class Store:
-    """A folder in an object store, on a web server (reading alone) or on a disk; it can be pickled.
+    """A folder in an object store, on a web server (read-only) or on a disk; picklable.
 
     Every file appears whole or not at all. What fails is tried again for some minutes; then, or where that
     cannot help, it is a `StorageError` in one line.
@@ -80,7 +80,7 @@ class Store:
         return not is_web(self.url)
 
     def place(self, name: str = "") -> str:
-        """A file's URL, as lines for people name it."""
+        """A file's URL for messages."""
         return printable(shown(joined(self.url, name) if name else self.url), 200)
 
     def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:
@@ -100,7 +100,7 @@ class Store:
             return None
 
     def fetch(self, name: str, path: Path, most_bytes: int = MOST_OBJECT_BYTES) -> None:
-        """Copy a file to this machine; it appears at `path` when it is whole.
+        """Download a file; it appears at `path` when it is complete.
 
         Raises:
             MissingObjectError: there is none.
@@ -111,7 +111,7 @@ class Store:
             self._try_read(name, lambda: self._append(name, out, first, most_bytes), out.tell)
 
     def put(self, name: str, content: bytes | Path) -> None:
-        """Write a file, in the place of what is there.
+        """Write a file, replacing an existing one.
 
         Raises:
             StorageError: it cannot be written.
@@ -128,14 +128,14 @@ class Store:
         self._try(name, put)
 
     def put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool] = bytes.__eq__) -> bool:
-        """Write a file that must not be there, or be the same; of several that write it one succeeds.
+        """Create a file, unless an equal one exists; of several writers one succeeds.
 
-        An answer that was lost is no failure: the file is there, and it is the same.
+        A lost answer is no failure if the file exists and is equal.
 
         Args:
             name: of the file.
             content: its bytes.
-            same: whether what is there (its first argument) is as good as what would be written.
+            same: whether the existing content (its first argument) is equivalent to the new one.
 
         Returns:
             Whether it was written now.
@@ -151,32 +151,32 @@ class Store:
         Raises:
             StorageError: there are more than `most`, or they cannot be listed.
         """
-        found: list[StoredObject] = []
+        listed: list[StoredObject] = []
         furthest = 0
 
         def progress() -> int:
             nonlocal furthest
-            furthest = max(furthest, len(found))
+            furthest = max(furthest, len(listed))
             return furthest
 
-        self._try_read(below, lambda: self._list_on(below, most, found), progress)
-        return sorted(found, key=lambda each: each.name)
+        self._try_read(below, lambda: self._list_on(below, most, listed), progress)
+        return sorted(listed, key=lambda each: each.name)
 
     def head(self, name: str) -> StoredObject | None:
-        """What there is to know of a file without reading it; None if there is none."""
+        """Size and metadata of a file without reading it; None if it does not exist."""
         try:
             return self._try_read(name, lambda: self._head(name))
         except MissingObjectError:
             return None
 
     def delete(self, names: Iterable[str]) -> None:
-        """Remove files; those that are not there are no error."""
+        """Delete files; missing ones are ignored."""
         found = list(names)
         if found:
             self._try("", lambda: self._delete(found))
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
-        """A call that writes: a store that takes nothing is as good as gone."""
+        """A writing call: a store that stops accepting data is treated as gone."""
         require_usable(self.url, self.place(name))
         return patiently(self.place(name), call)
 
@@ -195,11 +195,11 @@ class Store:
         obstore.delete(self._opened(), names)
 
     def _first_listed(self) -> object:
-        """A request that a store answers if it answers at all."""
+        """A small request that tests whether the store answers."""
         return next(self._chunks(None, None, 1), None)
 
     def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence[Any]]:
-        """What is listed, so many objects at a time; each is waited for as long as a store may take.
+        """Batches of a listing; each has the store's usual timeout.
 
         Raises:
             StorageError: the next do not come.
@@ -246,10 +246,10 @@ class Store:
             obstore.put(self._opened(make=True), name, content, mode="create")
         except AlreadyExistsError:
             try:
-                there = self._content(name, max(TEXT_BYTES, len(content)))
+                stored = self._content(name, max(TEXT_BYTES, len(content)))
             except FileNotFoundError:  # of two that write at once neither may have come through
                 raise UnsettledError from None
-            if same(there, content):
+            if same(stored, content):
                 return False
             raise StorageError(
                 f"{self.place(name)}: holds something else than what was to be written there, and stays so",
@@ -258,7 +258,7 @@ class Store:
         return True
 
     def _append(self, name: str, out: IO[bytes], first: list[Any], most_bytes: int) -> None:
-        """Write what is still missing of a file; `first` keeps what its first answer said of it."""
+        """Download the rest of a file; `first` keeps the metadata of its first answer."""
         import obstore
 
         at = out.tell()
@@ -284,18 +284,18 @@ class Store:
                 what="too-large",
             )
 
-    def _list_on(self, below: str, most: int, found: list[StoredObject]) -> None:
-        """Add to what was found what is listed behind it; a store that lists in no order is listed anew."""
+    def _list_on(self, below: str, most: int, listed: list[StoredObject]) -> None:
+        """Append the next part of a listing; an unordered listing starts again."""
         try:
             self._opened()
         except FileNotFoundError:  # a folder of this machine; an object store has none, and so holds nothing
             return
-        in_order = all(one.name < other.name for one, other in itertools.pairwise(found))
+        in_order = all(one.name < other.name for one, other in itertools.pairwise(listed))
         if not in_order or self.url.startswith(("file:", "memory:")):
-            found.clear()
-        for chunk in self._chunks(below or None, found[-1].name if found else None, LISTED_AT_ONCE):
-            found += [_object(each) for each in chunk]
-            if len(found) > most:
+            listed.clear()
+        for chunk in self._chunks(below or None, listed[-1].name if listed else None, LISTED_AT_ONCE):
+            listed += [_object(each) for each in chunk]
+            if len(listed) > most:
                 raise StorageError(f"{self.place(below)}: holds more than {most} files", what="too-large")
 
     def _check_readable(self, path: Path) -> None:
@@ -314,11 +314,11 @@ def in_parallel(
     done: Callable[[int], None] = lambda count: None,
     at_once: int = AT_ONCE,
 ) -> list[T]:
-    """Call all, some at a time: they wait for a store. The first error ends it; what was not begun is not.
+    """Run calls in parallel. The first error cancels the calls that have not started.
 
     Args:
         calls: of `Store`'s methods, by `functools.partial`.
-        done: told in this thread how many have ended.
+        done: called in this thread with the number that have ended.
         at_once: so many.
     """
     stop = threading.Event()
@@ -358,7 +358,7 @@ _first_process: dict[str, int] = {}
 
 @cache
 def _opened(url: str, make: bool, process: int) -> "ObjectStore":
-    """Open a store once in a process; `make` lets the folder of a file:// URL be made."""
+    """Open a store once per process; `make` allows creating the folder of a file:// URL."""
     from obstore.store import LocalStore, MemoryStore, from_url
 
     if url.startswith("memory:"):
@@ -377,5 +377,5 @@ def _opened(url: str, make: bool, process: int) -> "ObjectStore":
 def fetch_all(
     store: Store, files: Iterable[tuple[str, Path, int]], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Copy files to this machine, some at a time: (name in the store, path here, most bytes) of each."""
+    """Download files in parallel: (name in the store, local path, most bytes) of each."""
     in_parallel((partial(store.fetch, name, path, most) for name, path, most in files), done)

@@ -1,4 +1,4 @@
-"""What a store needs before anything is asked of it: obstore, a bucket, an endpoint that is a URL."""
+"""Requirements of a store before the first request: obstore, a bucket, an endpoint that is a URL."""
 
 import os
 import re
@@ -9,12 +9,12 @@ from kinectbench.core.store.address import unusable
 from kinectbench.core.untrusted import printable
 
 MISSING = "needs obstore; run pip install 'kinectbench[cluster]'"
-# What the Rust crate object_store reads; an endpoint that is no URL makes it panic.
+# Variables that the Rust crate object_store reads; it panics if an endpoint is no URL.
 ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 
 
 def require_usable(url: str, place: str) -> None:
-    """Refuse what no attempt would change.
+    """Refuse errors that a retry cannot change.
 
     Args:
         url: of the store.
@@ -28,25 +28,25 @@ def require_usable(url: str, place: str) -> None:
     except ImportError:
         raise SettingsError(f"{place}: {MISSING}", what="no-package") from None
     scheme = url.partition(":")[0]
-    if said := unusable(url):
-        raise SettingsError(said, what="bad-url")
+    if text := unusable(url):
+        raise SettingsError(text, what="bad-url")
     for name in ENDPOINTS if scheme in ("s3", "s3a") else ():
         endpoint = os.environ.get(name, "")
         if endpoint and not _is_endpoint(endpoint):
-            said = printable(_without_user(endpoint), 80)
+            text = printable(_without_user(endpoint), 80)
             raise SettingsError(
-                f"{name}={said}: must begin with http:// or https:// and name a host", what="bad-environment"
+                f"{name}={text}: must begin with http:// or https:// and name a host", what="bad-environment"
             )
 
 
 def _is_endpoint(text: str) -> bool:
-    """Whether a client can send requests there."""
+    """Whether an endpoint is a usable URL."""
     try:
-        found = urlsplit(text)
-        _ = found.port
+        parts = urlsplit(text)
+        _ = parts.port
     except ValueError:
         return False
-    return bool(re.match(r"https?://[!-~]+$", text)) and bool(found.hostname)
+    return bool(re.match(r"https?://[!-~]+$", text)) and bool(parts.hostname)
 
 
 def _without_user(text: str) -> str:

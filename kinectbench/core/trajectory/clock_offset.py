@@ -42,7 +42,7 @@ class ClockOffset:
 
 
 def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTrajectory) -> ClockOffset | None:
-    """The lag of a reference's stamps at which its positions agree best with those of the frames.
+    """The lag of a reference's stamps that aligns its positions best with those of the frames.
 
     At each lag the reference is interpolated, and the frames are aligned to it without scale. Near the best
     lag the mean squared distance is approximately a parabola.
@@ -94,8 +94,8 @@ def steps_to_vertex(values: Float64, best: int) -> float:
     Returns:
         In [-1, 1]; 0 where the three lie on a line.
     """
-    before, here, after = values[best - 1 : best + 2]
-    bend = before - 2 * here + after
+    before, at_best, after = values[best - 1 : best + 2]
+    bend = before - 2 * at_best + after
     return float(np.clip(0.5 * (before - after) / bend, -1, 1)) if bend else 0.0
 
 
@@ -112,8 +112,8 @@ def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, l
     squares = np.zeros((len(lags_ns), int(usable.sum())))
     for lag, at_ns in enumerate(wanted_ns[:, usable]):
         columns = reference.T_world_camera[:, :3, 3].T
-        there = np.stack([np.interp(at_ns / 1e9, known_ns / 1e9, column) for column in columns], axis=1)
-        if len(there):
-            aligned = transform_points(align_positions(positions[usable], there), positions[usable])
-            squares[lag] = ((aligned - there) ** 2).sum(axis=1)
+        known = np.stack([np.interp(at_ns / 1e9, known_ns / 1e9, column) for column in columns], axis=1)
+        if len(known):
+            aligned = transform_points(align_positions(positions[usable], known), positions[usable])
+            squares[lag] = ((aligned - known) ** 2).sum(axis=1)
     return squares

@@ -62,7 +62,7 @@ class TrajectoryError:
 
 
 def has_pose(T: Float64) -> Bools:
-    """Which of the transforms (n, 4, 4) hold numbers only: bool (n,)."""
+    """Which of the transforms (n, 4, 4) are finite: bool (n,)."""
     return np.asarray(np.isfinite(T).all(axis=(1, 2)))
 
 
@@ -80,16 +80,16 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
         Indices into the estimate and into the reference, (n,) int64 each, ordered by the estimate's stamps.
     """
     _, first, second = np.intersect1d(estimate_ns, reference_ns, return_indices=True)
-    rest, rest_reference = (
+    unmatched, rest_reference = (
         np.setdiff1d(np.unique(stamps, return_index=True)[1], used)
         for stamps, used in ((estimate_ns, first), (reference_ns, second))
     )
     # np.setdiff1d sorts by index; the association wants them by time.
-    rest = rest[np.argsort(estimate_ns[rest], kind="stable")]
+    unmatched = unmatched[np.argsort(estimate_ns[unmatched], kind="stable")]
     rest_reference = rest_reference[np.argsort(reference_ns[rest_reference], kind="stable")]
     half_ns = min(half_step_ns(estimate_ns), half_step_ns(reference_ns))
-    partners = associate(estimate_ns[rest].tolist(), reference_ns[rest_reference].tolist(), half_ns)
-    near = [(rest[i], rest_reference[j]) for i, j in enumerate(partners) if j is not None]
+    partners = associate(estimate_ns[unmatched].tolist(), reference_ns[rest_reference].tolist(), half_ns)
+    near = [(unmatched[i], rest_reference[j]) for i, j in enumerate(partners) if j is not None]
     pairs = np.array([*zip(first, second, strict=True), *near], dtype=np.int64).reshape(-1, 2)
     estimate, reference = pairs[np.argsort(estimate_ns[pairs[:, 0]], kind="stable")].T
     return estimate, reference

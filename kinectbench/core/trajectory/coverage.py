@@ -102,7 +102,7 @@ def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
 
 
 def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
-    """The point (3,) that the cameras look at: where their axes meet, unless they meet by chance.
+    """The point (3,) on which the cameras' axes converge, or else the mean point ahead of them.
 
     The axes of a camera that hardly turns may cross anywhere, even in empty space close to it. Then the
     result is the mean of the points ahead of each camera, at the median depth in the middle of the images.
@@ -154,7 +154,7 @@ def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | N
 
 
 def _looking_at(point: Float64, T_world_camera: Float64) -> Bools:
-    """Which cameras (n,) have a point (3,) of the world within 45 degrees of their axis."""
+    """Cameras (n,) with a world point (3,) within 45 degrees of their axis."""
     towards = point - T_world_camera[:, :3, 3]
     ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
     return np.asarray(ahead_m > np.cos(LOOKING_AT_RAD) * np.linalg.norm(towards, axis=1))
@@ -169,7 +169,7 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """How much of each frame others see, by depth and poses alone.
+    """Covisibility of pairs of frames, from depth and poses alone.
 
     A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
 
@@ -200,7 +200,7 @@ def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> 
 
 
 def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: int) -> Bools:
-    """Which points (m, 3) agree with the depth on every `step`-th pixel: (m,)."""
+    """Points (m, 3) that agree with the depth on every `step`-th pixel: (m,)."""
     height, width = depth_m.shape
     before = points_camera[:, 2] > 0
     pixels = np.full((len(points_camera), 2), -1.0)

@@ -16,7 +16,7 @@ FEWEST = 6
 
 
 def in_order_of_time(T_world_camera: Float64) -> bool:
-    """Whether consecutive frames show nearly the same view, as in a video.
+    """Whether consecutive frames show similar views, as in a video.
 
     Renderings and sets of views often have exact poses, but no order: a frame does not predict the next one.
         Fewer than 6 poses count as a video.

@@ -23,7 +23,7 @@ UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
 # A longer pause is a jump, not a few dropped frames.
 JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
-# No depth camera is faster; values that go back this often are no clock; fewer stamps are not judged. Chosen
+# No depth camera is faster; values that decrease this often are no clock; fewer stamps are not judged. Chosen
 # by hand.
 FASTEST_HZ, BACK_SHARE, LEAST_STAMPS = 1000.0, 0.1, 10
 # A step back by more than this is a reset of the clock.
@@ -140,7 +140,7 @@ class StampFaults:
 
 
 def typical_period_ns(stamps_ns: Int64) -> int:
-    """The typical step between frames where none is missing; 0: unknown.
+    """The typical interval between frames, ignoring missing ones; 0: unknown.
 
     It is the median of the forward steps that are shorter than 1.5 times their lower quartile. Where every
     third frame is missing, the plain median would be two steps.

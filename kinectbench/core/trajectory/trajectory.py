@@ -1,4 +1,4 @@
-"""The camera's trajectory: one pose per frame, or the reason why there is none; and how it is stored."""
+"""The camera's trajectory: one pose per frame, or the reason for none; and its files."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -73,7 +73,7 @@ class Trajectory:
 
 
 def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
-    """Write trajectory.txt (the good frames), depth_calibration.json and, where it is known, health.json.
+    """Write trajectory.txt (the good frames), depth_calibration.json and, if known, health.json.
 
     Args:
         trajectory: its `pose_sigma_m` is stored in the health only.

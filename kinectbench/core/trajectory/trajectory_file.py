@@ -23,7 +23,7 @@ FARTHEST_M = 1e7
 
 
 class TimedPose(NamedTuple):
-    """One row: stamp (ns), translation (m), quaternion, and the file and line it came from."""
+    """One row: stamp (ns), translation (m), quaternion, and its file and line."""
 
     stamp_ns: int
     translation_m: tuple[float, ...]
@@ -34,7 +34,7 @@ class TimedPose(NamedTuple):
 def read_given(
     read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
 ) -> tuple[GivenTrajectory | None, list[str], str]:
-    """Read a recording's trajectory, which may be broken: the frames are usable without it.
+    """Read a recording's trajectory, tolerating faults: the frames are usable without it.
 
     Args:
         read: returns the trajectory, and warnings.
@@ -75,7 +75,7 @@ def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTraject
     if frames is not None and len(rows) != frames:
         raise RecordingError(
             f"{path}: holds {len(rows)} poses for {frames} frames whose stamps are no times: which pose is "
-            "of which frame cannot be told; write one for each frame, in their order",
+            "of which frame cannot be determined; write one for each frame, in their order",
             what="pose-count",
         )
     if frames is not None:

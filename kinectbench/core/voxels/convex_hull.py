@@ -35,7 +35,7 @@ def filled_hull(occupied: Bools) -> Bools:
 
 
 def _column_ends(occupied: Bools) -> NDArray[np.float64]:
-    """First and last set cell of every column along z, (m, 3): they hold every vertex of the hull."""
+    """First and last set cell of every column along z, (m, 3), which include all vertices of the hull."""
     x, y = np.nonzero(occupied.any(axis=2))
     columns = occupied[x, y]
     first, last = columns.argmax(axis=1), columns.shape[1] - 1 - columns[:, ::-1].argmax(axis=1)

@@ -1,4 +1,4 @@
-"""Distances from voxel to voxel, as far as they are asked for."""
+"""Distances between voxels up to a limit."""
 
 import math
 
@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float32
 
 
 def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float32:
-    """From the middle of each voxel to that of the nearest set one: exact, and infinite beyond a limit.
+    """Distance of each voxel to the nearest set one: exact, and infinite beyond a limit.
 
     Squared distances are separable: along each axis in turn, each voxel takes the least of its neighbours'
     and of the way to them (Felzenszwalb, Huttenlocher: Distance Transforms of Sampled Functions, 2012). As
@@ -36,7 +36,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _along_last(cells, reach):  # type: ignore[no-untyped-def]
-    """Squared distance, in voxels, to the nearest set one of its row; reach^2 + 1 beyond the reach."""
+    """Squared distance, in voxels, to the nearest set voxel of the row; reach^2 + 1 beyond the reach."""
     nx, ny, nz = cells.shape
     beyond = np.int32(reach * reach + 1)
     squared = np.empty(cells.shape, np.int32)
@@ -56,7 +56,7 @@ def _along_last(cells, reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
-    """The least of what lies along one of the first two axes and the way to it, row by row."""
+    """Minimum over one of the first two axes of value plus distance, row by row."""
     nx, ny, nz = squared.shape
     least = np.empty_like(squared)
     for i in range(nx):
@@ -66,9 +66,9 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
             at, count = (i, nx) if axis == 0 else (j, ny)
             for step in range(1, reach + 1):
                 way = np.int32(step * step)
-                for there in (at - step, at + step):
-                    if 0 <= there < count:
-                        other = squared[there, j] if axis == 0 else squared[i, there]
+                for neighbour in (at - step, at + step):
+                    if 0 <= neighbour < count:
+                        other = squared[neighbour, j] if axis == 0 else squared[i, neighbour]
                         for k in range(nz):
                             own[k] = min(own[k], other[k] + way)
     return least
@@ -76,7 +76,7 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _looked_up(squared, roots_m):  # type: ignore[no-untyped-def]
-    """Metres of squared distances in voxels; what is beyond the last root is as far as that."""
+    """Square roots of squared voxel distances, in metres, clamped at the last entry."""
     distance_m = np.empty(squared.shape, np.float32)
     flat, into = squared.reshape(-1), distance_m.reshape(-1)
     last = len(roots_m) - 1

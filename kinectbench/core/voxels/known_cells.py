@@ -1,4 +1,4 @@
-"""Which cells of a turned grid are known, by the nearest voxel of one or two grids of labels."""
+"""Known cells of a rotated grid, by the nearest voxel of one or two label grids."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ SLACK = 1e-6
 
 @dataclass(frozen=True)
 class KnownGrid:
-    """Where something is known, on one grid.
+    """The known voxels of one grid.
 
     Attributes:
         grid: of any orientation.
@@ -38,7 +38,7 @@ def known_grid(grid: Grid, known: Bools) -> KnownGrid:
 
 
 def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8]:
-    """Cells of a grid whose centre lies in a known voxel: of the fine grid, beyond it of the coarse one.
+    """Cells of a grid with their centre in a known voxel of the fine grid, or beyond it of the coarse one.
 
     Beyond both nothing is known. Blocks of 8^3 cells that fall into tiles of one state are set at once; the
     result is the same as cell by cell.
@@ -112,7 +112,7 @@ def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
-    """The state of all tiles that the centres of 8^3 cells may lie in, and whether all lie in the grid."""
+    """The common state of all tiles below the centres of 8^3 cells, and whether all lie in the grid."""
     known, tiles, M = level
     x0, x1, in_x = _reach(M[0], i, j, k, known.shape[0])
     y0, y1, in_y = _reach(M[1], i, j, k, known.shape[1])
@@ -144,7 +144,7 @@ def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
-    """The bytes (8, 8) of a block whose centres all lie in one grid, cell by cell along z."""
+    """The bytes (8, 8) of a block whose centres all lie in one grid, along z."""
     known, _, M = level
     for a in range(BLOCK):
         for b in range(BLOCK):
@@ -160,7 +160,7 @@ def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
-    """The bytes (8, 8) of a block that the end of a grid runs through."""
+    """The bytes (8, 8) of a block that crosses the end of a grid."""
     for a in range(BLOCK):
         for b in range(BLOCK):
             at_fine, at_coarse = _centre(fine[2], i + a, j + b, k), _centre(coarse[2], i + a, j + b, k)
@@ -175,7 +175,7 @@ def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _voxel(level, start, n):  # type: ignore[no-untyped-def]
-    """1 or 0: whether the voxel that the n-th cell after `start` lies in is known; -1 beyond the grid."""
+    """1 or 0: whether the voxel of the n-th cell after `start` is known; -1 beyond the grid."""
     known, _, M = level
     x, y, z = start[0] + n * M[0, 2], start[1] + n * M[1, 2], start[2] + n * M[2, 2]
     if x < 0 or y < 0 or z < 0 or x >= known.shape[0] or y >= known.shape[1] or z >= known.shape[2]:

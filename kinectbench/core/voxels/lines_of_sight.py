@@ -1,4 +1,4 @@
-"""Which voxels of an upright grid a camera sees along a straight line: sweeps over sampled directions.
+"""Voxels of an upright grid that a camera sees along a straight line: sweeps over sampled directions.
 
 A sweep walks all lines of one direction at once, slice by slice from the cameras' end, and keeps for each
 the distance of the farthest camera behind it that nothing hides. So a direction costs one look at each voxel.
@@ -28,13 +28,13 @@ _LEVEL = 1e-9
 
 @dataclass(frozen=True)
 class Space:
-    """Where lines pass and where cameras can be, on an upright grid.
+    """Where lines of sight pass and cameras can be, on an upright grid.
 
     Attributes:
         state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE or BLOCKED.
         heights_m: (nz,) float32, of the layers' middles above the floor; infinite without one.
         voxel_size_m: edge of a voxel.
-        near_m: a camera is at least so far from what it sees.
+        near_m: the camera's minimum range.
         least_height_m: a camera beyond the grid is at least so high.
     """
 
@@ -46,7 +46,7 @@ class Space:
 
     @property
     def lengths_m(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Edge, least distance and least height, as the kernels take them."""
+        """Voxel size, least distance and least height, in the kernels' form."""
         return np.float32(self.voxel_size_m), np.float32(self.near_m), np.float32(self.least_height_m)
 
 
@@ -68,7 +68,7 @@ def directions(count: int) -> Float64:
 
 
 def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
-    """How each voxel is seen along these directions, by a camera in some PLACE, or beyond the grid.
+    """Visibility of each voxel along these directions, from cameras in some PLACE or beyond the grid.
 
     Beyond the grid nothing hides a camera, and it can be wherever it is high enough. Lines are walked from
     voxel to voxel: one slice of the grid along their main axis a step.
@@ -82,15 +82,15 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     """
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
-        found = np.zeros(turned.state.shape, np.uint8)
+        directions_seen = np.zeros(turned.state.shape, np.uint8)
         for index in turned.ways:
-            turned.sweep(to_camera[index], found)
-        seen |= found.transpose(np.argsort(turned.order))
+            turned.sweep(to_camera[index], directions_seen)
+        seen |= directions_seen.transpose(np.argsort(turned.order))
     return seen
 
 
 def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """How many voxels of each piece are seen along each direction.
+    """The number of visible voxels of each piece, per direction.
 
     Args:
         space: the voxels.
@@ -107,24 +107,24 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
         at = np.flatnonzero(flat)
         of = flat[at]
         for index in turned.ways:
-            found = np.zeros(turned.state.shape, np.uint8)
-            turned.sweep(to_camera[index], found)
-            seen[index] = np.bincount(of[found.reshape(-1)[at] > 0], minlength=count)
+            directions_seen = np.zeros(turned.state.shape, np.uint8)
+            turned.sweep(to_camera[index], directions_seen)
+            seen[index] = np.bincount(of[directions_seen.reshape(-1)[at] > 0], minlength=count)
     return seen
 
 
 @dataclass(frozen=True)
 class _Turned:
-    """A space with one of its axes first, and the indices of the directions that mainly go along it."""
+    """A space with one of its axes first, and the indices of directions whose main axis it is."""
 
     space: Space
     state: NDArray[np.uint8]
     order: tuple[int, ...]
     ways: NDArray[np.int64]
 
-    def sweep(self, to_camera: Float64, found: NDArray[np.uint8]) -> None:
-        """Add what is seen along a direction (3,) to `found`, of the same axes as `state`."""
-        flat = self.state.reshape(-1), found.reshape(-1), found.shape
+    def sweep(self, to_camera: Float64, seen: NDArray[np.uint8]) -> None:
+        """Mark the voxels seen along a direction (3,) in `seen`, with the axes of `state`."""
+        flat = self.state.reshape(-1), seen.reshape(-1), seen.shape
         up_axis = self.order.index(2)
         _sweep(*flat, to_camera[list(self.order)], up_axis, self.space.heights_m, *self.space.lengths_m)
 
@@ -141,7 +141,7 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _beyond(height, up, least):  # type: ignore[no-untyped-def]
-    """How far from a voxel of this height the farthest camera beyond the grid can be, along a direction."""
+    """Farthest camera beyond the grid along a direction, for a voxel of this height."""
     if up > _LEVEL:
         return _FAR
     if up > -_LEVEL:
@@ -152,7 +152,7 @@ def _beyond(height, up, least):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(state, seen, shape, direction, up_axis, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Add what is seen along one direction, of which the first axis is the main one; arrays are flat."""
+    """Mark the voxels seen along one direction whose main axis comes first; arrays are flat."""
     n0, n1, n2 = shape
     along, up = abs(direction[0]), direction[up_axis]
     bit = np.uint8(FROM_BELOW if up < -_LEVEL else FROM_ABOVE)
@@ -192,7 +192,7 @@ def _carry(before, begin, now, to, count, step):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _look(state, seen, begin, far_m, to, count, near_m, bit):  # type: ignore[no-untyped-def]
-    """Places and obstacles of a row, and what is seen in it."""
+    """Carry the lines of a row past its obstacles and mark its visible voxels."""
     own, row = np.uintp(begin), np.uintp(to)
     for k in range(count):
         at, kept = own + np.uintp(k), row + np.uintp(k)
@@ -203,10 +203,10 @@ def _look(state, seen, begin, far_m, to, count, near_m, bit):  # type: ignore[no
 
 
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
-    """Add what is seen along further directions, asked only at the edge of what is seen already.
+    """Refine visibility along further directions, only at the edge of the visible region.
 
-    Through a narrow gap few directions lead. All points of a line up to its camera are seen, too: so what is
-    added grows from what is seen. Asked voxel by voxel, from the edge on.
+    Few directions pass a narrow gap. All points of a line up to its camera are seen, too: so new
+    voxels border on seen ones. Tests voxel by voxel, from the edge on.
 
     Args:
         space: the voxels.
@@ -259,7 +259,7 @@ def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m): 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
-    """Put the neighbours (6) that are not seen and were not asked onto the stack; its new length."""
+    """Push unseen, untested neighbours (6) onto the stack; returns its new length."""
     nx, ny, nz = state.shape
     for side in range(6):
         step = 1 if side % 2 else -1

@@ -50,7 +50,7 @@ def cell_numbers(cells: Int64 | Int32) -> Int64:
 
 
 def containment_of_cells(cells: Int64, full: Packed) -> float:
-    """Share of a partial view's cells that lie in the full shape, dilated by one of its own cells.
+    """Share of a partial view's cells inside the full shape, dilated by one cell.
 
     Args:
         cells: (n, 3) int64, cells of 4^3 of `full`, in any number each, also out of bounds.
@@ -80,7 +80,7 @@ def packed_shell(full: Packed) -> Packed:
         full: (nx, ny, nz / 8) uint8, a solid packed along z, most significant bit first.
 
     Returns:
-        The same shape, packed alike.
+        The same shape, packed the same way.
     """
     return np.asarray(_shell(np.ascontiguousarray(full)))
 
@@ -118,7 +118,7 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
     each axis, and a long run is two shorter ones.
 
     Args:
-        mask: bool; what lies outside of it is not set.
+        mask: bool; outside of it nothing is set.
         size: cells of the box along each axis, at least 1.
     """
     if any(length > n for length, n in zip(size, mask.shape, strict=True)):
@@ -134,7 +134,7 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
 
 
 def broad(mask: Bools, cells: int) -> Bools:
-    """What a cube of so many cells covers of a mask, and the corners that the cube does not reach."""
+    """The morphological opening of a mask by a cube, plus the corners that the cube misses."""
     from scipy import ndimage
 
     covered = opened(mask, (cells, cells, cells))
@@ -143,7 +143,7 @@ def broad(mask: Bools, cells: int) -> Bools:
 
 
 def _runs(mask: Bools, axis: int, length: int) -> Bools:
-    """Where a run of so many set cells along an axis begins."""
+    """Cells at which a run of `length` set cells along an axis begins."""
     runs, done = np.moveaxis(mask, axis, 0), 1
     while done < length:
         step = min(done, length - done)

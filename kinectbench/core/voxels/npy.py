@@ -26,12 +26,12 @@ LAST_CHARACTER, SURROGATES = 0x10FFFF, 0xD800
 
 
 class NpyError(ValueError):
-    """An npy stream cannot be read; the message says why, without the file's name."""
+    """An npy stream is unreadable; the message gives the reason without the file's name."""
 
 
 @dataclass(frozen=True)
 class NpyHeader:
-    """What an npy file claims to hold.
+    """The header of an npy file.
 
     Attributes:
         dtype: a plain dtype without objects or fields; byte order as in the file.
@@ -52,12 +52,12 @@ class NpyHeader:
 
 
 def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | None = None) -> NDArray[Any]:
-    """Read an npy stream whose length must be what its header claims.
+    """Read an npy stream whose length must match its header.
 
     Args:
         file: at its start; a zip's entry, for example.
         size: bytes in it, as far as is known: the most that is allocated.
-        check: looks at the header before anything is allocated; what it raises goes through.
+        check: checks the header before allocation; its exceptions pass through.
 
     Returns:
         A new array, in the shape, byte order and dtype that the header says. Of bytes in memory that nobody
@@ -83,7 +83,7 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | No
 
 
 def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[Any]:
-    """The data of a stream at its place, flat, in memory of its own."""
+    """Copy a stream's data into a new flat array."""
     data = np.empty(math.prod(header.shape), header.dtype)
     if data.nbytes:
         raw, done = data.view(np.uint8).data, 0
@@ -97,21 +97,21 @@ def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[Any]:
 
 
 def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[Any]:
-    """The data of bytes in memory, flat, where they lie.
+    """A flat view of data in memory.
 
     To copy the grids of a pair takes as long as to inflate them: 3 ms, most of it for fresh pages.
     """
-    there = file.getbuffer()[file.tell() :]
-    if len(there) < header.data_bytes:
-        raise NpyError(f"cut short: {len(there)} bytes of data, {header.data_bytes} are claimed")
+    view = file.getbuffer()[file.tell() :]
+    if len(view) < header.data_bytes:
+        raise NpyError(f"cut short: {len(view)} bytes of data, {header.data_bytes} are claimed")
     file.seek(header.data_bytes, io.SEEK_CUR)
     # Unlike np.ndarray's, this holds the buffer: the stream can be neither closed nor made longer meanwhile.
-    data: NDArray[Any] = np.frombuffer(there, header.dtype, math.prod(header.shape))
+    data: NDArray[Any] = np.frombuffer(view, header.dtype, math.prod(header.shape))
     return data if data.flags.aligned else data.copy()
 
 
 def _check_texts(data: NDArray[Any]) -> None:
-    """Refuse texts of code points that are none of Unicode's characters: Python's str cannot hold them."""
+    """Refuse invalid Unicode code points, which Python's str cannot hold."""
     if data.dtype.kind == "U" and data.size:
         points = data.view(np.dtype(np.uint32).newbyteorder(data.dtype.byteorder))
         if (points > LAST_CHARACTER).any() or (points >> 11 == SURROGATES >> 11).any():
@@ -119,7 +119,7 @@ def _check_texts(data: NDArray[Any]) -> None:
 
 
 def read_npy_header(file: IO[bytes]) -> NpyHeader:
-    """Read a header and leave the stream at the first byte of data.
+    """Read a header; the stream is then at the first byte of data.
 
     Raises:
         NpyError: not an npy stream, cut short, pickled objects, or a malformed header.

@@ -1,4 +1,4 @@
-"""npz files with the same bytes for the same arrays, and readers that say what is wrong in one line.
+"""Deterministic npz files, and readers that report faults in one line.
 
 Files of bit-packed grids have a faster writer: they are long runs of equal bytes, often nothing else.
 """
@@ -58,7 +58,7 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
 
 
 def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -> zipfile.ZipFile:
-    """Open an npz that may come from anybody; every entry is known to be one that may be unpacked.
+    """Open an untrusted npz; all entries are checked before unpacking.
 
     Entries are plain `<name>.npy`, stored or deflated, not encrypted, none twice, and together within bounds.
     To be read by `read_npy`, with the entry's `file_size`.
@@ -70,7 +70,7 @@ def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -
 
     Raises:
         NpyError: one of this is not so; the message says which.
-        zipfile.BadZipFile: it is no npz, or damaged.
+        zipfile.BadZipFile: it is not an npz, or damaged.
     """
     if file.read(len(MAGIC)) == MAGIC:
         raise NpyError("a single array, not an npz")
@@ -132,15 +132,15 @@ def arrays_of(
             raise NpyError(f"it holds no '{missing[0]}'")
         arrays = {}
         for name in names or entries:
-            there = name in entries
-            array = _read(file, archive, entries[name]) if there else instead[name]
+            is_present = name in entries
+            array = _read(file, archive, entries[name]) if is_present else instead[name]
             arrays[name] = np.asarray(array, order="C")
         return arrays
 
 
 @cache
 def _reuse_memory() -> None:
-    """Have the C library use again what is freed, up to twice this, instead of giving it back to the system.
+    """Let the C library keep up to twice this much freed memory for reuse.
 
     Fresh pages take longer than inflating: all grids of a pair are read in 5 ms, and in 10 ms without this.
     glibc goes by the largest block that was freed so far (mallopt(3), M_MMAP_THRESHOLD); others ignore it.
@@ -234,7 +234,7 @@ def _entry(array: NDArray[Any]) -> tuple[bytes, bytes]:
 
 @lru_cache(maxsize=8)
 def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
-    """`known` of most synthetic pairs, over and over."""
+    """`known` of most synthetic pairs, which is constant and cached."""
     return _deflated(np.full(shape, value, np.uint8))
 
 

@@ -1,4 +1,4 @@
-"""What frames say about the voxels of a grid, and how far their votes can be believed."""
+"""Votes of frames on the voxels of a grid, and the confidence in them."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,9 @@ POSE_SIGMAS = 3.0
 # frames saw through counts in full, in part, or not at all. Chosen on simulated furniture at two resolutions
 # with a real kitchen's and a real cabinet's poses in view.
 RAY_WIDTHS_VOXELS, TRUST_IN_VOTES = (0.8, 1.0, 1.4), (1.0, 0.45, 0.0)
-# More frames than this share see through a voxel only where there is no surface. Nearer to it than a voxel
+# If more than this share of frames see through a voxel, it is no surface. Nearer to it than a voxel
 # behind, distances are to decide, and the share grows. Chosen with 0.1 to 0.3 on simulated furniture, seeds
-# 40 to 43: what is more eats less of undersides, but leaves more in front of what was hardly seen.
+# 40 to 43: a larger value erodes undersides less, but leaves more in front of surfaces seen by few frames.
 USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL = 0.15, 0.5
 UNDECIDED_VOXELS = 1.0
 # How far the rest moves the surface inward, if all frames see through.
@@ -30,7 +30,7 @@ HALF_DIAGONAL, FADING_VOXELS, HIDDEN_SHARE = 0.87, 0.5, 0.001
 
 @dataclass(frozen=True)
 class Observation:
-    """What the frames say about every voxel of a dense grid; arrays have the grid's shape.
+    """The votes of frames on every voxel of a dense grid; arrays have the grid's shape.
 
     Attributes:
         grid: the voxels.
@@ -38,7 +38,7 @@ class Observation:
         weight: float32, 1/mm^2, as if frames that see a voxel hidden counted in full (`evident_weight`);
             0 = never observed.
         free: uint16, frames that saw through; 65,535 stands for as many or more.
-        surface: uint16, frames that measured a surface there, or less than the truncation before it; alike.
+        surface: uint16, frames that measured a surface there, or less than the truncation before it.
     """
 
     grid: Grid
@@ -49,7 +49,7 @@ class Observation:
 
 
 def merge(first: Observation, second: Observation) -> Observation:
-    """What two disjoint sets of frames say together: weighted mean of the TSDFs, sums of the votes.
+    """Merge two disjoint sets of frames: weighted mean of the TSDFs, sums of the votes.
 
     A sum of votes is at most 65,535.
     """
@@ -63,13 +63,13 @@ def merge(first: Observation, second: Observation) -> Observation:
 
 
 def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The sum of two arrays of one shape, or 65,535 where it is more."""
+    """The sum of two arrays of one shape, at most 65,535."""
     room = np.iinfo(np.uint16).max - first
     return first + np.minimum(second, room)
 
 
 def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float32:
-    """How much evidence there is of each voxel, hidden or not: the weights, 1/mm^2, as if none had faded.
+    """Evidence of each voxel, 1/mm^2: its weight without the decay behind surfaces.
 
     Args:
         tsdf: fused signed distances, metres.
@@ -80,14 +80,14 @@ def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float
 
 
 def _heard_share(tsdf: Float32, voxel_size_m: float) -> Float32:
-    """What part of their weight frames have at these signed distances, as in fusion, but for noise."""
+    """Weight factor of frames at these signed distances, as in fusion, without noise."""
     behind_voxels = -tsdf / np.float32(voxel_size_m) - np.float32(HALF_DIAGONAL)
     faded = np.float32(1) - np.maximum(behind_voxels, np.float32(0)) / np.float32(FADING_VOXELS)
     return np.asarray(np.maximum(faded, np.float32(HIDDEN_SHARE)), np.float32)
 
 
 def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> Float32:
-    """Of the frames with a vote on each voxel, the share that saw through it; 0 without votes.
+    """The share of a voxel's votes that are free; 0 without votes.
 
     Args:
         free: votes for `free`.
@@ -107,7 +107,7 @@ def pose_reach_m(median_pose_sigma_m: float | None) -> float:
 
 
 def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: float) -> float:
-    """How wide the frames' rays are at a distance, metres: a pixel and three sigmas of the pose.
+    """Width of the frames' rays at a distance, metres: a pixel and three sigmas of the pose.
 
     Args:
         camera: of the depth images.
@@ -118,7 +118,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """What part of the votes for `free` is believed, in [0, 1]: less, the wider the rays are."""
+    """Confidence in votes for `free`, in [0, 1]: it falls with the width of the rays."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 
@@ -129,7 +129,7 @@ def without_fringe(
     voxel_size_m: float,
     trust: float = 1.0,
 ) -> Float32:
-    """The TSDF, raised where frames saw through what on the mean lies well behind a surface.
+    """The TSDF without edge artefacts: raised where frames saw through voxels behind the mean surface.
 
     Where hardly any frame measures a surface, as at an underside seen at a grazing angle, those that see the
     voxel hidden outweigh them, fade as they may. Frames that see through it are evidence, however little they
@@ -140,7 +140,7 @@ def without_fringe(
         free: votes for `free`, of the same shape.
         surface: votes for `surface`, of the same shape.
         voxel_size_m: edge of a voxel.
-        trust: what part of the votes is believed, `trust_in_votes`.
+        trust: the share of the votes that counts, `trust_in_votes`.
     """
     share = seen_through_share(free, surface)
     behind = np.maximum(tsdf / np.float32(voxel_size_m) + np.float32(UNDECIDED_VOXELS), np.float32(0))

@@ -10,7 +10,7 @@ from kinectbench.core.voxels.solid import SUBCELL, crossings, snapped_cells
 
 
 def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Which cells of a grid belong to a mesh: those on its surface, and those enclosed along all axes.
+    """Cells of a mesh: on its surface, or enclosed along all axes.
 
     A cell is occupied if an edge of its cube crosses a face, or if the rays from its centre along +x, -x,
     +y, -y, +z and -z all hit one. Faces may lie anywhere, be open, doubled or turned inside out. Edges and
@@ -41,7 +41,7 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
 
 
 def voxelize_surface(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """The cells on a mesh's surface: those of whose cube an edge crosses a face; else as `voxelize_open`."""
+    """Cells whose edges cross a face of the mesh; else as `voxelize_open`."""
     fixed = snapped_cells(vertices_world, grid)
     triangles = np.ascontiguousarray(faces, dtype=np.int32)
     packed = np.zeros((grid.shape[0], grid.shape[1], grid.shape[2] // 8), np.uint8)
@@ -88,7 +88,7 @@ def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _mark_enclosed(x_first, x_last, y_first, y_last, z_first, z_last, packed):  # type: ignore[no-untyped-def]
-    """Set the cells that lie between in all three rows they are in."""
+    """Set cells that lie between crossings in all three of their rows."""
     nx, ny = z_first.shape
     for i in range(nx):
         for j in range(ny):
@@ -96,7 +96,7 @@ def _mark_enclosed(x_first, x_last, y_first, y_last, z_first, z_last, packed):  
             for byte in range(begin >> 3, (end >> 3) + 1):
                 bits = 0
                 for k in range(byte * 8, byte * 8 + 8):
-                    # No branches: they could not be foretold.
+                    # No branches: they could not be predicted.
                     inside = (x_first[j, k] <= i) & (i <= x_last[j, k])
                     inside &= (y_first[i, k] <= j) & (j <= y_last[i, k]) & (begin <= k) & (k <= end)
                     bits = (bits << 1) | inside

@@ -1,7 +1,7 @@
 """The pair file: one npz that plain numpy opens. Boolean grids are bit-packed along the last axis.
 
-A `Pair` holds a view and its truth; a `PairInput` is the same without the truth: what a method may look at,
-and what a public part publishes.
+A `Pair` holds a view and its truth; a `PairInput` is the same without the truth: the input of a method,
+and the public part.
 """
 
 import io
@@ -48,7 +48,7 @@ class Pair:
     Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
     of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
     closed mesh; by "seeable" also where no camera could see it; "six-rays" is the authors' rule for meshes
-    that are not watertight. `interior` and `said` say by what `known` is known; None where that is not told,
+    that are not watertight. `interior` and `said` say by what `known` is known; None where that is unknown,
     as in files of earlier versions.
     """
 
@@ -112,7 +112,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class PairInput:
-    """What a view gives: the same without the truth; the fields are those of `Pair`."""
+    """The input of a pair, without its truth; the fields are those of `Pair`."""
 
     partial: Packed
     partial_256: Packed
@@ -183,7 +183,7 @@ def _read(kind: type[AnyPair], path: Path) -> AnyPair:
 
 
 def pair_content(path: Path) -> bytes:
-    """The bytes of a pair file, not looked at.
+    """The bytes of a pair file, unchecked.
 
     Raises:
         PairError: it is missing, too large, or cannot be read.
@@ -195,7 +195,7 @@ def pair_content(path: Path) -> bytes:
 
 
 def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
-    """The arrays of a pair file's bytes, which may come from anyone, by key and not checked.
+    """The arrays of an untrusted pair file by key, unchecked.
 
     Raises:
         PairError: damaged, or claiming to hold more than a pair; the line begins with `where`.
@@ -222,7 +222,7 @@ def pair_parts(content: bytes, names: Collection[str]) -> list[NDArray[Any]]:
 
 
 def checked_parts(values: dict[str, NDArray[Any]], names: Collection[str]) -> dict[str, NDArray[Any]]:
-    """Some arrays of a pair as they are, those of `names` checked.
+    """Some arrays of a pair, with those of `names` checked.
 
     Raises:
         ValueError: one of them is wrong.
@@ -248,8 +248,8 @@ def keys_there(names: Sequence[str], content: bytes) -> list[str]:
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged.
     """
-    there = pair_keys(content) if set(OPTIONAL) & set(names) else ()
-    return [name for name in names if name not in OPTIONAL or name in there]
+    present = pair_keys(content) if set(OPTIONAL) & set(names) else ()
+    return [name for name in names if name not in OPTIONAL or name in present]
 
 
 def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
@@ -272,13 +272,13 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
 
 
 def _defaults(kind: type[Pair] | type[PairInput]) -> dict[str, NDArray[Any]]:
-    """What a key means where a file of an earlier version does not have it."""
+    """Defaults of keys that earlier versions of the file lack."""
     defaults = {f.name: f.default for f in fields(kind) if f.name not in OPTIONAL}
     return {name: np.asarray(value) for name, value in defaults.items() if value is not MISSING}
 
 
 def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:
-    """What is wrong with the format version of a pair file, or None."""
+    """The fault of a pair file's format version, or None."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
@@ -286,7 +286,7 @@ def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:
 
 
 def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
-    """What is wrong with some values of a pair file, all of them there, or None."""
+    """The first fault of a pair file's values, or None."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

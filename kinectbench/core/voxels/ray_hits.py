@@ -1,4 +1,4 @@
-"""What rays first meet from a voxel that no frame saw: counts over the 26 directions of its neighbours."""
+"""First hits of rays from unseen voxels, counted over 26 directions."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ UNSEEN, OUTSIDE, INSIDE, NEUTRAL = range(4)
 
 @dataclass(frozen=True)
 class RayHits:
-    """How many of 26 directions first meet which state from each UNSEEN voxel; uint8, zeros elsewhere.
+    """Counts of the first states hit in 26 directions from each UNSEEN voxel; uint8, zeros elsewhere.
 
     Attributes:
         inside: directions that meet INSIDE.
@@ -30,7 +30,7 @@ class RayHits:
 
     @property
     def enclosed(self) -> Float32:
-        """Rays that meet INSIDE, as a share of those that meet INSIDE or OUTSIDE; 0 if none does."""
+        """INSIDE hits as a share of INSIDE and OUTSIDE hits; 0 without hits."""
         share = np.zeros(self.inside.shape, np.float32)
         counted = self.inside + self.outside
         np.divide(self.inside, counted, out=share, where=self.inside > 0, dtype=np.float32)

@@ -19,7 +19,7 @@ MAX_BYTES = MAX_CELLS**3 + (64 << 10)
 
 
 def recgan_file_bytes(cells: Bools) -> bytes:
-    """A grid (nx, ny, nz) bool in our axes as their file: `arr_0`, int8, (x, y, z, 1), x to the left, y up.
+    """A grid (nx, ny, nz) bool in our axes in their format: `arr_0`, int8, (x, y, z, 1), x to the left, y up.
 
     Their back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y
     reversed.
@@ -52,12 +52,12 @@ def read_recgan_file(path: Path) -> Bools:
 
 
 def _is_binary(cells: NDArray[Any]) -> bool:
-    """Whether a grid holds 0 and 1 only; slab by slab, as what is compared takes memory, too."""
+    """Whether a grid holds only 0 and 1; checked slab by slab to save memory."""
     return all(bool(((slab == 0) | (slab == 1)).all()) for slab in cells)
 
 
 def _centring(count: int) -> tuple[slice, slice]:
-    """Which of `count` cells along an axis go where in 256."""
+    """Slices that crop or pad `count` cells to 256 about the centre."""
     crop, pad = max(0, (count - FULL_CELLS) // 2), max(0, (FULL_CELLS - count) // 2)
     kept = min(count, FULL_CELLS)
     return slice(crop, crop + kept), slice(pad, pad + kept)

@@ -37,9 +37,9 @@ def upsampled_planes(
 
     Raises:
         PredictionError: `values` is not a cube of 1 to 512 cells a side.
-        SettingsError: there is no such convention.
+        SettingsError: unknown convention.
 
-    Source: the paper upsamples by trilinear interpolation; the half-pixel convention is an own rule.
+    Source: the paper upsamples by trilinear interpolation; the half-pixel convention is ours.
     """
     from kinectbench.core.voxels.resample_kernels import expand_rows, plane_between
 
@@ -63,7 +63,7 @@ def upsampled_planes(
 
 
 def _taps(n: int, side: int, convention: str) -> tuple[Int64, Int64, Float64]:
-    """For each output cell: the two input cells it lies between, and the weight of the second."""
+    """For each output cell: its two input cells, and the weight of the second."""
     if convention == CORNER_ALIGNED:
         position = np.arange(side) * ((n - 1) / max(side - 1, 1))
     else:
@@ -84,7 +84,7 @@ def reduce_blocks(occupancy: Bools, rule: str) -> Bools:
         bool, a quarter as many cells along each axis, such as (64, 64, 64).
 
     Raises:
-        PairError: there is no such rule.
+        PairError: unknown rule.
     """
     if rule not in ("any", "majority"):
         raise PairError(f"no partial rule '{rule}': it is any or majority")

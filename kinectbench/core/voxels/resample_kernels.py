@@ -53,6 +53,6 @@ def plane_between(
 @njit(cache=True, error_model="numpy", nogil=True)
 def _blend(first: Float64, second: Float64, weight: float, out: Float64) -> None:
     """`out = first * (1 - weight) + second * weight`, cell by cell."""
-    rest = 1.0 - weight
+    complement = 1.0 - weight
     for i in range(len(out)):
-        out[i] = first[i] * rest + second[i] * weight
+        out[i] = first[i] * complement + second[i] * weight

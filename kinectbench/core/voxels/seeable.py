@@ -1,10 +1,10 @@
-"""Which space around an object is air: what some camera could see. Everything else is the object.
+"""Air is the space around an object that some camera could see; the rest is the object.
 
     Air is what some camera could see: a point is air if a straight line of the sensor's width reaches it,
     without crossing the object, from a place that a camera can be brought to.
 
 No ray can tell a shell on its rim from a solid dome. Where no camera could tell, this definition says object,
-of recordings, simulations and CAD models alike.
+of recordings, simulations and CAD models.
 """
 
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ from kinectbench.core.voxels.lines_of_sight import (
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
 # 6,400 twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
-# Distances from voxel to voxel are exact but for rounding.
+# Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6
 # Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
 VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
@@ -46,9 +46,9 @@ def seen_from_outside(
     limits: SensorLimits,
     seen: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """The voxels that some admissible line reaches, and from where.
+    """Voxels that some admissible line of sight reaches, and their viewpoints.
 
-    The middle of a line keeps half its width from the obstacle and from the plane; what it reaches is grown
+    A line's middle keeps half its width from the obstacle and from the plane; the reached space is dilated
     back by as much, never into the obstacle. Cameras are where a ball gets from beyond the grid.
 
     Args:
@@ -56,7 +56,7 @@ def seen_from_outside(
         heights_m: (nz,) float32, of the layers' middles above the plane it stands on; None: no plane.
         voxel_size_m: edge of a voxel.
         limits: of the sensor.
-        seen: the same of wider lines, if known: what they reach, narrower ones reach.
+        seen: the same for wider lines, if known, which narrower lines also reach.
 
     The answer is to a voxel: through a slot up to one voxel wider than a line none may lead.
 
@@ -77,7 +77,7 @@ def seen_from_outside(
 def swept_from_outside(
     obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits, to_camera: Float64
 ) -> NDArray[np.uint8]:
-    """As `seen_from_outside`, by lines along the directions (n, 3) only: its time does not grow with gaps."""
+    """Like `seen_from_outside`, but only along the directions (n, 3): its time does not grow with gaps."""
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     return _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
 
@@ -85,7 +85,7 @@ def swept_from_outside(
 def line_space(
     obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits
 ) -> Space:
-    """Where the middles of lines pass, and where cameras can be brought to; as for `seen_from_outside`."""
+    """Voxels where the axes of lines of sight pass and cameras can be; as for `seen_from_outside`."""
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
     half_m = limits.line_width_m / 2
     farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
@@ -99,14 +99,14 @@ def line_space(
 def _grown(
     reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
 ) -> NDArray[np.uint8]:
-    """What middles of lines reach, grown back by half their width."""
+    """The space reached by axes of lines, dilated by half their width."""
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
     return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
-    """Voxels with what of `reached` lies within a ball of some voxels around each, but for the obstacle's."""
+    """Voxels of `reached`, dilated by a ball around each, without the obstacle."""
     nx, ny, nz = reached.shape
     most = int(radius)
     balls = [
@@ -132,7 +132,7 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
 
 
 def _from_beyond(roomy: Bools) -> Bools:
-    """Those of the voxels in which a camera fits that it reaches from beyond the grid (6 neighbours)."""
+    """Camera positions that are connected to the space beyond the grid (6 neighbours)."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(roomy)
@@ -168,7 +168,7 @@ class SeeableSolid:
 
     @property
     def closed_share(self) -> float:
-        """Volume that is object by definition only and is judged, over the exact solid's: what it costs."""
+        """Volume that is object only by definition and is scored, relative to the exact solid."""
         return self._over_exact(self.closed & ~self.slit)
 
     @property
@@ -180,7 +180,7 @@ class SeeableSolid:
         return float(voxels.sum()) * self.grid.voxel_size_m**3 / self.exact_m3
 
     def on(self, grid: Grid, which: Bools) -> Bools:
-        """One of its arrays on another grid, by the nearest voxel; False beyond."""
+        """One of its arrays resampled to another grid by the nearest voxel; False beyond."""
         if not which.any():
             return np.zeros(grid.shape, bool)
         T = self.grid.T_grid_world @ grid.T_world_grid
@@ -191,8 +191,8 @@ class SeeableSolid:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """The value at the middle of each cell of another grid; (3, 4) maps its cells to those of `which`."""
-    found = np.zeros((nx, ny, nz), np.bool_)
+    """The nearest value for each cell of another grid; (3, 4) maps its cells to those of `which`."""
+    result = np.zeros((nx, ny, nz), np.bool_)
     mx, my, mz = which.shape
     for i in range(nx):
         for j in range(ny):
@@ -202,16 +202,16 @@ def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
                 b = int(np.floor(y + T_cells[1, 2] * (k + 0.5)))
                 c = int(np.floor(z + T_cells[2, 2] * (k + 0.5)))
                 if 0 <= a < mx and 0 <= b < my and 0 <= c < mz:
-                    found[i, j, k] = which[a, b, c]
-    return found
+                    result[i, j, k] = which[a, b, c]
+    return result
 
 
 def seeable_solid(
     mesh_world: TriangleMesh, T_world_upright: Float64, limits: SensorLimits, *, stands: bool = True
 ) -> SeeableSolid:
-    """What of the space in and around a closed mesh is object under the definition.
+    """The parts in and around a closed mesh that are object under the definition.
 
-    Walls thinner than a voxel, in which no voxel's middle lies, hide what is behind them as thick ones do.
+    Walls thinner than a voxel, in which no voxel's middle lies, occlude like thick ones.
 
     Args:
         mesh_world: closed, metres.

@@ -14,7 +14,7 @@ from kinectbench.core.voxels.view_grids import corner_in_camera
 
 # Edge of the tiles of pixels whose nearest and farthest reach are kept.
 TILE_PX = 4
-# Cells along a block's edge, and what is seen of one.
+# Cells along a block's edge, and the states of a block.
 BLOCK = 8
 NONE, ALL, SOME = 0, 1, 2
 
@@ -62,7 +62,7 @@ def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
-    """How many layers of cells each pixel sees; one row and one column more, for cells outside the image."""
+    """Layers of cells that each pixel sees, with one extra row and column for cells outside the image."""
     reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -81,7 +81,7 @@ def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
-    """The least and the greatest reach in each tile of pixels."""
+    """The least and the greatest range in each tile of pixels."""
     height, width = reach.shape
     least = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), 65535, np.uint16)
     greatest = np.zeros_like(least)
@@ -95,7 +95,7 @@ def _tiles(reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
-    """Block by block: mostly the pixels that a block of cells falls on decide all of them alike."""
+    """Block by block: mostly the pixels below a block of cells decide for all of them."""
     nx, ny = len(columns), len(rows)
     packed = np.zeros((nx, ny, nz // BLOCK), np.uint8)
     lefts, rights = _ranges(columns)
@@ -130,7 +130,7 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
-    """Whether all or none of a block's cells, in eight layers from the first, are seen; SOME: look closer."""
+    """Whether all or none of a block's cells, in eight layers, are seen; SOME: test each cell."""
     left, right, top, bottom = span
     if left == shape[1] - 1 or top == shape[0] - 1:
         return NONE

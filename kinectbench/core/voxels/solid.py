@@ -13,7 +13,7 @@ from kinectbench.core.types import Float64, Int32, Int64
 # Vertices are snapped to 2^-16 of a cell, so that the tests on shared edges are exact integers.
 SUBCELL_BITS = 16
 SUBCELL = 1 << SUBCELL_BITS
-# Four times what the finest mesh needs: a sphere of a million triangles has 2.3 million. 26 bytes each.
+# Four times the need of the finest mesh: a sphere of a million triangles has 2.3 million. 26 bytes each.
 MAX_CROSSINGS = 1 << 23
 # Faces whose boxes lie over one column of cells: 16 for each cell of a cube of 256. Chosen by hand.
 MAX_IN_A_COLUMN = 4096
@@ -89,7 +89,7 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
-    """A triangle's corners as (x, y, z) along u, v, w, turned to look up w; its area x 2; its sign."""
+    """A triangle's corners (x, y, z) along u, v, w, oriented to face w; twice its area; its sign."""
     u, v, w = axes
     ax, ay, az = fixed[a, u] - start, fixed[a, v] - start, fixed[a, w]
     bx, by, bz = fixed[b, u] - start, fixed[b, v] - start, fixed[b, w]
@@ -137,7 +137,7 @@ def _longer(values, count, capacity):  # type: ignore[no-untyped-def]
 
 
 def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]) -> bool:
-    """Whether a stranger's mesh could cross more lines than any that is made of an object.
+    """Whether an untrusted mesh could cross more lines than any that is made of an object.
 
     The columns that each face can cross are bounded by its rectangle; faces outside cross none.
 
@@ -160,10 +160,10 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
 
 
 def voxelize_solid(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Which cells of a grid have their centre inside a closed mesh.
+    """Cells of a grid with their centre inside a closed mesh.
 
     Every column of cells along z is crossed by the triangles above and below it; a cell is inside
-    where the signed crossings below its centre do not cancel (non-zero winding number). Own rule;
+    where the signed crossings below its centre do not cancel (non-zero winding number). Defined here;
     exact for closed, outward-oriented meshes up to the snapping of 2^-16 cell.
 
     Args:
@@ -204,7 +204,7 @@ def _fill(fixed, faces, nx, ny, nz):  # type: ignore[no-untyped-def]
             winding += steps[n]
             if winding != 0:
                 _set(packed[column // ny, column % ny], cells[n], cells[n + 1])
-        # A mesh that is not closed ends no solid: it goes on to the end of the column.
+        # In an open mesh the solid continues to the end of the column.
         if first[column + 1] > first[column] and winding + steps[first[column + 1] - 1] != 0:
             _set(packed[column // ny, column % ny], cells[first[column + 1] - 1], nz)
     return packed

@@ -1,4 +1,4 @@
-"""Points spread evenly over a surface, and how far apart its vertices are."""
+"""Even surface samples, and the spacing of vertices."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ JUDGED_FACES = 20_000
 def spacing_m(mesh: TriangleMesh) -> float:
     """The distance between a mesh's neighbouring vertices, metres: 95 % of its edges are shorter.
 
-    Smaller cells would not touch, though the surface goes on.
+    Smaller cells would not touch, though the surface continues.
     """
     corners = mesh.vertices[mesh.faces[:: max(1, len(mesh.faces) // JUDGED_FACES)]]
     edges_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)

@@ -30,7 +30,7 @@ def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:
 
 
 def view_cube(points_camera: Float64, T_world_camera: Float64) -> Grid:
-    """Framing `view`: a cube from the partial view alone, so that it tells nothing of the hidden part.
+    """Framing `view`: a cube from the partial view alone, which reveals nothing of the hidden part.
 
     With the box of the partial's points in the view's axes (0.5 % left out on every side): side =
     1.4 x its longest extent; centred on the box in x and y; in z it begins 0.1 side in front of it.

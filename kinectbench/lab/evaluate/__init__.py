@@ -1,1 +1,1 @@
-"""What was built of a simulated recording, measured against the simulator's truth."""
+"""The comparison of a simulated recording's build with the simulator's truth."""

@@ -1,4 +1,4 @@
-"""What was built of one recording, and how it lies to the truth: which frame is which, world to world."""
+"""The build of one recording and its relation to the truth: matching frames and worlds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class Build:
 
     @property
     def limits(self) -> SensorLimits | None:
-        """Of the sensor, by which air was defined when the object was built; None if that is not known."""
+        """The sensor limits that defined air when the object was built; None if unknown."""
         method = None if self.model is None else self.model.quality.method
         return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 
@@ -89,7 +89,7 @@ def read_build(folder: Path) -> Build:
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
-        """Where the view has depth, (height, width) bool."""
+        """Pixels with depth, (height, width) bool."""
         path = folder / "views" / f"{view.name}.depth.png"
         try:
             return read_gray(path) > 0
@@ -113,7 +113,7 @@ def read_build(folder: Path) -> Build:
 
 @dataclass(frozen=True)
 class Registration:
-    """A build beside its truth.
+    """A build registered to its truth.
 
     Attributes:
         true_frame: (n,) int64, for each frame of the build's sequence the frame of the truth, -1 for none.
@@ -183,8 +183,8 @@ def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> ND
         truth_ns: (m,) of the truth.
     """
     result = np.full(len(stamps_ns), -1, dtype=np.int64)
-    numbers, rest = np.divmod(stamps_ns, NS_PER_S)
-    counted = not rest.any() and numbers.min() >= 0 and numbers.max() < len(truth_ns)
+    numbers, remainder_ns = np.divmod(stamps_ns, NS_PER_S)
+    counted = not remainder_ns.any() and numbers.min() >= 0 and numbers.max() < len(truth_ns)
     if counted and not np.isin(stamps_ns, truth_ns).any():
         return numbers
     built, true = match_stamps(stamps_ns, truth_ns)

@@ -182,10 +182,10 @@ def slice_picture(solids: Solids) -> bytes:
 
 
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
-    """Colours (n, m, 3), 0 to 255, of a slice's cells (n, m): right, missing, too much; unknown tinted."""
+    """Colours (n, m, 3), 0 to 255, of a slice's cells (n, m): correct, missing, excess; unknown tinted."""
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
-    # Errors keep their colour, unknown or not: tinted they would look like what is right.
+    # Errors keep their colour, unknown or not: tinted they would look correct.
     plain = known | (true != built)
     tinted: Float64 = np.where(plain[..., None], colors, 0.45 * colors + 0.55 * UNKNOWN_COLOR)
     return tinted

@@ -30,7 +30,7 @@ from kinectbench.stages.segment.find.floor import Floor
 
 @dataclass(frozen=True)
 class TrajectoryFigures:
-    """How much of a recording was tracked, and how well. Frames count as in the build's sequence.
+    """The share of a recording that was tracked, and its accuracy. Frames count as in the build.
 
     Attributes:
         frames: frames in the sequence.
@@ -41,7 +41,7 @@ class TrajectoryFigures:
         foreign_tracked: frames that show another scene and have a pose all the same.
         error: of the poses of the frames whose truth is known; None if there are fewer than three.
         given_clock: by how much the clock of the trajectory that came with the recording is late against the
-            true poses, where that can be told and matters; or None.
+            true poses, where that can be determined and matters; or None.
     """
 
     frames: int
@@ -104,7 +104,7 @@ def _given_clock(
 
 @dataclass(frozen=True)
 class FloorFigures:
-    """How far the built floor is from the true one.
+    """The distance of the built floor from the true one.
 
     Attributes:
         angle_rad: between the two planes.
@@ -136,7 +136,7 @@ ARRAY_DECIMALS = 9
 
 @dataclass(frozen=True)
 class AlignmentFigures:
-    """How the build's world was laid onto the truth's.
+    """The registration of the build's world to the truth's.
 
     Attributes:
         aligned: by the trajectories; False: the worlds were left as they are.

@@ -1,4 +1,4 @@
-"""What the labels and probabilities of the object's own voxels say, against the truth."""
+"""The labels and probabilities of the object's voxels, compared with the truth."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ CALIBRATED_M, BINS = 0.030, 10
 
 @dataclass(frozen=True)
 class Voxels:
-    """The object's own voxels, fine grid, beside the truth; all arrays have the grid's shape.
+    """The object's voxels on the fine grid, with the truth; all arrays have the grid's shape.
 
     Attributes:
         grid: in the truth's world.
@@ -35,7 +35,7 @@ class Voxels:
         judged: bool, it counts: it lies in no slit.
         distance_m: float32, of its centre from that solid's surface; infinite where that is more than 30 mm.
         exact: bool, its centre lies in the exact solid.
-        exact_distance_m: float32, of its centre from the true mesh, alike.
+        exact_distance_m: float32, of its centre from the true mesh.
     """
 
     grid: Grid
@@ -50,14 +50,14 @@ class Voxels:
 
     @property
     def against_exact(self) -> "Voxels":
-        """The same beside the exact solid, every voxel judged."""
+        """The same compared with the exact solid, every voxel judged."""
         everywhere = np.ones_like(self.judged)
         return replace(self, true=self.exact, distance_m=self.exact_distance_m, judged=everywhere)
 
 
 @dataclass(frozen=True)
 class GrossErrors:
-    """Known voxels that are wrong and more than 10 mm from the true surface, as shares of the true volume.
+    """Wrong known voxels more than 10 mm from the true surface, as shares of the true volume.
 
     Attributes:
         known_gross_share: all of them.
@@ -72,7 +72,7 @@ class GrossErrors:
 
 @dataclass(frozen=True)
 class NearUnknown:
-    """Of the voxels within 10 mm of true surface that was measured, the share that is labelled unknown.
+    """Share of voxels labelled unknown within 10 mm of true surface that was measured.
 
     Attributes:
         solid: of those inside the true solid; None if there are none.
@@ -85,7 +85,7 @@ class NearUnknown:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """One of ten bins of equal count: its mean probability, the share of its voxels inside, how many."""
+    """One of ten bins of equal count: mean probability, share of voxels inside, count."""
 
     mean_probability: float
     inside_share: float
@@ -95,12 +95,12 @@ class CalibrationBin:
 def voxels_beside(
     model: ObjectModel, truth: Truth, registration: Registration, surface: MeasuredSurface
 ) -> Voxels:
-    """The object's fine grid, laid into the truth's world; distances point to triangle, where they matter.
+    """The object's fine grid in the truth's world, with point-to-triangle distances near the surface.
 
     Args:
         model: the built object, in its own world.
         truth: the true solid.
-        registration: how the worlds lie to each other.
+        registration: transform between the worlds.
         surface: samples of the true surface, which say where distances are worth computing.
     """
     shape = model.shape
@@ -126,7 +126,7 @@ def voxels_beside(
 
 
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
-    """From the seeable solid's surface: near what is solid by definition only to half a voxel, else exact."""
+    """Distance to the seeable solid's surface: to half a voxel near parts that only the definition adds."""
     from scipy import ndimage
 
     by_definition = cells.solid & ~cells.exact
@@ -163,7 +163,7 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Volumes of the known voxels that are wrong by more than 10 mm, over the true volume.
+    """Volumes of known voxels that are wrong by more than 10 mm, relative to the true volume.
 
     Args:
         voxels: the object's.
@@ -197,7 +197,7 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """How much is unknown beside what was measured, by the nearest sample of the surface."""
+    """The unknown share near measured surface, by the nearest surface sample."""
     from scipy.spatial import cKDTree
 
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged

@@ -1,4 +1,4 @@
-"""Which of the true surface the sensor measured, and how far off the built one lies there, by direction."""
+"""The measured part of the true surface, and the built surface's error there, by direction."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ LEAST_UP, MOST_SIDEWAYS = 0.7, 0.5
 # Near an edge the nearest surface may be that of the other face; and what is farther off is missing or too
 # much, not a bias.
 EDGE_M, EDGE_RAD, REACH_M = 0.015, np.radians(30.0), 0.015
-# The mean of fewer samples says nothing: of 8 cm^2, on one object a single one decided.
+# Fewer samples give no mean: of 8 cm^2, on one object a single one decided.
 LEAST_SAMPLES = 50
 
 
@@ -48,11 +48,11 @@ class MeasuredSurface:
 
 
 def measured_surface(build: Build, truth: Truth, registration: Registration) -> MeasuredSurface:
-    """Sample the true surface, and ask every recorded frame whether it holds depth of the samples.
+    """Sample the true surface, and test in every recorded frame whether it measured the samples.
 
     A frame measured a sample if the sample lies in its image, the true camera looks at it by less than 80
     degrees and nothing of the object hides it, and the depth recorded in its pixel is within
-    10 mm + 1.5 % of its distance: so what is black, too far, or hidden by something else is not measured.
+    10 mm + 1.5 % of its distance: so black, too distant or occluded surface is not measured.
     All frames count that show the object, with or without a pose in the build.
 
     Raises:
@@ -68,22 +68,22 @@ def measured_surface(build: Build, truth: Truth, registration: Registration) -> 
     for frame in _spread(np.flatnonzero(registration.shown)):
         T_world_camera = truth.T_world_camera[registration.true_frame[frame]]
         left = np.flatnonzero(~measured)
-        found = returned(points[left], normals[left], build.camera, T_world_camera, build.depth_m(int(frame)))
-        some = left[found]
+        known = returned(points[left], normals[left], build.camera, T_world_camera, build.depth_m(int(frame)))
+        some = left[known]
         some = some[~obstacle.hides(points[some] + LIFT_M * normals[some], T_world_camera[:3, 3])]
         measured[some] = True
     return MeasuredSurface(points, normals, measured)
 
 
 def _spread(frames: Int64) -> Int64:
-    """Frames (n,) in another order: any few of the first lie evenly among all."""
+    """Frames (n,) in an order whose first few are evenly spread."""
     return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
 
 
 def returned(
     points_world: Float64, normals_world: Float64, camera: Camera, T_world_camera: Float64, depth_m: Float32
 ) -> Bools:
-    """Which points (n, 3) have depth of theirs in a frame, whether or not the object hides them: (n,) bool.
+    """Points (n, 3) whose own depth a frame measured, ignoring occlusion by the object: (n,) bool.
 
     Args:
         points_world: metres.
@@ -108,7 +108,7 @@ def returned(
 
 
 class _Obstacle:
-    """The object, as what may hide a part of itself."""
+    """The object as an occluder of itself."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         # The library computes in float32, which is finest near the origin.
@@ -116,7 +116,7 @@ class _Obstacle:
         self._scene, self._tensor = raycaster(TriangleMesh(mesh.vertices - self._center, mesh.faces))
 
     def hides(self, points_world: Float64, camera_world: Float64) -> Bools:
-        """Which points (n, 3), just above the surface, it hides from a place (3,): (n,) bool."""
+        """Points (n, 3), just above the surface, that it hides from a position (3,): (n,) bool."""
         starts = points_world - self._center
         rays = np.concatenate([starts, camera_world - self._center - starts], axis=1).astype(np.float32)
         return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
@@ -124,7 +124,7 @@ class _Obstacle:
 
 @dataclass(frozen=True)
 class FaceBias:
-    """Mean signed distance of the built surface from the true one where that was measured, metres.
+    """Mean signed distance of the built surface from the measured true one, metres.
 
     Positive: too far out. None where fewer than 50 samples were measured away from edges: 8 cm^2.
 
@@ -140,7 +140,7 @@ class FaceBias:
 
 
 def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> FaceBias:
-    """By how much a built mesh lies too far out, at measured samples 15 mm and more away from sharp edges.
+    """Signed error of a built mesh at measured samples at least 15 mm away from sharp edges.
 
     Samples from which the built surface is farther than 15 mm count for nothing: there something is missing
     or too much, which other figures say.
@@ -167,7 +167,7 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
 
 
 def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
-    """Which samples (m,) were measured and lie 15 mm and more away from the sharp edges of the exact mesh."""
+    """Samples (m,) that were measured and lie at least 15 mm away from the exact mesh's sharp edges."""
     from scipy.spatial import cKDTree
 
     chosen = surface.measured.copy()

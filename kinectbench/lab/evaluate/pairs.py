@@ -150,7 +150,7 @@ class PairFigures:
 def pair_figures(
     build: Build, truth: Truth, registration: Registration, progress: Callable[[int, int], None]
 ) -> PairFigures:
-    """Compare every pair with the true solid, put where the true camera of that frame saw it.
+    """Compare every pair with the true solid at the true camera of its frame.
 
     The depth of a view was taken by the true camera, so the truth lies exactly to `partial`, whatever
     the pose that was found; how well `full` was turned into the view counts in its IoU.
@@ -213,7 +213,7 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
 
 
 def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
-    """A pair's 256-grid in the truth's world, where the true camera (4, 4) has it."""
+    """A pair's 256-grid in the truth's world, by the true camera (4, 4)."""
     T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
     return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)
 

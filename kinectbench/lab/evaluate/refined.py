@@ -1,4 +1,4 @@
-"""The same build once it is laid onto the truth by its measured surface, and no longer by the cameras alone.
+"""The same build after registration to the truth by its measured surface, not only by cameras.
 
 Cameras and object of a tracked recording may lie a millimetre or two apart from where they belong: a depth
 that is off by a smooth error moves one against the other. A prediction that is judged in the camera's frame
@@ -34,7 +34,7 @@ STIFFNESS = 1e-4
 
 @dataclass(frozen=True)
 class RefinedFigures:
-    """The built closed mesh before and after the rigid motion that brings it nearest to the true one.
+    """The built closed mesh before and after the best rigid motion to the true one.
 
     Distances are those of measured samples of the true surface from the built one, where that is within
     15 mm.
@@ -68,7 +68,7 @@ def refined_figures(
     Args:
         model: the built object, in its own world.
         truth: the true solid.
-        registration: how the worlds lie to each other, by the cameras.
+        registration: transform between the worlds, by the cameras.
         surface: samples of the true surface, and which of them were measured.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
@@ -91,14 +91,14 @@ def refined_figures(
 
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
-    """Mean distance of measured samples from a mesh (truth's world), where it is at most 15 mm; or None."""
+    """Mean distance of measured samples within 15 mm of a mesh (truth's world); or None."""
     distance_m = Surface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None
 
 
 def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> Float64:
-    """The motion (4, 4) of a closed mesh that brings it nearest to the measured faces of the true one.
+    """The motion (4, 4) that registers a closed mesh to the measured faces of the true one.
 
     Least squares from point to plane (Chen and Medioni 1992) by Gauss and Newton, of the samples that are
     at most 15 mm from the mesh, and 15 mm from sharp edges where enough are left: edges come out round. The
@@ -117,7 +117,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     if not len(chosen):
         return T
     middle = points.mean(axis=0)
-    # In units of the object's size a turn and a shift weigh alike.
+    # In units of the object's size a turn and a shift weigh the same.
     size_m = max(float(np.abs(points - middle).max()), 1e-3)
     for _ in range(STEPS):
         back = invert_rigid(T)

@@ -1,4 +1,4 @@
-"""`kinectbench evaluate`: from the words of the command line to evaluation.json, pictures and a page."""
+"""`kinectbench evaluate`: from the options to evaluation.json, pictures and a page."""
 
 import json
 import re
@@ -57,7 +57,7 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     Args:
         recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path, which
             is then built with the default settings into `build/` of the current folder.
-        truth: its truth; by default what lies beside the recording.
+        truth: its truth; by default the folder beside the recording.
         config: a benchmark.yaml, which need not exist.
         overrides: settings that win, as `--set` takes them.
 
@@ -65,13 +65,13 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
         SettingsError: nothing of the kind, wrong settings, or no truth is known.
         RecordingError: no truth lies there.
     """
-    found = _find(recording, truth, config, overrides)
-    if not (found.truth / "truth.json").is_file():
+    build = _find(recording, truth, config, overrides)
+    if not (build.truth / "truth.json").is_file():
         raise RecordingError(
-            f"{found.truth}: no truth there; name its folder, or simulate the recording again",
+            f"{build.truth}: no truth there; name its folder, or simulate the recording again",
             what="no-truth",
         )
-    return found
+    return build
 
 
 def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
@@ -134,7 +134,7 @@ def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) 
 def evaluate_recording(
     build: Path, truth: Path, out: Path, *, align: bool = True, progress: Progress | None = None
 ) -> Evaluation:
-    """Measure what was built of a recording against its truth, and write figures, pictures and a page.
+    """Compare a recording's build with its truth, and write figures, pictures and a page.
 
     Args:
         build: `build/<recording>/`; any later stage may be missing.

@@ -1,6 +1,6 @@
 """The built solid and its labels against the true solid, on one upright cube around the true object.
 
-The true solid is the seeable one (`core.voxels.seeable`): what no camera could tell from solid counts as
+The true solid is the seeable one (`core.voxels.seeable`): space that no camera could see counts as
 solid, of the truth as of the build. Figures named `exact` are against the exact one.
 """
 
@@ -39,7 +39,7 @@ def iou(a: Bools, b: Bools) -> float:
 
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
-    """IoU over the known cells; None if none of the true cells is known, since then it says nothing."""
+    """IoU over the known cells; None if no true cell is known."""
     return iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
@@ -69,7 +69,7 @@ class Solids:
 
     @property
     def against_exact(self) -> "Solids":
-        """The same beside the exact solid, every cell judged."""
+        """The same compared with the exact solid, every cell judged."""
         return replace(self, true=self.exact, judged=np.ones_like(self.judged))
 
 
@@ -103,8 +103,8 @@ class SolidFigures:
         exact_fine: as `fine`, against the exact solid.
         exact_coarse: as `coarse`, against the exact solid.
         line_width_m: of the lines of sight that define the seeable solid.
-        closed_by_definition_share: what is solid by definition only, over the exact solid's volume.
-        not_judged_share: what lies in slits, over the exact solid's volume.
+        closed_by_definition_share: volume that is solid only by definition, relative to the exact solid's.
+        not_judged_share: volume in slits, relative to the exact solid's.
         true_volume_m3: enclosed by the true mesh.
         built_volume_m3: enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, where nothing else is counted,
@@ -163,7 +163,7 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
         grid: a cube in the truth's world, a multiple of 8 cells a side.
         model: the built object, in its own world.
         truth: the true solid.
-        registration: how the worlds lie to each other.
+        registration: transform between the worlds.
     """
     in_built, cells = _in_built(grid, registration), truth.cells(grid)
     return Solids(
@@ -185,7 +185,7 @@ def solid_figures(
     Args:
         model: the built object, in its own world.
         truth: the true solid.
-        registration: how the worlds lie to each other.
+        registration: transform between the worlds.
         surface: samples of the true surface, and which of them were measured.
     """
     grid = canonical_cube(truth)
@@ -229,7 +229,7 @@ def solid_figures(
 
 
 def reduced(solids: Solids) -> Solids:
-    """A quarter as many cells along each axis, by majority; a tie counts as not set."""
+    """A quarter as many cells along each axis, set if more than half are."""
     return Solids(*(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids)))
 
 

@@ -67,7 +67,7 @@ class SurfaceScore:
 
 @dataclass(frozen=True)
 class SurfaceComparison:
-    """One surface against another, or the parts of them that the camera saw.
+    """A surface compared with another, or only the parts that the camera saw.
 
     Attributes:
         accuracy: of built points from the true surface; None without built points.
@@ -115,8 +115,8 @@ class Surface:
 
     def signed_distance_m(self, points: Float64) -> Float64:
         """The same of a closed mesh, negative inside."""
-        found = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
-        return np.asarray(found.numpy(), dtype=np.float64)
+        distances = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
+        return np.asarray(distances.numpy(), dtype=np.float64)
 
     def _local(self, points: Float64) -> Any:
         return self._tensor(np.ascontiguousarray(points - self._center, dtype=np.float32))
@@ -153,7 +153,7 @@ def surface_errors(
 def scene_errors(scene: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     """Measure a fused scene and the true object against each other, above the floor and around the object.
 
-    What counts is what lies in the true object's box, 30 mm larger, and more than 15 mm above the floor. None
+    Only surface in the true object's box, 30 mm larger, and more than 15 mm above the floor counts. None
     if nothing of the scene is there.
 
     Args:
@@ -181,7 +181,7 @@ def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRES
     """Accuracy, completeness, precision, recall and F.
 
     Source: Knapitsch et al., "Tanks and Temples" (ACM TOG 2017), eqs. 2-4, for points spread evenly
-    over both surfaces, with exact distances to the triangles; `visible` is an own rule.
+    over both surfaces, with exact distances to the triangles; `visible` is defined here.
     """
     built_m = np.abs(errors.built_m)
     return SurfaceFigures(

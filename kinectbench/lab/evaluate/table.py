@@ -1,4 +1,4 @@
-"""The figures of an evaluation for people: millimetres, degrees, per cent; for terminal and page."""
+"""The figures of an evaluation, in millimetres, degrees and per cent, for terminal and page."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ UNITS: Mapping[str, tuple[float, int]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One line: what, its value as text, its unit (may be empty)."""
+    """One line: figure, value as text, unit (may be empty)."""
 
     figure: str
     value: str
@@ -56,7 +56,7 @@ class Section:
 
 
 def sections(evaluation: Evaluation) -> tuple[Section, ...]:
-    """All figures, stage by stage, in the order in which they are built."""
+    """All figures by stage, in the order of the build."""
     e = evaluation
     parts: tuple[tuple[str, Callable[[Any], Iterator[Row]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
@@ -73,7 +73,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
 
 
 def evaluation_table(evaluation: Evaluation) -> "Table":
-    """The table that people see in the terminal: figure, value, unit."""
+    """The terminal table: figure, value, unit."""
     from rich.table import Table
 
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")

@@ -1,4 +1,4 @@
-"""What the colour camera makes of a rendered frame: motion blur, exposure, softness and grain."""
+"""The colour camera's effect on a rendered frame: motion blur, exposure, softness and grain."""
 
 import numba
 import numpy as np
@@ -9,7 +9,7 @@ from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.path import draw_waves
 from kinectbench.lab.simulate.render import Rendering
 
-# Own choices: a small lens and the colour filter's interpolation soften a little; grain in levels
+# No published source: a small lens and the colour filter's interpolation soften a little; grain in levels
 # of 255, the same in a pixel's three colours.
 SOFTNESS_PX = 0.6
 GRAIN_LEVELS = 1.5
@@ -42,9 +42,8 @@ def expose(
     """Colour (height, width, 3) uint8 of one exposure.
 
     A pixel averages what passes through it: the rendered image along the pixel's own streak, which leads from
-    where its surface point was at the start to where it is at the end. So nothing is cast anew; what is wrong
-    is that a near thing does not smear over the background beside it. Averages are of display
-    values.
+    where its surface point was at the start to where it is at the end. So no ray is cast again; what is wrong
+    is that a near thing does not smear over the background beside it. Averages are of display values.
 
     Args:
         rendering: exact, as seen in the middle of the exposure.
@@ -107,7 +106,7 @@ def _level(value):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _streaks(before, after, v, depth_m, streaks):  # type: ignore[no-untyped-def]
-    """From where each pixel's point of row v was before to where it is after, (width, 2) pixels (du, dv)."""
+    """Motion of each pixel of row v during the exposure, (width, 2) pixels (du, dv), and its start."""
     one, y = np.float32(1), np.float32(v)
     for u in range(len(depth_m)):
         x, near = np.float32(u), one / depth_m[u] if depth_m[u] > 0 else np.float32(0)

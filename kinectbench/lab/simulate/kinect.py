@@ -1,4 +1,4 @@
-"""What a Kinect v1 makes of exact depth: noise, quantised disparity, shadow, lost and misplaced pixels.
+"""A Kinect v1's errors on exact depth: noise, quantised disparity, shadow, lost and misplaced pixels.
 
 Sources:
     Nguyen, Izadi, Lovell: Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking, 3DIMPVT
@@ -6,7 +6,7 @@ Sources:
     Indoor Mapping Applications, Sensors 12(2), 2012 (depth from disparity, its eighths of a pixel). Herrera,
     Kannala, Heikkila: Joint Depth and Color Camera Calibration with Distortion Correction, PAMI 34(10), 2012,
     and Teichman, Miller, Thrun: Unsupervised Intrinsic Calibration of Depth Sensors via SLAM, RSS 2013 (depth
-    distortion). What has no source there is an own choice, and says so. Pixels are those of the image.
+    distortion). Values without a source are marked "chosen here". Pixels are those of the image.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
-    """Which pixels the projector reaches, by a depth buffer along its own columns (exact but for rounding).
+    """Pixels that the projector reaches, by a depth buffer along its own columns (exact up to rounding).
 
     The projector stands beside the camera in +x. So a point at column u of the camera lies at column
     u - f b / z of the projector, in the same row; the shadow falls to the left of what casts it.
@@ -55,7 +55,7 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
             column[u] = max(np.float32(width + u) - np.float32(shift_px_m) * near[u], np.float32(0))
         for u in range(width):
             first = last = int(column[u] + np.float32(0.5))
-            # A surface goes on to the next pixel, which the projector may see several columns away.
+            # A surface continues to the next pixel, which the projector may see several columns away.
             if u + 1 < width and abs(near[u + 1] - near[u]) < SHADOW_DEPTH * near[u]:
                 last = max(first, int(column[u + 1] + np.float32(0.5)))
             for k in range(first, last + 1):
@@ -68,7 +68,7 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-untyped-def]
-    """Which pixel's surface is measured in each pixel: its own, or across an edge one drawn nearby.
+    """The source pixel of each measurement: its own, or across an edge a random neighbour.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
@@ -160,7 +160,7 @@ def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _margin(z, cosine, albedo, noise, sunlight):  # type: ignore[no-untyped-def]
-    """How strong the pattern is, in standard deviations of what is needed.
+    """Strength of the pattern, in standard deviations above the required one.
 
     Its light on the surface falls as cos / z², the camera gets the albedo's share of it. The sun's light,
     which gets the same share, drowns it.
@@ -185,17 +185,17 @@ class KinectNoise(NamedTuple):
             errors on planes correlate as measured in 7-Scenes' red kitchen (docs/evidence/simulation.md).
         smooth_px: standard deviation of the blur that makes them common; chosen likewise.
         same_surface: relative difference of depth up to which pixels lie on one surface.
-        weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (own choice:
+        weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (chosen here:
             a grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
         signal_softness: standard deviation of the logarithm of the signal that is needed.
-        sun: infrared light of full sun, relative to the pattern's at 1 m (own choice: with it the grey
+        sun: infrared light of full sun, relative to the pattern's at 1 m (chosen here: with it the grey
             wall is lost beyond 2.4 m).
-        graze_cos: cosine of incidence at which half the pixels are lost (own choice: 80°).
+        graze_cos: cosine of incidence at which half the pixels are lost (chosen here: 80°).
         graze_softness: standard deviation of that cosine.
-        edge_margin: pixels at edges are lost where a normal variate exceeds this (own choice: 31 %).
-        edge_mix: they mix near and far where it is at most this much below that (own choice: 7 %).
+        edge_margin: pixels at edges are lost where a normal variate exceeds this (chosen here: 31 %).
+        edge_mix: they mix near and far where it is at most this much below that (chosen here: 7 %).
         hole_px: standard deviation of the blur that makes holes blobs.
-        any_margin: pixels anywhere are lost where it exceeds this (own choice: 0.1 %).
+        any_margin: pixels anywhere are lost where it exceeds this (chosen here: 0.1 %).
         blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """
 
@@ -221,7 +221,7 @@ class KinectNoise(NamedTuple):
 
 @dataclass(frozen=True)
 class Device:
-    """One Kinect, and the light that it works in.
+    """One Kinect and its lighting.
 
     Attributes:
         noise: parameters that all devices share.
@@ -240,7 +240,7 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
     Herrera et al. correct disparity pixel by pixel, Teichman et al. find smooth maps whose effect grows with
     distance. Here it is a sum of cosines with up to two periods over the image, without a constant, the same
     at every distance, so that depth is off by z² / (f b) times it. (Herrera et al. let it decay with
-    disparity besides; that is left out.) Its size is an own choice: at `distortion` 1 its root mean square
+    disparity besides; that is left out.) Its size is chosen here: at `distortion` 1 its root mean square
     is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
 
     Args:
@@ -280,7 +280,7 @@ def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Flo
 
 
 def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random.Generator) -> Float32:
-    """What a Kinect reports of an exactly rendered frame: (height, width) metres, 0 = no measurement.
+    """A Kinect's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
 
     In this order, for each pixel:
         1. Where the window of pixels that is matched straddles an edge, the surface that is measured is one

@@ -1,4 +1,4 @@
-"""Camera paths that always look at the object: carried around it by hand, or views in no order of time."""
+"""Camera paths that look at the object: hand-carried around it, or unordered views."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,8 @@ JOLT_HZ, JOLT_DECAY_S = 4.0, 0.12
 FIT_MARGIN = 1.06
 # Two sines of these frequencies, of standard deviation 1, reach 1.87 at most.
 REACH_PEAK = 1.9
-# On a low pass the hand sinks and rises by as much; before it, it is lowered over this share of the way (own
-# choices).
+# On a low pass the hand sinks and rises by as much; before it, it is lowered over this share of the way
+# (chosen here).
 LOW_SWING_M, LOWERED_SHARE = 0.05, 0.05
 # As steep as a view gets whose right is level: 86 degrees.
 STEEPEST_RAD = 1.5
@@ -62,7 +62,7 @@ class CameraPath:
 
     Attributes:
         settings: its shape.
-        target_room: (3,) what it looks at, metres.
+        target_room: (3,) the point to look at, metres.
         distance_m: mean distance to the target.
         start_rad: direction from the target to the camera at the start.
         swing_phase_rad: where in its rise and fall the camera starts.
@@ -130,7 +130,7 @@ class CameraPath:
         return self.start_rad + chosen.arc_rad * share, rise
 
     def _turns(self, time_s: Float64) -> Float64:
-        """Rotation vectors (n, 3), camera axes, of the turns there and back.
+        """Rotation vectors (n, 3), camera axes, to the turned views and back.
 
         About each axis to the one side, then to the other; each comes to rest at both ends.
         """
@@ -142,7 +142,7 @@ class CameraPath:
         return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
-        """The knock's course (n, 6): a damped swing that starts at two thirds of the way; peak about 1."""
+        """The knock's motion (n, 6): a damped swing that starts at two thirds of the path; peak about 1."""
         since = np.maximum(time_s - self.duration_s * 2 / 3, 0)
         course = 1.6 * np.exp(-since / JOLT_DECAY_S) * np.sin(2 * np.pi * JOLT_HZ * since)
         return np.asarray(course[:, None] * self.jolt)
@@ -155,14 +155,14 @@ def draw_path(
     rng: np.random.Generator,
     min_range_m: float = 0.0,
 ) -> CameraPath:
-    """Draw a path around a subject that stands at the room's origin.
+    """Draw a path around a subject at the room's origin.
 
     Args:
         settings: its shape; without a distance, the subject just fits into the image.
         subject: its mesh, z up, metres.
         camera: the depth camera.
         rng: draws everything else.
-        min_range_m: of the sensor; without a distance, what is small is not recorded from nearer.
+        min_range_m: of the sensor; the least distance, unless the settings state one.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
@@ -206,7 +206,7 @@ def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Gener
 def _fitting_distance_m(
     subject: TriangleMesh, target_room: Float64, camera: Camera, min_range_m: float, reach_share: float
 ) -> float:
-    """From where a ball around the subject just fits into the image, with a small margin.
+    """The distance at which a ball around the subject just fits the image, with a small margin.
 
     Never so near that, where the hand is nearest, the ball is within the sensor's least range.
     """
@@ -217,7 +217,7 @@ def _fitting_distance_m(
 
 
 def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
-    """Times (k,) in seconds and the share of the way (k,) done by then: pace varies, and is 0 in a pause."""
+    """Times (k,) in seconds and the share of the path (k,) covered by then; the pace varies."""
     duration_s = (settings.frames - 1) / settings.rate_hz
     if duration_s == 0:
         return np.array([0.0]), np.array([0.0])
@@ -230,7 +230,7 @@ def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
 
 
 def look_at(position_room: Float64, target_room: Float64) -> Float64:
-    """The level pose (4, 4) `T_room_camera` that looks at a target, not one straight above or below."""
+    """The level pose (4, 4) `T_room_camera` towards a target that is not straight above or below."""
     forward = target_room - position_room
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""What is recorded of a simulated walk: which frames, with which stamps and given poses, faults included."""
+"""The plan of a simulated walk: frames, stamps and given poses, with faults."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +16,7 @@ DRIFT_RAD_PER_M = 0.5
 
 @dataclass(frozen=True)
 class PlannedFrame:
-    """One frame of the recording, before it is rendered.
+    """One frame of the recording, before rendering.
 
     Attributes:
         source: its number on the walk, before frames were dropped.
@@ -97,7 +97,7 @@ def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.
 
 
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
-    """What odometry makes of the poses: every step is off by a little in the same direction."""
+    """Odometry drift of the poses: every step has a small error in the same direction."""
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]
     for before, after in pairwise(poses):

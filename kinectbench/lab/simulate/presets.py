@@ -144,8 +144,7 @@ def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = (
         overrides: `section.key=value` or `key=value`, the value in YAML; they win over these.
 
     Raises:
-        SettingsError: there is no such preset (the nearest name is suggested), or one line for each wrong
-            value.
+        SettingsError: unknown preset (the nearest name is suggested), or one line for each wrong value.
     """
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, n=1)
@@ -157,7 +156,7 @@ def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = (
 def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpec:
     """A short, small recording: 320x240 at 5 Hz; its noise-free depth is left out to save space.
 
-    Around tables the camera is held low, so that it sees what is under the top too.
+    Around tables the camera is held low, so that it sees below the top, too.
     """
     low = {"elevation_rad": 0.2} if name.startswith("table") else {}
     values = {
@@ -202,7 +201,7 @@ def simulate_named(
         overrides: of that one, `section.key=value`.
         samples: folder for the sample recordings.
         demo: folder for the demo's recordings.
-        progress: told (recording, frames done, frames), or of several (folder, recordings done, recordings).
+        progress: called with (recording, frames done, frames), or (folder, recordings done, recordings).
         jobs: number of processes where there are several.
 
     Returns:

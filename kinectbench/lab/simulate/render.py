@@ -1,4 +1,4 @@
-"""Ray casting of a scene, and how what rays hit looks; which of the surface the cameras ever saw."""
+"""Ray casting of a scene, shading of hits, and the surface that cameras ever saw."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -42,7 +42,7 @@ def make_texture(rng: np.random.Generator) -> Float32:
 
 
 class Looks(NamedTuple):
-    """How each item of a scene looks, in the scene's order; the last row is the background.
+    """The look of each item of a scene, in the scene's order; the last row is the background.
 
     Attributes:
         color_rgb: (n, 3) float32 in [0, 1].
@@ -109,7 +109,7 @@ def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
 def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
     """Look of every hit: Lambert's law with one far light, times the texture at the point in the room.
 
-    So a point has one colour in every view. Light and texture are own choices.
+    So a point has one colour in every view. Light and texture have no published source.
 
     Args:
         rays: (height, width, 6) float32 of `pixel_rays`.
@@ -203,7 +203,7 @@ LIFT_M = 1e-4
 
 
 class Renderer:
-    """A scene made ready for ray casting once, and then seen from anywhere."""
+    """A scene prepared once for ray casting from any camera."""
 
     def __init__(self, items: Sequence[Item], texture: Float32) -> None:
         """Build the acceleration structure of the items (Open3D's, which is Embree)."""
@@ -235,7 +235,7 @@ class Renderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Which points of the surface a camera sees: in its image, facing it, with nothing in between.
+        """Surface points that a camera sees: in its image, facing it and unoccluded.
 
         Args:
             points_room: (n, 3), metres.

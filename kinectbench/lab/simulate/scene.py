@@ -1,4 +1,4 @@
-"""What stands around the subject: a room or open ground, and clutter that hides nothing of it.
+"""The surroundings of the subject: a room or open ground, and clutter that does not occlude it.
 
 Frame `room`: z up, z = 0 where the subject stands, its origin at the room's origin.
 """
@@ -48,10 +48,10 @@ THING_RGB: tuple[Vector3, ...] = (
 
 @dataclass(frozen=True)
 class Item:
-    """One mesh of the scene and how it looks.
+    """One mesh of the scene and its look.
 
     Attributes:
-        role: what it is to the benchmark.
+        role: its role in the benchmark.
         mesh: in frame `room`, metres.
         color_rgb: mean colour, each in [0, 1].
         contrast: strength of its texture in [0, 1].
@@ -73,7 +73,7 @@ def make_scene(
     """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
 
     Near clutter keeps 0.6 m away from the subject and stays low, tall clutter stands behind the camera's
-    path, so that neither hides anything of the subject. Own choices throughout.
+    path, so that neither hides anything of the subject.
 
     Args:
         subject: stands at the room's origin.
@@ -166,7 +166,7 @@ def _lowered(item: Item, by_m: float) -> Item:
 
 
 def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
-    """A table with four legs whose top is z = 0; the subject stands anywhere on it, but not over its edge."""
+    """A table with four legs and top z = 0; the subject stands anywhere on it within its edge."""
     long, deep = draw.between(*TABLE_LONG_M), draw.between(*TABLE_DEEP_M)
     (x, y), turn = (
         (

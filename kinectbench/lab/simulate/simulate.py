@@ -1,4 +1,4 @@
-"""A simulated recording: a scene, a way through it, what the sensor records, and the truth beside it."""
+"""A simulated recording: a scene, a camera path, the sensor's frames, and the truth."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Simulation:
     """Everything about a recording before its frames are rendered.
 
     Attributes:
-        spec: what was asked for.
+        spec: the settings.
         subject: the object.
         renderer: of the scene, frame `room`.
         foreign: renderer of another scene, if the plan has frames of one.
@@ -61,7 +61,7 @@ class Simulation:
         rig: the cameras that record.
         T_world_room: (4, 4) float64.
         T_room_object: (4, 4) float64.
-        frames: what is recorded.
+        frames: the recorded frames.
     """
 
     spec: SimulationSpec
@@ -78,22 +78,22 @@ class Simulation:
 
     @property
     def T_world_object(self) -> Float64:
-        """(4, 4) float64: where the object stands."""
+        """(4, 4) float64: the object's pose."""
         return np.asarray(self.T_world_room @ self.T_room_object)
 
     @property
     def T_world_camera(self) -> Float64:
-        """(n, 4, 4) float64: the true pose of every recorded frame to the object, wherever it looks."""
+        """(n, 4, 4) float64: the true camera pose of every recorded frame, relative to the object."""
         times = np.array([frame.time_s for frame in self.frames])
         return np.asarray(self.T_world_room @ self.path.poses(times))
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """One frame of the recording, and the truth about it.
+    """One recorded frame and its truth.
 
     Attributes:
-        frame: what the sensor delivers.
+        frame: the sensor's output.
         depth_m: (height, width) float32, noise-free, metres, 0 where no surface is hit.
         mask: (height, width) bool, the subject's silhouette.
     """
@@ -107,7 +107,7 @@ def make_subject(spec: SimulationSpec) -> Subject:
     """The object of a spec: drawn by its family and seed, or read from a mesh file.
 
     Raises:
-        SettingsError: there is no such family.
+        SettingsError: unknown family.
         RecordingError: the mesh cannot be used.
     """
     if spec.mesh is None:
@@ -199,7 +199,7 @@ def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float6
 def _measured(
     exact: Rendering, device: Device | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
 ) -> Float32:
-    """What the device makes of exact depth."""
+    """The device's measurement of exact depth."""
     if isinstance(device, TimeOfFlightDevice):
         return measure_time_of_flight(exact, spec.camera, device, rng)
     return measure(exact, spec.camera, device, rng)
@@ -213,7 +213,7 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The colour image of a time; it is cast anew only if another camera takes it, or at another time."""
+    """The colour image of a time; rendered again only for another camera or time."""
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -229,7 +229,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """What a colour stream with a rate of its own took since the depth before; None if it has none."""
+    """Images of a separate colour stream since the last depth; None without such a stream."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:
@@ -296,7 +296,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     Args:
         spec: what to simulate.
         out: a folder, or for the formats that are one file a path with their suffix, such as .bag.
-        progress: told (frames done, frames in all).
+        progress: called with (frames done, frames in all).
 
     Raises:
         SettingsError: the path does not fit the format, or something else lies there; no such family.
@@ -313,7 +313,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
     with replaced_folder(folder) as temporary, replaced(out) as path:
         recorder = _Recorder(simulation, temporary, progress)
         if path.is_file():
-            path.unlink()  # some writers refuse what is there
+            path.unlink()  # some writers refuse existing files
         file_format.write(path, simulation.rig, recorder.frames())
         if spec.faults.cut_share > 0:
             cut(path, spec.faults.cut_share)
@@ -326,7 +326,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
 
 class _Recorder:
-    """Renders frame by frame; what belongs to the truth is kept or stored on the way."""
+    """Renders frame by frame, and stores the truth on the way."""
 
     def __init__(self, simulation: Simulation, folder: Path, progress: Progress) -> None:
         spec = simulation.spec
@@ -382,12 +382,12 @@ class _Recorder:
 
 
 def _check_place(spec: SimulationSpec, out: Path) -> None:
-    """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
+    """Refuse a path that does not fit the format, or holds anything else than a simulated recording."""
     suffix = formats()[spec.format].suffix
     foreign = {".truth", *(one.suffix for one in formats().values())} - {"", suffix}
     if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
-        said = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
-        raise SettingsError(f"{out}: a recording {said}; no other name may end so, and none in .truth")
+        form = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
+        raise SettingsError(f"{out}: a recording {form}; no other name may end so, and none in .truth")
     truth = truth_folder(out)
     for path in (out, truth):
         empty = path.is_dir() and not any(path.iterdir())

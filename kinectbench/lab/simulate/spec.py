@@ -1,4 +1,4 @@
-"""What to simulate: every choice with its default, range and unit. Same spec, same bytes."""
+"""Settings of a simulation: every choice with its default, range and unit. Same spec, same bytes."""
 
 from typing import Any, Literal, Self
 
@@ -56,7 +56,7 @@ class GrownSettings(Settings):
 
 
 class PathSettings(GrownSettings):
-    """How the camera is carried around the object."""
+    """Motion of the camera around the object."""
 
     frames: int = Field(300, ge=1, le=100_000, description="number of frames")
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frames per second")
@@ -94,7 +94,7 @@ class PathSettings(GrownSettings):
 
 
 class SceneSettings(GrownSettings):
-    """What stands around the object."""
+    """The surroundings of the object."""
 
     place: Literal["indoor", "outdoor"] = Field("indoor", description="outdoor: no walls, strong sun")
     walls: int | None = Field(None, ge=0, le=4, description="default: two or three, none outdoors")
@@ -140,7 +140,7 @@ class SensorSettings(GrownSettings):
     @model_validator(mode="before")
     @classmethod
     def _of_its_own_size(cls, values: Any) -> Any:
-        """The images have the sensor's own size, unless it is said."""
+        """Use the sensor's image size by default."""
         model = values.get("model") if isinstance(values, dict) else None
         if not isinstance(model, str) or model not in NATIVE:
             return values
@@ -149,7 +149,7 @@ class SensorSettings(GrownSettings):
 
 
 class FaultSettings(Settings):
-    """What goes wrong, for tests."""
+    """Faults for tests."""
 
     drop_share: float = Field(0.0, ge=0, le=0.9, description="share of frames that are missing")
     stamp_jitter_s: float = Field(0.0, ge=0, le=10, description="standard deviation of errors in the stamps")
@@ -171,7 +171,7 @@ class GivenSettings(GrownSettings):
 
 
 class SimulationSpec(Settings):
-    """What to simulate. Same spec, same bytes (on one machine with the pinned packages)."""
+    """Settings of a simulation. Same spec, same bytes (on one machine with the pinned packages)."""
 
     object: str = Field("chair:seed=0", description="family and seed, such as chair:seed=3")
     mesh: str | None = Field(None, description="a mesh file in metres, instead of `object`")
@@ -197,7 +197,7 @@ class SimulationSpec(Settings):
 
     @model_validator(mode="after")
     def _masks_have_a_place(self) -> Self:
-        """Refuse masks where the format would lose them."""
+        """Refuse masks if the format cannot store them."""
         if self.given.masks and not formats()[self.format].masks:
             fit = ", ".join(name for name, one in formats().items() if one.masks)
             raise ValueError(f"given.masks needs one of the formats {fit}, not {self.format}")
@@ -205,7 +205,7 @@ class SimulationSpec(Settings):
 
     @model_validator(mode="after")
     def _blurs_only_what_moves(self) -> Self:
-        """Refuse what would smear a room before which the camera stands still: streaks are of one motion."""
+        """Refuse motion blur before a still camera: it assumes a single motion of the whole image."""
         if self.path.moves != "camera" and self.sensor.exposure_s > 0:
             raise ValueError(
                 "sensor.exposure_s must be 0 unless path.moves is camera: it would blur what stands still"

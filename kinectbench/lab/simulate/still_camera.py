@@ -1,4 +1,4 @@
-"""A camera that stands still while the object turns on a turntable, or is carried about by a hand.
+"""A still camera before an object that turns on a turntable, or is moved by a hand.
 
 What a camera sees of the object then depends only on where it is to the object: `path` says that, in the
 frame `room`, which goes with the object. Everything else is seen from where the camera stands.
@@ -29,7 +29,7 @@ HELD_M = 0.8
 
 @dataclass(frozen=True)
 class StillRenderer:
-    """Two scenes in one image: what goes with the object, and what stands around.
+    """Two scenes in one image: things that move with the object, and the surroundings.
 
     The light goes with the object. Everything has the interface of `Renderer`.
 
@@ -44,7 +44,7 @@ class StillRenderer:
     T_room_still: Float64
 
     def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
-        """As `Renderer.render`; `T_room_rig` is how the rig lies to the object."""
+        """Like `Renderer.render`; `T_room_rig` is the rig's pose relative to the object."""
         own = self.own.render(camera, T_room_rig, T_rig_camera)
         around = self.around.render(camera, self.T_room_still, T_rig_camera)
         nearer = (own.depth_m > 0) & ((around.depth_m == 0) | (own.depth_m < around.depth_m))
@@ -59,14 +59,14 @@ class StillRenderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """As `Renderer.visible`: what stands around hides nothing."""
+        """Like `Renderer.visible`: surroundings do not occlude."""
         return self.own.visible(points_room, normals_room, camera, T_room_camera)
 
 
 def still_renderer(
     items: Sequence[Item], texture: Float32, T_room_first: Float64, settings: PathSettings
 ) -> StillRenderer:
-    """Make the scene of a camera that stands still where the path begins.
+    """The scene of a camera that stays at the start of the path.
 
     Args:
         items: of the scene, with the object at the origin.

@@ -1,4 +1,4 @@
-"""What time-of-flight sensors make of exact depth: an Azure Kinect, and a phone with a LiDAR scanner.
+"""Time-of-flight errors on exact depth: an Azure Kinect, and a phone with a LiDAR scanner.
 
 Sources:
     Microsoft: Azure Kinect DK hardware specification (NFOV unbinned: 640x576 pixels, 0.5 to 3.86 m; standard
@@ -11,7 +11,7 @@ Sources:
     2021 (absolute accuracy of 1 cm on small objects). Teo, Yang: Evaluating the Accuracy and Quality of an
     iPad Pro's Built-in Lidar for 3D Indoor Mapping, Developments in the Built Environment 14, 2023 (points
     less than 1 mm from their best-fitting plane at rest, 1 cm in motion). What has no source there is an own
-    choice, and says so.
+    here, and says so.
 
 Left out: cyclic errors, what depends on temperature and on motion within a frame, the Azure Kinect's cut-off
 image corners, ambiguity of the phase.
@@ -28,7 +28,7 @@ from kinectbench.core.types import Float32
 from kinectbench.lab.simulate.kinect import smooth_error, smooth_normal
 from kinectbench.lab.simulate.render import Rendering
 
-# Indirect light never counts for more than this much of the direct (own choice; a formula's limit).
+# Indirect light never counts for more than this much of the direct (the formula's limit, chosen here).
 MOST_INDIRECT = np.float32(1.0)
 STEEPEST_COS = np.float32(0.05)
 
@@ -43,11 +43,11 @@ class TimeOfFlight(NamedTuple):
         noise_m: standard deviation of depth is noise_m * sqrt(signal + ambient) / signal (Lange & Seitz,
             section IV: the square root of all light over the demodulated light).
         ambient: light and read-out noise that carry no distance, as a signal.
-        sun: full sun on a white surface, as a signal (as of `KinectNoise`; own choice).
+        sun: full sun on a white surface, as a signal (as of `KinectNoise`).
         worst_m: pixels of a larger standard deviation are no measurement, metres.
         worst_softness: standard deviation of the logarithm of that limit.
         smooth_share: share of the noise's variance that neighbouring pixels have in common.
-        smooth_px: standard deviation of the blur that makes it common (own choice, but for the phone's).
+        smooth_px: standard deviation of the blur that makes it common (chosen here, except for the phone's).
         mixed_px: standard deviation of the blur by which a pixel gets its neighbours' light.
         same_surface: relative difference of depth up to which pixels lie on one surface.
         edge_margin: pixels within 1.5 times that blur of an edge are lost where a normal variate exceeds
@@ -105,7 +105,7 @@ AZURE_KINECT = TimeOfFlight(
 # (256 / 24 pixels, at half their height), and edges are smoothed over. On a grey wall 4 mm at 1 m, of which
 # 0.5 mm varies from pixel to pixel (below 1 cm, and below 1 mm about the best-fitting plane nearby:
 # Luetzenburg et al., Teo & Yang), 8 mm at 2 m. Half of the pixels at edges have a low confidence, which
-# readers of such recordings take for no measurement. A pulse's first return is told from later ones in part,
+# readers treat as no measurement. A pulse's first return is partly separated from later ones,
 # so there is less multipath.
 PHONE_LIDAR = TimeOfFlight(
     focal_px=212.0,
@@ -133,7 +133,7 @@ RECEIVER_PX, SENDER_PX, STEPS_FOCAL_PX = 8, 12, 504.0
 
 @dataclass(frozen=True)
 class TimeOfFlightDevice:
-    """One sensor, and the light that it works in.
+    """One sensor and its lighting.
 
     Attributes:
         sensor: parameters that all devices of the model share, in pixels of the image.
@@ -172,7 +172,7 @@ def draw_time_of_flight(
 def measure_time_of_flight(
     rendering: Rendering, camera: Camera, device: TimeOfFlightDevice, rng: np.random.Generator
 ) -> Float32:
-    """What the sensor reports of an exactly rendered frame: (height, width) metres, 0 = no measurement.
+    """The sensor's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
 
     In this order:
         1. Multipath: light that reached a surface by way of another comes later (`multipath_m`).
@@ -205,7 +205,7 @@ def measure_time_of_flight(
         cv2.GaussianBlur(image, (reach, reach), sensor.mixed_px, borderType=cv2.BORDER_REPLICATE)
         for image in (signal.astype(np.float32), (signal * late_m).astype(np.float32))
     )
-    # As far as what is mixed in shows, but at least to the next pixel.
+    # As far as mixed pixels show, but at least to the next pixel.
     wide = 2 * max(1, round(1.5 * sensor.mixed_px)) + 1
     window = np.ones((wide, wide), np.uint8)
     around_m = (cv2.erode(exact_m, window), cv2.dilate(exact_m, window))
@@ -242,9 +242,9 @@ def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-unty
 
 
 def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> Float32:
-    """How much farther each pixel seems by light that came by way of other surfaces: (height, width) metres.
+    """Range error of each pixel by indirect light: (height, width) metres.
 
-    One diffuse bounce between Lambertian surfaces, as far as the image shows them (own choice of what is left
+    One diffuse bounce between Lambertian surfaces, as far as the image shows them (chosen here what is left
     out: further bounces, what is out of view or hidden, and that something may stand between the two). The
     light source is at the camera. A patch q of albedo rho in the solid angle W of its pixels sends the light
     rho * W to all sides; of that a surface at p receives, per area, cos_p cos_q / (pi r² + A_q), the form
@@ -314,7 +314,7 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
-    """How much farther along z each receiver seems, (n,) float32 metres; see `multipath_m`."""
+    """Error along z of each receiver, (n,) float32 metres; see `multipath_m`."""
     late_m = np.zeros(len(receivers), np.float32)
     far = np.sqrt(senders[:, 0] ** 2 + senders[:, 1] ** 2 + senders[:, 2] ** 2)
     for i in range(len(receivers)):
@@ -343,7 +343,7 @@ def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
-    """Values of patches to all pixels, between those of the four patches around that lie at a like depth."""
+    """Interpolate values of patches to all pixels, among the four neighbours at similar depth."""
     rows, columns = late_m.shape
     height, width = depth_m.shape
     spread = np.zeros((height, width), np.float32)
@@ -359,10 +359,10 @@ def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
                 continue
             for k in range(4):
                 a, b = min(i + k // 2, rows - 1), min(j + k % 2, columns - 1)
-                there = depth_m[step // 2 + step * a, step // 2 + step * b]
+                patch_depth_m = depth_m[step // 2 + step * a, step // 2 + step * b]
                 weight = (1 - abs(t - a)) * (1 - abs(s - b))
                 # A tenth of depth apart they hardly count, but do where nothing else is there.
-                weight *= np.exp(-(((there - z) / (0.05 * z)) ** 2)) + 1e-6
+                weight *= np.exp(-(((patch_depth_m - z) / (0.05 * z)) ** 2)) + 1e-6
                 total += weight * late_m[a, b]
                 weights += weight
             if weights > 0:

@@ -41,7 +41,7 @@ class SurfaceTruth:
 
 @dataclass(frozen=True)
 class TrueCells:
-    """What is true of the cells of a grid, by their middles: bool, of its shape.
+    """True states of a grid's cells, by their centres: bool, of its shape.
 
     Attributes:
         exact: in the exact solid.
@@ -90,7 +90,7 @@ class Truth:
         return seeable_solid(self.mesh_world, self.T_world_object, limits)
 
     def cells(self, grid: Grid) -> "TrueCells":
-        """What is true of the cells of a grid in this world, whose last side is a multiple of 8."""
+        """The true states of a grid's cells in this world; its last side is a multiple of 8."""
         exact, seeable = mesh_occupancy(self.mesh_world, grid), self.seeable
         closed = seeable.on(grid, seeable.closed & ~seeable.slit)
         return TrueCells(exact, exact | closed, exact | ~seeable.on(grid, seeable.slit))
@@ -126,7 +126,7 @@ def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def truth_folder(recording: Path) -> Path:
-    """Where the truth of a recording lies: beside it, `<name without .bag>.truth`."""
+    """The truth's folder beside a recording: `<name without .bag>.truth`."""
     return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
 
 
@@ -222,7 +222,7 @@ def read_truth(folder: Path) -> Truth:
 
 
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
-    """Which cell centres of a grid lie inside a closed mesh (world frame): bool (grid.shape).
+    """Cells of a grid with centres inside a closed mesh (world frame): bool (grid.shape).
 
     The grid's last side must be a multiple of 8.
     """

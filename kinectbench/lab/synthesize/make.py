@@ -1,4 +1,4 @@
-"""Everything that is written of one model: one artefact, which a killed run leaves whole or not at all."""
+"""The files of one model: one artefact, written atomically."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -27,7 +27,7 @@ ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "valida
 
 @dataclass(frozen=True)
 class Task:
-    """One model to be made.
+    """One model to make.
 
     Attributes:
         model: which.
@@ -49,7 +49,7 @@ class Task:
 
     @property
     def folder(self) -> Path:
-        """Of the artefact."""
+        """The artefact's folder."""
         return self.work / self.model.name
 
     def artefact(self) -> Artefact:
@@ -61,7 +61,7 @@ class Task:
 
 
 def make_model(task: Task) -> None:
-    """Write all pairs of one model into its artefact, unless they are there already.
+    """Write all pairs of one model into its artefact, unless they exist.
 
     Raises:
         ShapeError: the mesh cannot be used.
@@ -85,7 +85,7 @@ def make_model(task: Task) -> None:
 
 
 def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
-    """The orientations of one group, or those that are drawn of them, by the model's name alone."""
+    """The orientations of one group, or a random subset that depends on the model's name alone."""
     views, most = all_views(steps), task.settings.most_views
     if most is None or most >= len(views):
         return views
@@ -94,7 +94,7 @@ def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
 
 
 def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
-    """What benchmark.json says of the truth of a model."""
+    """The quality of a model's truth in benchmark.json."""
     return SynthesisedQualityFile(
         verdict="good",
         method=checked.rule,

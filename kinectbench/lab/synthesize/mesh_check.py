@@ -1,4 +1,4 @@
-"""Loading a model's mesh, and what is wrong with it: bad meshes are named, not used."""
+"""Load a model's mesh and check it; bad meshes are reported, not used."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,13 @@ from kinectbench.lab.synthesize.models import Model
 
 @dataclass(frozen=True)
 class CheckedMesh:
-    """A mesh that pairs can be made of.
+    """A mesh that is valid for pairs.
 
     Attributes:
         mesh: in the model's own frame and unit, without doubled vertices and collapsed triangles.
         rule: "winding" if it is closed, else "six-rays"; "seeable" with a seeable solid.
-        notes: what a user may want to know, one line each.
-        seeable: what of its solid a camera could not tell from air; None: the mesh alone decides.
+        notes: remarks for the user, one line each.
+        seeable: the parts of its solid by the definition of air; None: the mesh alone decides.
     """
 
     mesh: TriangleMesh
@@ -48,7 +48,7 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
 
 
 def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
-    """The same, its solid by the definition of air (`core.voxels.seeable`), as that of recordings is.
+    """The same with its solid by the definition of air (`core.voxels.seeable`), as for recordings.
 
     It stands on a plane at its lowest point. Open meshes stay as they are, and a note says so.
 
@@ -70,11 +70,11 @@ def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
 
 
 def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
-    """Clean a mesh and say by which rule it is filled.
+    """Clean a mesh, and choose the rule that fills it.
 
     Vertices at one place become one; triangles that collapse thereby go. A mesh is closed if every edge is
     run along as often in one direction as in the other, no triangle occurs twice, and its volume is
-    positive: the winding number then counts how many bodies a point is in. Own rule.
+    positive: the winding number then counts how many bodies a point is in.
 
     Args:
         mesh: any triangles.
@@ -119,7 +119,7 @@ def missing_materials(path: Path) -> tuple[str, ...]:
 
 
 def _named(path: Path, keyword: str) -> list[Path]:
-    """Files that lines beginning with a keyword name, relative to the file they stand in."""
+    """Files named in lines with a keyword, relative to the file."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     values = [line.split(maxsplit=1) for line in lines if line.lower().startswith(keyword)]
     return [path.parent / value[1].strip().replace("\\", "/") for value in values if len(value) == 2]
@@ -139,7 +139,7 @@ def _load(path: Path) -> TriangleMesh:
 
 
 def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
-    """One vertex at each place, and only triangles with three different corners.
+    """Merge equal vertices and drop degenerate triangles.
 
     A triangle whose corners lie on one line stays: without it, its neighbours' edges would not meet.
     """

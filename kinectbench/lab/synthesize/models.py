@@ -1,4 +1,4 @@
-"""Settings of `synthesize`, which models there are, which of them are used, and in which split."""
+"""Settings of `synthesize`; which models exist, which are used, and in which split."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ Categories = Annotated[tuple[Category, ...], Field(strict=False)]
 
 
 class SynthesisSettings(Settings):
-    """What to synthesise. Same settings and meshes, same bytes."""
+    """Settings of a synthesis. Same settings and meshes, same bytes."""
 
     name: Name = Field("synthetic", description="name of the benchmark")
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
@@ -57,7 +57,7 @@ class SynthesisSettings(Settings):
 
     @property
     def wanted(self) -> dict[Split, int]:
-        """Split -> models per category, in the order in which they are dealt."""
+        """Split -> models per category, in the order of assignment."""
         return {"train": self.train, "validation": self.validation, "test": self.test}
 
 
@@ -70,7 +70,7 @@ LONGEST_NAME = 77
 
 @dataclass(frozen=True, order=True)
 class Model:
-    """One thing to be seen from everywhere.
+    """One model to be seen from all sides.
 
     Attributes:
         category: such as "chair".
@@ -86,23 +86,23 @@ class Model:
 
     @property
     def label(self) -> str:
-        """`<category>/<name>`, what messages call it."""
+        """`<category>/<name>`, its name in messages."""
         return f"{self.category}/{self.name}"
 
 
 @dataclass(frozen=True, order=True)
 class LeftOut:
-    """A model that is not used, and why, in a few words."""
+    """An unused model, and the reason in a few words."""
 
     model: str
     reason: str
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Parametric objects: seeds 0 to count - 1 of the families named, else of the paper's furniture.
+    """Parametric objects: seeds 0 to count - 1 of the named families, by default the paper's furniture.
 
     Raises:
-        SettingsError: there is no such family.
+        SettingsError: unknown family.
     """
     from kinectbench.lab.simulate.objects import PAPER_FURNITURE, check_family
 
@@ -111,7 +111,7 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
 
 
 def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
-    """The models in a folder, sorted, and what is left out at first sight.
+    """The models in a folder, sorted, and those rejected at once.
 
     Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
     `<category>/<name>.obj` (or .ply, .stl, .off, .glb); any of them with a synset or a category's name.
@@ -121,21 +121,21 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
     """
     if not folder.is_dir():
         raise SettingsError(f"{folder}: no folder of models there; give one with --models", what="no-file")
-    found = {SYNSETS.get(path.name, path.name): path for path in sorted(folder.iterdir()) if path.is_dir()}
-    missing = [name for name in categories if name not in found]
-    if missing or not found:
-        there = ", ".join(found) or "no category's folder"
+    folders = {SYNSETS.get(path.name, path.name): path for path in sorted(folder.iterdir()) if path.is_dir()}
+    missing = [name for name in categories if name not in folders]
+    if missing or not folders:
+        listing = ", ".join(folders) or "no category's folder"
         raise SettingsError(
-            f"{folder}: no {', '.join(missing) or 'models'} there; it holds {there}", what="no-file"
+            f"{folder}: no {', '.join(missing) or 'models'} there; it holds {listing}", what="no-file"
         )
     models: dict[str, Model] = {}
     left_out = []
     spelled: dict[str, str] = {}
-    for category in sorted(categories or found):
+    for category in sorted(categories or folders):
         if (other_case := spelled.setdefault(category.lower(), category)) != category:
             left_out.append(LeftOut(category, f"but for case the same category as {other_case}"))
             continue
-        for entry in _entries(category, found[category]):
+        for entry in _entries(category, folders[category]):
             if isinstance(entry, LeftOut):
                 left_out.append(entry)
             elif (other := models.setdefault(entry.name.lower(), entry)) is not entry:
@@ -173,7 +173,7 @@ class Dealt:
     Attributes:
         split_of: model -> its split.
         left_out: models that were tried and are bad.
-        unused: good ones or untried ones that nobody asked for.
+        unused: good or untried ones that were not requested.
     """
 
     split_of: dict[Model, Split]
@@ -191,7 +191,7 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
     """Draw models and deal them to the splits, each category for itself.
 
     The models are shuffled by the seed and tried in that order until enough are good. With fewer good ones
-    than asked for, every split shrinks in proportion. Own rule; the paper says "randomly selected".
+    than asked for, every split shrinks in proportion. The paper says only "randomly selected".
 
     Args:
         models: sorted.
@@ -222,13 +222,13 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
 
 
 def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
-    """The models of one category in the order in which they are tried."""
-    here = [model for model in models if model.category == category]
-    return [here[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(here))]
+    """The models of one category in random order."""
+    chosen = [model for model in models if model.category == category]
+    return [chosen[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(chosen))]
 
 
 def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:
-    """Split -> number of models: what is wanted, or in proportion if there are too few, but one at least.
+    """Split -> number of models: as requested, or reduced in proportion, at least one.
 
     With fewer models than splits, test comes before train before validation.
     """

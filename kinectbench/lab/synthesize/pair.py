@@ -1,4 +1,4 @@
-"""One synthetic pair: depth by a virtual camera, the whole shape as it stands, and the authors' files."""
+"""One synthetic pair: depth of a virtual camera, the complete shape, and the authors' files."""
 
 import numpy as np
 
@@ -20,11 +20,11 @@ VOXELIZERS = {"winding": voxelize_solid, "seeable": voxelize_solid, "six-rays": 
 def make_pair(
     checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings
 ) -> tuple[Pair, str | None]:
-    """See a model from one side, and voxelise what is seen and all of it in one cube.
+    """Render a model from one side, and voxelise the visible and the full shape in one cube.
 
     The cube is the paper's, around the full shape's box in the view's axes, or that of framing `view`, from
-    what is seen alone. The world's frame is the model's own, and its unit stands for a metre. All cells are
-    known, but for slits of a seeable solid; the surface is exact.
+    the visible part alone. The world's frame is the model's own, in metres. All cells are known, except for
+    slits of a seeable solid; the surface is exact.
 
     Args:
         checked: the model.
@@ -64,7 +64,7 @@ def make_pair(
 
 
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
-    """Packed: what of a grid is inside, and where that is known."""
+    """Packed: the cells inside, and the known cells."""
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
         return full, np.full_like(full, 255)
@@ -74,7 +74,7 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """The share of a shape's cells, in the cube around all of it, whose centres lie outside another cube."""
+    """The share of a shape's cells, in the cube around it, whose centres lie outside another cube."""
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
@@ -100,9 +100,9 @@ def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
 
 
 def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:
-    """The two files of a pair, what is seen and the full shape, both at 256^3 cells.
+    """The two files of a pair, visible and full shape, both at 256^3 cells.
 
-    Both are cropped alike to the box of the full shape (and of surface cells that lie just beyond it, since
+    Both are cropped to the box of the full shape (and of surface cells that lie just beyond it, since
     their centre is outside the solid). Key `arr_0`, int8, (x, y, z, 1), with x to the left and y up: their
     back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y reversed.
     """

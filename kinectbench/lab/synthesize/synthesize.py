@@ -53,13 +53,13 @@ FEW = 40
 def assemble(
     tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]
 ) -> tuple[int, str]:
-    """Put the artefacts of all tasks into `out`, in place of what was there, whole or not at all.
+    """Move the artefacts of all tasks into `out`, atomically replacing what is there.
 
     Files are linked, not copied, where the disk can.
 
     Args:
         tasks: all made.
-        settings: what the run was made with, without paths.
+        settings: the run's settings, without paths.
         out: the folder.
         lines: the report, for the card or synthesis.json.
 
@@ -141,17 +141,17 @@ def _link(source: Path, target: Path) -> None:
         raise StorageError(f"{source}: gone while it was needed; run the command again", what="changed")
     for path in sorted(source.rglob("*")):
         if path.is_file():
-            there = target / path.relative_to(source)
-            there.parent.mkdir(parents=True, exist_ok=True)
+            link = target / path.relative_to(source)
+            link.parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(path, there)
+                os.link(path, link)
             except OSError:  # another disk, or one without links
-                shutil.copyfile(path, there)
+                shutil.copyfile(path, link)
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was synthesised.
+    """The result of a synthesis.
 
     Attributes:
         folder: where it lies.
@@ -175,7 +175,7 @@ def synthesize(
 ) -> Report:
     """Make the paper's synthetic pairs (Sec. 4.1) of a folder of meshes or of parametric furniture.
 
-    Finished models are kept in `<out>.work/` until the whole is done, so that a run that was stopped goes on
+    Finished models are kept in `<out>.work/` until the run is complete, so that a stopped run continues
     where it was. The result does not depend on that, nor on `jobs`.
 
     Args:
@@ -219,7 +219,7 @@ def synthesize(
 
 
 def _check_target(out: Path) -> None:
-    """Nothing but what `synthesize` wrote may be replaced."""
+    """Refuse to replace a folder that `synthesize` did not write."""
     if not out.exists() and not out.is_symlink():
         return
     if not out.is_dir() or (any(out.iterdir()) and not _is_ours(out)):
@@ -239,7 +239,7 @@ def _is_ours(out: Path) -> bool:
 
 
 def _check_work(work: Path) -> None:
-    """A folder of that name that is not an unfinished run's is somebody's."""
+    """Refuse a folder of that name that is no unfinished run's."""
     if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
         raise SettingsError(
             f"{work}: holds something else, and is needed for unfinished work; move it away",
@@ -249,7 +249,7 @@ def _check_work(work: Path) -> None:
 
 @contextmanager
 def _kept_if_used(work: Path) -> Iterator[None]:
-    """Remove the folder of unfinished work if the block leaves no finished model in it."""
+    """Remove the folder of unfinished work if it has no finished model at the end of the block."""
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""The virtual camera: its viewing angles, where it stands, and its noise-free depth."""
+"""The virtual camera: viewing angles, position, and noise-free depth."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -36,7 +36,7 @@ class ViewAngles:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """(3, 3), turns the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes, own choice."""
+        """(3, 3), turns the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes."""
         roll, pitch, yaw = self.angles_rad
         return _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
 
@@ -62,11 +62,11 @@ def virtual_camera(image_px: int) -> Camera:
 def camera_pose(
     vertices_world: NDArray[np.float64], view: ViewAngles, camera: Camera, up: Literal["y", "z"]
 ) -> NDArray[np.float64]:
-    """Where the camera stands for a view: T_world_camera (4, 4), in the model's own frame.
+    """The camera's pose for a view: T_world_camera (4, 4), in the model's own frame.
 
     The camera is turned instead of the object, about the centre of the object's box. Its distance is the
     one at which the ball around the box's centre that holds all vertices just fits into the image, so that
-    the object fits in every orientation; it is the same for all views of a model. Own rule.
+    the object fits in every orientation; it is the same for all views of a model.
 
     Args:
         vertices_world: (n, 3), the model, or just the corners of its convex hull.
@@ -103,7 +103,7 @@ def _about(axis: int, angle_rad: float) -> NDArray[np.float64]:
 
 
 class DepthCamera:
-    """A virtual camera before a mesh, made ready once and then used from anywhere.
+    """A virtual camera before a mesh, prepared once for all views.
 
     Attributes:
         camera: its intrinsics.
@@ -119,7 +119,7 @@ class DepthCamera:
         self._y = (np.arange(camera.height) - camera.cy) / camera.fy
 
     def depth_m(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Depth along z (height, width) float32 through integer pixel centres, 0 where nothing is hit.
+        """Depth along z (height, width) float32 through integer pixel centres, 0 without a hit.
 
         The rays are turned, not the mesh. Only those that can hit it are cast.
         """

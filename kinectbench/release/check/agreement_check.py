@@ -1,4 +1,4 @@
-"""Check what a release says for people and other programs against benchmark.json and targets.csv."""
+"""Check a release's texts and metadata for other programs against benchmark.json and targets.csv."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -66,7 +66,7 @@ CARD_BYTES = 1 << 10
 
 @dataclass(frozen=True)
 class Stated:
-    """What the other files must agree with.
+    """The facts that the other files must agree with.
 
     Attributes:
         targets: targets.csv.
@@ -80,11 +80,11 @@ class Stated:
 
     @property
     def says_twice(self) -> bool:
-        """Whether other files say what benchmark.json says in known words: earlier ones may differ."""
+        """Whether other files repeat benchmark.json in known words: earlier versions may differ."""
         return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
-        """The views of a recording that have pairs, as targets.csv says."""
+        """The views of a recording with pairs, from targets.csv."""
         return self._views.get(recording, set())
 
     @cached_property
@@ -100,14 +100,14 @@ Check = Callable[[str, Stated], Iterator[str]]
 
 
 def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each file that says otherwise than benchmark.json and targets.csv.
+    """Yield a line for each file that contradicts benchmark.json or targets.csv.
 
     Every JSON file is checked against its schema. A file that is not there is no problem here, for earlier
     versions and other commands write releases with fewer files; one that is damaged is not looked at.
 
     Args:
         contents: the release.
-        stated: what the files must agree with.
+        stated: facts for the files to agree with.
         damaged: files that are not the published ones, by name.
     """
     whole = contents.entries.keys() - damaged.keys()
@@ -152,14 +152,14 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
                     yield from quality_problems(file, contents.text(file), info)
                 except (KinectBenchError, ValueError) as error:
                     yield str(error)
-    yield from _told_truth(contents, stated.metadata)
+    yield from _published_truth(contents, stated.metadata)
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """A line for each thing in which a JSON file is not as its schema says.
+    """A line for each violation of a JSON file's schema.
 
     Raises:
-        ReleaseError: it is no JSON.
+        ReleaseError: it is not JSON.
     """
     text = contents.text(name)
     release_json(text, name)
@@ -167,9 +167,9 @@ def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
-    """Bytes of the texts that are searched for what benchmark.json says: larger ones are not read."""
-    said = license_text(metadata.name, metadata.license, metadata.recordings)
-    of_license = CITATION_BYTES + len(said.encode("utf-8", "replace"))
+    """The largest size of texts that are searched for benchmark.json's facts."""
+    license_words = license_text(metadata.name, metadata.license, metadata.recordings)
+    of_license = CITATION_BYTES + len(license_words.encode("utf-8", "replace"))
     of_card = of_license + CARD_BYTES * len(metadata.recordings)
     return {CITATION: CITATION_BYTES} | {
         name: min(most, MAX_READ_BYTES) for name, most in ((LICENSE, of_license), (CARD, of_card))
@@ -177,7 +177,7 @@ def _limits(metadata: ReleaseInfo) -> dict[str, int]:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Where each line of a text begins, and the line; one at a time, for a list of them needs its memory."""
+    """The lines of a text with their offsets, one at a time to save memory."""
     begin = 0
     while (end := text.find("\n", begin)) >= 0:
         yield begin, text[begin:end]
@@ -186,7 +186,7 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """The licence of all recordings; one that does not say, as in earlier releases, has the benchmark's."""
+    """The licence of all recordings; missing ones, as in earlier releases, have the benchmark's."""
     infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
@@ -195,9 +195,9 @@ def _license(metadata: ReleaseInfo) -> str:
 
 
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
-    for what, said in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
-        if said not in text and markdown(said) not in text:
-            yield f"does not state the {what} '{printable(said)}' of {BENCHMARK_JSON}"
+    for what, stated_value in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
+        if stated_value not in text and markdown(stated_value) not in text:
+            yield f"does not state the {what} '{printable(stated_value)}' of {BENCHMARK_JSON}"
     yield from _missing(
         text, card.counts_table(stated.targets), f"the row '{{}}', which {TARGETS_CSV} counts"
     )
@@ -215,20 +215,20 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """What the card does not say of held-back truth, and benchmark.json does."""
+    """Held-back truth in benchmark.json that the card does not state."""
     if not metadata.held_back:
         return
-    said = {
+    sentences = {
         "isolated": isolated_line(metadata.isolated) if metadata.isolated else None,
         "rebuilt_iou": None if metadata.isolated else rebuilt_line(metadata.recordings),
     }
-    for key, line in said.items():
+    for key, line in sentences.items():
         if line and line not in text:
             yield f"says otherwise than `{key}` of {BENCHMARK_JSON}"
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Recordings that benchmark.json calls poor or left out, and the card does not, or the other way."""
+    """Contradictions of benchmark.json and the card on poor or left-out recordings."""
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
         if info.poor:
@@ -236,10 +236,10 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
         elif info.look:
             wanted[name] = look_line(name, info.look)
     lines = (line.removeprefix("- ") for _, line in _lines(text) if line.startswith("- "))
-    said = {ids[0]: line for line in lines if len(ids := OF_GATE.split(line, maxsplit=1)) == 2}
-    for name in sorted(wanted.keys() | said.keys()):
+    expected = {ids[0]: line for line in lines if len(ids := OF_GATE.split(line, maxsplit=1)) == 2}
+    for name in sorted(wanted.keys() | expected.keys()):
         # Advice may follow.
-        if name not in wanted or not said.get(name, "").startswith(wanted[name]):
+        if name not in wanted or not expected.get(name, "").startswith(wanted[name]):
             yield f"says otherwise than {BENCHMARK_JSON} whether {printable(name)} is left out or poor"
 
 
@@ -249,44 +249,44 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
     )
 
 
-def _missing(text: str, wanted: str, said: str) -> Iterator[str]:
-    """Clauses about the lines of `wanted` that a text does not have; `said` has a place for each."""
+def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
+    """Clauses about lines of `wanted` that a text lacks; `subject` has a place for each."""
     rows = dict.fromkeys(wanted.splitlines())
-    found = {line for _, line in _lines(text) if line in rows}
+    present = {line for _, line in _lines(text) if line in rows}
     for row in rows:
-        if row not in found:
-            yield f"does not have {said.format(printable(row, 200))}"
+        if row not in present:
+            yield f"does not have {subject.format(printable(row, 200))}"
 
 
 def _license_problems(text: str, stated: Stated) -> Iterator[str]:
-    said = {
+    expected = {
         name: f"{name}\n  licence: {info.license}\n  source: {' '.join(info.source.split())}\n"
         for name, info in stated.metadata.recordings.items()
     }
-    found = {line for at, line in _lines(text) if line in said and text.startswith(said[line], at)}
-    for name in said:
-        if name not in found:
+    present = {line for at, line in _lines(text) if line in expected and text.startswith(expected[line], at)}
+    for name in expected:
+        if name not in present:
             yield f"does not state licence and source of {printable(name)} as {BENCHMARK_JSON} does"
 
 
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
     from yaml import ScalarNode
 
-    # Nodes, not values: what an alias stands for is never written out.
+    # Nodes, not values, so that aliases are never expanded.
     version = items(compose(text, CITATION)).get("version")
     wanted = stated.metadata.version
     if wanted is not None and not (isinstance(version, ScalarNode) and version.value == wanted):
-        said = f"version '{printable(version.value)}'" if isinstance(version, ScalarNode) else "no version"
-        yield f"{said} where {BENCHMARK_JSON} has '{printable(wanted)}'"
+        words = f"version '{printable(version.value)}'" if isinstance(version, ScalarNode) else "no version"
+        yield f"{words} where {BENCHMARK_JSON} has '{printable(wanted)}'"
 
 
 def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
-    said = release_json(text, CROISSANT)
-    name = said["name"]
+    croissant = release_json(text, CROISSANT)
+    name = croissant["name"]
     if name != stated.metadata.name:
-        told = f"name '{printable(name)}'" if isinstance(name, str) else "no name"
-        yield f"{told} where {BENCHMARK_JSON} has '{printable(stated.metadata.name)}'"
-    for file in said["distribution"]:
+        stated_as = f"name '{printable(name)}'" if isinstance(name, str) else "no name"
+        yield f"{stated_as} where {BENCHMARK_JSON} has '{printable(stated.metadata.name)}'"
+    for file in croissant["distribution"]:
         url = file.get("contentUrl")
         if "sha256" in file and file["sha256"] != stated.sums.get(url):
             yield f"another SHA-256 for {printable(str(url))} than in {SHA256SUMS}"
@@ -300,8 +300,8 @@ def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
         ("licence", rights[0].get("rights"), None if license == UNSPECIFIED else license),
     ):
         if said != wanted:
-            told = f"no {what}" if said is None else f"{what} {quoted(said)}"
-            yield f"{told} where {BENCHMARK_JSON} has {'none' if wanted is None else quoted(wanted)}"
+            stated_as = f"no {what}" if said is None else f"{what} {quoted(said)}"
+            yield f"{stated_as} where {BENCHMARK_JSON} has {'none' if wanted is None else quoted(wanted)}"
 
 
 def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
@@ -311,8 +311,8 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
         what = "has no" if name in stated.metadata.recordings else "has a"
         yield f"{what} recording {printable(name)}"
     for name, row in recordings.items():
-        here = stated.views_of(name)
-        if row.views is not None and {view.view for view in row.views} != here:
+        views = stated.views_of(name)
+        if row.views is not None and {view.view for view in row.views} != views:
             yield f"other views of {printable(name)} than in {TARGETS_CSV}"
         if stated.metadata.isolates(name) and (row.files or row.files_sha256 or row.stages or row.views):
             yield f"says how {printable(name)} was made, of which one view alone is published"
@@ -321,10 +321,10 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
-    here = tuple(target for target in stated.targets if target.split == split)
-    expected = [targets_text(here)]
+    of_split = tuple(target for target in stated.targets if target.split == split)
+    expected = [targets_text(of_split)]
     if all(target.unknown_share is None for target in stated.targets):
-        expected.append(targets_text(here, EARLIER_COLUMNS))
+        expected.append(targets_text(of_split, EARLIER_COLUMNS))
     if text not in expected:
         yield f"not the lines of {TARGETS_CSV} whose split is {split}"
 
@@ -332,12 +332,12 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
     """Whether previews/ has a row and a picture of each pair of a split, and no others."""
     isolates = stated.metadata.isolates
-    here = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
-    if text != rows_text(here):
+    of_split = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
+    if text != rows_text(of_split):
         yield f"not the lines of {TARGETS_CSV} whose split is {split}"
     folder = f"{PREVIEWS}/{split}/"
-    there = {name.removeprefix(folder) for name in stated.sums if name.startswith(folder)} - {ROWS}
-    odd = sorted(there ^ {row_picture(target) for target in here})
+    listed = {name.removeprefix(folder) for name in stated.sums if name.startswith(folder)} - {ROWS}
+    odd = sorted(listed ^ {row_picture(target) for target in of_split})
     if odd:
         yield f"{printable(odd[0], 200)} and the pairs of {TARGETS_CSV} do not agree"
 
@@ -349,15 +349,15 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
     if stated.says_twice and not stated.metadata.hides(recording):
         yield from refused_problems(views, stated.metadata.recordings[recording])
     listed = {row.view for row in rows if row.pair is not False}
-    here = stated.views_of(recording)
-    if here - listed or (listed - here and any(row.pair is not None for row in rows)):
+    own_views = stated.views_of(recording)
+    if own_views - listed or (listed - own_views and any(row.pair is not None for row in rows)):
         yield f"other views with a pair than in {TARGETS_CSV}"
-    told = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
-    if stated.metadata.hides(recording) and told:
-        yield f"holds {printable(', '.join(sorted(told)))}, which is held back"
+    stated_as = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
+    if stated.metadata.hides(recording) and stated_as:
+        yield f"holds {printable(', '.join(sorted(stated_as)))}, which is held back"
 
 
-def _told_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
+def _published_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
     """Files that tell of objects whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")

@@ -1,4 +1,4 @@
-"""Check what benchmark.json says against every other file of the release that says it, too.
+"""Check benchmark.json against every other file of the release that repeats its facts.
 
 Of releases whose benchmark.json has `benchmark_sha256_version`; earlier ones may say it in other words.
 """
@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.provenance import Lineage
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.untrusted import printable
 from kinectbench.release.publish.attribution import reasons_against_distribution
-from kinectbench.release.publish.gate import ALLOWED, NOT_TOLD, REJECTED
+from kinectbench.release.publish.gate import ALLOWED, REJECTED, WITHHELD
 from kinectbench.settings.publishing import GateSettings
 
 # Of the settings, for all pairs at once.
@@ -22,31 +22,31 @@ OF_PAIRS = ("framing", "partial_rule")
 
 
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each thing that benchmark.json says twice, and not alike."""
+    """Yield a line for each value that benchmark.json states twice, with a contradiction."""
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
-        said = getattr(of_pairs, key)
-        if said is not None and said != getattr(metadata, key):
-            yield f"{BENCHMARK_JSON}: settings.pairs.{key} '{said}' where {key} is '{getattr(metadata, key)}'"
-    told = metadata.distribution
+        value, stated = getattr(of_pairs, key), getattr(metadata, key)
+        if value is not None and value != stated:
+            yield f"{BENCHMARK_JSON}: settings.pairs.{key} '{value}' where {key} is '{stated}'"
+    terms = metadata.distribution
     reasons = reasons_against_distribution(metadata.recordings)
-    if told is not None and (told.reasons != reasons or told.allowed is bool(reasons)):
+    if terms is not None and (terms.reasons != reasons or terms.allowed is bool(reasons)):
         yield f"{BENCHMARK_JSON}: distribution is not as licence and source of its recordings have it"
     for name, info in metadata.recordings.items():
         if metadata.hides(name) and info.quality.json_value():
             yield f"{BENCHMARK_JSON}: holds the quality of {printable(name)}, which is held back"
     for row in metadata.settings.recordings or ():
-        here = metadata.recordings.get(str(row.get("id")))
-        for key in _other_keys(row, here, metadata) if here else ():
+        published = metadata.recordings.get(str(row.get("id")))
+        for key in _other_keys(row, published, metadata) if published else ():
             where = f"settings.recordings of {printable(str(row['id']))}"
             yield f"{BENCHMARK_JSON}: {where} has another {key} than recordings"
 
 
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each recording that is said to be poor or left out, and is not, or the other way.
+    """Yield a line for each recording whose state (poor, left out) contradicts its figures.
 
-    The figures of its quality and `settings.publish.gate` decide. The grade of a trajectory and the doubts of
-    a camera are not in a release: a limit of these is believed.
+    The figures of its quality and `settings.publish.gate` decide. Grades of trajectories and warnings of
+    a camera are not in a release: their limits are not checked.
     """
     try:
         limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
@@ -59,18 +59,18 @@ def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
         if bool(info.poor) != (info.accepted is not None):
             yield f"{where}: 'poor' and 'accepted' go together"
         if metadata.hides(name):
-            if set(info.poor) - {NOT_TOLD} or info.accepted not in (None, NOT_TOLD):
+            if set(info.poor) - {WITHHELD} or info.accepted not in (None, WITHHELD):
                 yield f"{where}: 'poor' or 'accepted' tells why, which is held back"
             continue
         if info.accepted not in (None, ALLOWED) and not _reviewed(reviews.get(name), "accept"):
             yield f"{where}: 'accepted' is by no review of the settings, nor {ALLOWED}"
         yield from (f"{where}: {fault}" for fault in _poor_problems(info, limits))
     if (flow := metadata.flow) is not None:
-        there, left_out = len(metadata.recordings), len(metadata.left_out or {})
+        published, left_out = len(metadata.recordings), len(metadata.left_out or {})
         look = sum(bool(info.look) for info in metadata.recordings.values())
         poor = sum(bool(info.poor) for info in metadata.recordings.values())
         counted = (flow.tried, flow.published, flow.left_out - flow.not_built, flow.look, flow.poor)
-        if counted != (len(reviews), there, left_out, look, poor):
+        if counted != (len(reviews), published, left_out, look, poor):
             yield f"{BENCHMARK_JSON}: flow has other counts than recordings, left_out and settings.recordings"
     for name, why in (metadata.left_out or {}).items():
         where = f"{BENCHMARK_JSON}: left_out.{printable(name)}"
@@ -85,7 +85,7 @@ def _reviewed(review: Any, decision: str) -> bool:
 
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
-    """Limits that its quality breaks and `poor` does not name; those that it names and its quality keeps."""
+    """Limits that its quality violates and `poor` lacks; and limits in `poor` that its quality keeps."""
     quality = info.quality
     values = (quality.estimated_iou, quality.estimated_iou_low)
     known = [value for value in values if value is not None]
@@ -95,16 +95,16 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
         min([*known, 1]) < limits.min_estimated_iou,
     )
     unknown = (quality.unknown_share or 0) > limits.max_unknown_share
-    doubts = len(quality.known_doubts) > limits.max_doubts
+    warned = len(quality.measurement_warnings) > limits.max_doubts
     for key, must, may in (
         ("min_estimated_iou", low_iou, any_low),
         ("max_unknown_share", unknown, unknown),
-        ("max_doubts", doubts, True),
+        ("max_doubts", warned, True),
     ):
-        said = any(f"publish.gate.{key}" in line for line in info.poor)
-        if said and not may:
+        is_stated = any(f"publish.gate.{key}" in line for line in info.poor)
+        if is_stated and not may:
             yield f"'poor' names publish.gate.{key}, which its quality keeps"
-        elif must and not said:
+        elif must and not is_stated:
             yield f"'poor' does not name publish.gate.{key}, which its quality does not keep"
 
 
@@ -129,11 +129,11 @@ def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]
         text: of it.
         info: of its recording.
     """
-    there, here = (
+    stated, own = (
         {key: value for key, value in quality.json_value().items() if key != "method"}
         for quality in (QualityFile.parse(text, name), info.quality)
     )
-    other = sorted(key for key in there.keys() | here.keys() if there.get(key) != here.get(key))
+    other = sorted(key for key in stated.keys() | own.keys() if stated.get(key) != own.get(key))
     if other:
         yield f"{name}: another {printable(', '.join(other), 200)} than in {BENCHMARK_JSON}"
 

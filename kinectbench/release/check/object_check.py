@@ -1,4 +1,4 @@
-"""Check the object of a recording in a release: mesh, volume and GLB are as the format page says."""
+"""Check a recording's object in a release: mesh, volume and GLB follow the format page."""
 
 import struct
 from collections.abc import Iterator
@@ -72,7 +72,7 @@ def recording_of(name: str) -> str:
 
 
 def _glb_fault(content: bytes) -> str | None:
-    """What is wrong with a GLB by its head and its first chunk, which lists all else; or None.
+    """The fault of a GLB, by its header and its first chunk, which lists everything; or None.
 
     Source: glTF 2.0 (ISO/IEC 12113:2022), section 4.4.
     """
@@ -84,16 +84,16 @@ def _glb_fault(content: bytes) -> str | None:
     if length != len(content) or GLB_HEAD.size + json_bytes > length:
         return f"{len(content)} bytes where its head claims {length}"
     try:
-        said = strict_json(content[GLB_HEAD.size :][:json_bytes].decode())
+        header = strict_json(content[GLB_HEAD.size :][:json_bytes].decode())
     except (ValueError, RecursionError) as error:
         return f"what it says of itself is not valid JSON ({error})"
-    return None if isinstance(said, dict) and said.get("meshes") else "holds no mesh"
+    return None if isinstance(header, dict) and header.get("meshes") else "holds no mesh"
 
 
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
-    """Yield in what a GLB is not the mesh that it shows, a clause each.
+    """Yield the differences between a GLB and its mesh, a clause each.
 
-    Its triangles are fewer and others, so the boxes around both are compared, and what it says of the mesh.
+    Its triangles are fewer and others, so the boxes around both are compared, and its statements on the mesh.
 
     Args:
         content: of the GLB; one that is damaged otherwise is none of this mesh.
@@ -102,14 +102,14 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
     """
     json_end = GLB_HEAD.size + GLB_HEAD.unpack_from(content)[3]
     try:
-        said = strict_json(content[GLB_HEAD.size : json_end].decode())
-        (shown,) = said["meshes"]
-        accessor = said["accessors"][shown["primitives"][0]["attributes"]["POSITION"]]
-        begin = int(said["bufferViews"][accessor["bufferView"]].get("byteOffset", 0))
+        header = strict_json(content[GLB_HEAD.size : json_end].decode())
+        (shown,) = header["meshes"]
+        accessor = header["accessors"][shown["primitives"][0]["attributes"]["POSITION"]]
+        begin = int(header["bufferViews"][accessor["bufferView"]].get("byteOffset", 0))
         begin += json_end + CHUNK_HEAD_BYTES + int(accessor.get("byteOffset", 0))
-        here = np.frombuffer(content, "<f4", 3 * int(accessor["count"]), begin).reshape(-1, 3)
+        glb_vertices = np.frombuffer(content, "<f4", 3 * int(accessor["count"]), begin).reshape(-1, 3)
         triangles = shown["extras"]["triangles_of_mesh_ply"]
-        low, high = here.min(axis=0), here.max(axis=0)
+        low, high = glb_vertices.min(axis=0), glb_vertices.max(axis=0)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         yield "not as this package writes it"
         return
@@ -122,10 +122,10 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:
-    """What is wrong with a volume, all of which is looked at, a slab at a time; or None.
+    """The fault of a volume, read slab by slab; or None.
 
     Raises:
-        UNREADABLE: one of these exceptions: it is no npz, or damaged.
+        UNREADABLE: one of these exceptions: it is not an npz, or damaged.
     """
     with open_npz(file, VOLUME_BYTES) as archive:
         entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
@@ -161,7 +161,7 @@ def _check_small(header: NpyHeader) -> None:
 
 
 def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
-    """What is wrong with the cells of a grid, or None."""
+    """The fault of a grid's cells, or None."""
     done = 0
     while part := stream.read(SLAB_BYTES):
         done += len(part)

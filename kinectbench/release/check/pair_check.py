@@ -1,4 +1,4 @@
-"""Re-check one published pair: that its grids and matrices are what the format page says."""
+"""Check one published pair: its grids and matrices follow the format page."""
 
 from collections.abc import Iterator, Mapping
 
@@ -29,14 +29,14 @@ def pair_problems(
     partial_rule: str,
     unknown_shares: Mapping[str, float] = {},
 ) -> Iterator[str]:
-    """Yield what is wrong with a pair, a clause each, without the file's name.
+    """Yield the faults of a pair, a clause each, without the file's name.
 
     Args:
         pair: read by `read_pair`, which has checked keys, shapes and dtypes.
         min_containment: least share of the partial inside the shape, as the benchmark's settings say.
         framing: the benchmark's.
         partial_rule: the benchmark's.
-        unknown_shares: {file: what it says of the pair}; earlier releases have fewer of them, or none.
+        unknown_shares: {file: its value for the pair}; earlier releases have fewer of them, or none.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
@@ -63,7 +63,7 @@ def pair_problems(
 
 
 def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
-    """Yield what is wrong with the input of a pair, as `pair_problems` does."""
+    """Yield the faults of a pair's input, like `pair_problems`."""
     for name in ("T_world_grid", "T_world_camera"):
         if not is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
@@ -88,7 +88,7 @@ def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -
 
 
 def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
-    """What cannot be right with `known` and `seen`, which the files of a release do not determine.
+    """Impossible values of `known` and `seen`, which the release's files do not determine.
 
     A view's depth is of surface that was fused, so it is known, and of what that view sees: nearly all
     of `partial_256` must be both. Half allows for every recording that can be used at all.

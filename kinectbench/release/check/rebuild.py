@@ -1,4 +1,4 @@
-"""Re-make a release's pairs from its recordings: the settings to do it with, and what differs."""
+"""Make a release's pairs again from its recordings: the settings for it, and the differences."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Source:
-    """Where a recording lies on this machine.
+    """The place of a recording on this machine.
 
     Attributes:
         path: of the recording.
@@ -47,7 +47,7 @@ class Source:
 
 @dataclass(frozen=True)
 class RebuildPlan:
-    """What is to be made again.
+    """The recordings to build again.
 
     Attributes:
         settings: those that the release states, with this machine's paths.
@@ -61,13 +61,13 @@ class RebuildPlan:
 
 
 def find_sources(path: Path) -> dict[str, Source]:
-    """Where recordings lie: as a benchmark.yaml says, or else by their ids in a folder.
+    """The places of recordings: from a benchmark.yaml, or by their ids in a folder.
 
     Args:
         path: a benchmark.yaml, a folder that holds one, or a folder with `<id>/`, `<id>.bag` and so on.
 
     Raises:
-        SettingsError: there is no such folder.
+        SettingsError: unknown folder.
     """
     config = path / "benchmark.yaml" if path.is_dir() else path
     if config.is_file():
@@ -79,8 +79,8 @@ def find_sources(path: Path) -> dict[str, Source]:
         }
     if not path.is_dir():
         raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings", what="no-file")
-    found = {entry.stem: Source(entry) for entry in sorted(path.iterdir()) if not entry.name.startswith(".")}
-    return found | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
+    by_id = {entry.stem: Source(entry) for entry in sorted(path.iterdir()) if not entry.name.startswith(".")}
+    return by_id | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
 
 
 def rebuild_plan(
@@ -159,18 +159,18 @@ def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[
 
 
 def version_notes(metadata: ReleaseInfo) -> list[str]:
-    """One line for each package whose version here is not the one that made the release."""
+    """A line for each package whose local version differs from the release's."""
     made = {"kinectbench": metadata.package_version, **metadata.packages}
-    here = {"kinectbench": __version__, **package_versions()}
+    installed = {"kinectbench": __version__, **package_versions()}
     return [
-        f"made with {name} {version}, here is {here.get(name, 'none')}: results may differ"
+        f"made with {name} {version}, here is {installed.get(name, 'none')}: results may differ"
         for name, version in made.items()
-        if here.get(name) != version
+        if installed.get(name) != version
     ]
 
 
 def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
-    """One line for each stage that is of another version here than the one that made these recordings."""
+    """A line for each stage whose local version differs from that of these recordings."""
     lineage = _lineage(contents)
     made = {
         (stage, row.stage_version)
@@ -187,14 +187,14 @@ def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
 
 
 def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
-    """What lineage.json says of each recording; nothing where there is none."""
+    """lineage.json by recording; empty without the file."""
     if LINEAGE_JSON not in contents.entries:
         return {}
     return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
 
 
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
-    """Yield where what was made again is not what was published, to the byte: a line each.
+    """Yield the differences in bytes between rebuilt and published files, a line each.
 
     Args:
         contents: the release.
@@ -203,40 +203,40 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
     """
     lineage = _lineage(contents)
     for recording, targets in sorted(by_recording(plan.targets).items()):
-        here = build / recording
-        if not (here / "pairs" / "pairs.json").is_file():
+        folder = build / recording
+        if not (folder / "pairs" / "pairs.json").is_file():
             yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
             continue
         # In the order they were made: the first tells where the difference begins.
         if recording in lineage:
-            yield from _source_difference(lineage[recording], recording, here)
+            yield from _source_difference(lineage[recording], recording, folder)
         for file in OBJECT_FILES:
-            yield from _file_difference(contents, f"objects/{recording}/{file}", here / "object" / file)
+            yield from _file_difference(contents, f"objects/{recording}/{file}", folder / "object" / file)
         for target in targets:
             for suffix in VIEW_IMAGES:
                 image = f"{target.view}{suffix}"
-                yield from _file_difference(contents, f"views/{recording}/{image}", here / "views" / image)
-            yield from _pair_difference(contents, target, here / "pairs" / f"{target.view}.npz")
+                yield from _file_difference(contents, f"views/{recording}/{image}", folder / "views" / image)
+            yield from _pair_difference(contents, target, folder / "pairs" / f"{target.view}.npz")
         published = {target.view for target in targets}
-        for made in sorted((here / "pairs").glob("*.npz")):
+        for made in sorted((folder / "pairs").glob("*.npz")):
             if made.stem not in published:
                 yield f"{recording}/{made.stem}: made again, but there is no such pair in the release"
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Whether the recording is the one that lineage.json knows by the hashes of its files."""
+    """Whether the recording has the hashes in lineage.json."""
     made = Sources.read_if_there(build)
     if made is None:
         return
-    published, here = row.files, made.sha256
-    if set(here) == {""}:  # a recording that is one file, whatever it is called here
-        here = dict.fromkeys(published, here[""])
-    names = [name for name in {**published, **here} if published.get(name) != here.get(name)]
+    published, hashes = row.files, made.sha256
+    if set(hashes) == {""}:  # a recording that is one file, whatever it is called here
+        hashes = dict.fromkeys(published, hashes[""])
+    names = [name for name in {**published, **hashes} if published.get(name) != hashes.get(name)]
     if published and names:
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         yield f"{recording}: not the recording that was published: {', '.join(names[:SHOWN])}{more} differ"
-    if row.files_sha256 not in (None, files_hash(here)):
-        yield f"{recording}: not the recording that was published: its {len(here)} files are others"
+    if row.files_sha256 not in (None, files_hash(hashes)):
+        yield f"{recording}: not the recording that was published: its {len(hashes)} files are others"
 
 
 def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:
@@ -255,7 +255,7 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
 
 
 def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
-    """Whether a pair is the same, and in which of its keys it is not."""
+    """Whether a pair is equal, and the keys that differ."""
     if not made.is_file():
         yield f"{target.file}: was not made again: its view was refused, or another was drawn"
         return
@@ -284,7 +284,7 @@ def _unreadable(made: Path, error: OSError) -> str:
 
 
 def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None) -> str | None:
-    """How a key's values differ, or None."""
+    """The difference of a key's values, or None."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"
     # Texts of another length have another dtype.

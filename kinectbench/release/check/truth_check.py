@@ -1,4 +1,4 @@
-"""Check what a release says of an object against its mesh: every pair's truth, and the volume.
+"""Check a release's truth against the object's mesh: every pair, and the volume.
 
 A recording's pairs are made of its mesh and its volume. All that they say of the object is computed again, so
 no pair can be changed alone. If mesh, volume and pairs are changed together, only `--rebuild` finds it.
@@ -44,14 +44,14 @@ NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 
 
 class TooLargeError(ReleaseError):
-    """A volume that would take more than some hundred megabytes to be compared."""
+    """A volume that would take more than some hundred megabytes to compare."""
 
     what = "too-large"
 
 
 @dataclass(frozen=True)
 class ObjectTruth:
-    """What a release has of an object.
+    """The truth of an object in a release.
 
     Attributes:
         mesh: its closed mesh, world frame, metres; None: there is none that can be read.
@@ -65,7 +65,7 @@ class ObjectTruth:
 
 
 def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> tuple[ObjectTruth, list[str]]:
-    """What a release has of an object, and a line for each thing in which volume and GLB are not its mesh.
+    """The truth of an object, and a line for each difference of volume and GLB to its mesh.
 
     Files that are missing or damaged are left out: `object_problems` names them.
 
@@ -99,7 +99,7 @@ def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> 
 
 
 def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
-    """In what the GLB of an object is not its mesh; nothing of one that is not there or damaged."""
+    """Differences of an object's GLB to its mesh; none if it is missing or damaged."""
     try:
         content = contents.read(_published(f"{folder}{GLB}", whole))
         floor = f"{folder}/{FloorFile.FILE}"
@@ -149,7 +149,7 @@ def _published(name: str, whole: Collection[str]) -> str:
 def _volume_faults(
     mesh: TriangleMesh, grid: Grid, solid: NDArray[Any], labels: NDArray[Any]
 ) -> Iterator[str]:
-    """In what a volume is not its mesh, nor its solid what its labels say."""
+    """Differences of a volume to its mesh, and of its solid to its labels."""
     nx, ny, nz = grid.shape
     padded = Grid((nx, ny, nz + -nz % 8), grid.voxel_size_m, grid.T_world_grid)
     inside = _filled(mesh, padded, "winding")
@@ -167,7 +167,7 @@ def _volume_faults(
 
 
 def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
-    """The cells of a grid inside a stranger's mesh; or why that cannot be computed."""
+    """The cells of a grid inside an untrusted mesh; or why that cannot be computed."""
     cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
     if not np.abs(cells).max() <= MAX_FAR_CELLS:
         return f"{MESH} has vertices far from it"
@@ -179,7 +179,7 @@ def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
 
 
 def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
-    """Yield in what the truth of a pair is not that of its object, a clause each.
+    """Yield the differences of a pair's truth to its object, a clause each.
 
     Args:
         pair: its matrices are checked to be rigid, and `voxel_size_m` to be a length.
@@ -187,18 +187,18 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
     """
     if truth.mesh is not None:
         yield from _full_problems(pair, truth.mesh, recorded=truth.recorded)
-    for name, said in (("known", pair.known), ("interior", pair.interior), ("said", pair.said)):
-        if said is None or name not in truth.cells:
+    for name, stated in (("known", pair.known), ("interior", pair.interior), ("said", pair.said)):
+        if stated is None or name not in truth.cells:
             continue
-        here = known_in(truth.cells[name], NOWHERE, pair.grid)
+        expected = known_in(truth.cells[name], NOWHERE, pair.grid)
         # Beyond the volume the coarse grid says what is known, and no release has it.
-        beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~here
-        if other := packed_count(here & ~said) + packed_count(beyond & said):
+        beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~expected
+        if other := packed_count(expected & ~stated) + packed_count(beyond & stated):
             yield f"{other} cells of '{name}' are not as its {VOLUME} has them"
 
 
 def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
-    """In what `full` is not the mesh; that of a recording is filled by one rule."""
+    """Differences of `full` to the mesh, which one rule fills for recordings."""
     rule = pair.occupancy_rule
     if rule not in ACROSS or (recorded and rule != "winding"):
         yield f"occupancy_rule is '{printable(rule)}', which is not that of such an object"
@@ -216,7 +216,7 @@ def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterato
 
 
 def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
-    """Cells of `full` whose centre lies outside the mesh's box, along the grid's axes."""
+    """Cells of `full` with their centre outside the mesh's box, along the grid's axes."""
     corners = transform_points(pair.grid.T_grid_world, mesh.vertices) / pair.voxel_size_m
     first = np.ceil(corners.min(axis=0) - 0.5) - MOST_BEYOND_CELLS
     end = np.floor(corners.max(axis=0) + 0.5) + MOST_BEYOND_CELLS

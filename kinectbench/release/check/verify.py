@@ -40,14 +40,14 @@ CHANGED = "{}: changed since it was published (SHA-256 differs)"
 
 
 def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool = False) -> list[str]:
-    """Say everything that is wrong with a release.
+    """Report all faults of a release.
 
     One file at a time is in memory; an archive is not unpacked.
 
     Args:
         path: the release's folder, or a .zip, .tar or .tar.gz of it.
         progress: called with (files and pairs done, files and pairs in all).
-        checksums_only: whether each file is the published one, and nothing of what is in it.
+        checksums_only: whether to check only that each file is the published one, not its content.
 
     Returns:
         One line per problem, each naming a file relative to the release; empty if all is well. A file that
@@ -74,11 +74,11 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
         if checksums_only:
             return lines + _identity(contents, text, damaged)[1]
-        metadata, targets, found = _small_file_problems(contents, text, sums, damaged)
-        lines += found
+        metadata, targets, problems = _small_file_problems(contents, text, sums, damaged)
+        lines += problems
         whole = sums.keys() - damaged.keys()
         of_objects = _object_lines(contents, whole, metadata)
-        lines += [line for found in of_objects.values() for line in found]
+        lines += [line for problems in of_objects.values() for line in problems]
         stated = _stated(contents, metadata, targets)
         objects = _Objects(contents, whole - of_objects.keys())
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
@@ -90,7 +90,7 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
 
 
 def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -> list[str]:
-    """`verify` of a release at a URL, its bytes alone: a few files at a time are on this machine's disk.
+    """`verify` of the bytes of a release at a URL, with a few files at a time on the local disk.
 
     Args:
         url: of the release.
@@ -114,7 +114,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
 
 
 def is_of_first_identity(path: Path) -> bool:
-    """Whether the `benchmark_sha256` of a release is of its files alone, and not of benchmark.json as well.
+    """Whether the `benchmark_sha256` of a release covers its files alone, without benchmark.json.
 
     Raises:
         ReleaseError: benchmark.json cannot be read.
@@ -140,7 +140,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
-    """Files that were not published."""
+    """Unpublished files."""
     for name in contents.entries:
         if name not in sums and name != SHA256SUMS:
             yield _extra(name)
@@ -153,20 +153,20 @@ def _extra(name: str) -> str:
 def _object_lines(
     contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None
 ) -> dict[str, list[str]]:
-    """{mesh, volume or GLB that is wrong: what is}; of objects held back there must be none."""
+    """{mesh, volume or GLB: its fault}; held-back objects must have none of these files."""
     lines: dict[str, list[str]] = {}
     for name in sorted(whole):
         parts = name.split("/")
         is_object = parts[0] == "objects" and (parts[-1] in OBJECT_FILES or name.endswith(GLB))
         is_open = is_object and metadata is not None and not metadata.hides(recording_of(name))
-        if is_open and (found := list(object_problems(contents, name))):
-            lines[name] = found
+        if is_open and (problems := list(object_problems(contents, name))):
+            lines[name] = problems
     return lines
 
 
 @dataclass
 class _OfPair:
-    """What other files say of a pair.
+    """Facts about a pair in other files.
 
     Attributes:
         unknown_shares: {file: share of the true shape that is unknown}, of the files that say it.
@@ -180,7 +180,7 @@ class _OfPair:
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
 ) -> dict[str, _OfPair]:
-    """{pair file: what other files say of it}."""
+    """{pair file: facts in other files}."""
     stated = {target.file: _OfPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:
@@ -201,14 +201,14 @@ def _stated(
 def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str]:
     """Whether views.json has another camera than a pair."""
     for name in ("T_world_camera", "K"):
-        said = None if view is None else getattr(view, name)
-        if said is not None and not np.array_equal(said, getattr(pair, name)):
+        stated_value = None if view is None else getattr(view, name)
+        if stated_value is not None and not np.array_equal(stated_value, getattr(pair, name)):
             yield f"{name} is not that of {ViewsFile.FILE}"
 
 
 @dataclass
 class _Objects:
-    """The objects of a release, one at a time in memory, for its pairs lie together.
+    """The objects of a release, one at a time in memory, as pairs of an object are consecutive.
 
     Attributes:
         contents: the release.
@@ -220,7 +220,7 @@ class _Objects:
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
-        """What is wrong with the truth of a pair of this name, and at its first pair with the object."""
+        """The faults of a pair's truth, and at the object's first pair those of the object."""
         lines = list[str]()
         if self._last[0] != recording:
             self._last = recording, ObjectTruth()  # before the next is read
@@ -236,7 +236,7 @@ def _pair_lines(
     stated: _OfPair,
     objects: _Objects,
 ) -> list[str]:
-    """What is wrong with one pair; `stated` is what other files say of it."""
+    """The faults of one pair; `stated` are the facts in other files."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
@@ -251,8 +251,8 @@ def _pair_lines(
             lines = [f"{name}: {problem}" for problem in problems]
             placed = is_rigid(pair.T_world_grid) and 0 < pair.voxel_size_m < np.inf
             return lines + (objects.lines(name.split("/")[1], name, pair) if placed else [])
-        told = [key for key in values if key in TRUTH_KEYS]
-        lines = [f"{name}: holds {', '.join(told)}, which is held back"] if told else []
+        held_back = [key for key in values if key in TRUTH_KEYS]
+        lines = [f"{name}: holds {', '.join(held_back)}, which is held back"] if held_back else []
         given = checked_pair(PairInput, values, name)
         problems = [*input_problems(given, **rules), *_view_problems(given, stated.view)]
         return [*lines, *(f"{name}: {problem}" for problem in problems)]
@@ -281,7 +281,7 @@ def _identity(
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
-    """benchmark.json, None if it cannot be read; targets.csv; what is wrong with the small files, in lines.
+    """benchmark.json, None if unreadable; targets.csv; and the faults of the small files.
 
     Damaged files are still read if they can be, but their faults are not named a second time, except for the
     lines of targets.csv.
@@ -309,7 +309,7 @@ def _small_file_problems(
 
 
 def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Objects of recordings that are not there, so that their pairs could be compared with nothing."""
+    """Missing objects of recordings, without which pairs cannot be checked."""
     if metadata.benchmark_sha256_version is None:
         return  # earlier releases may have fewer files
     stated = metadata.settings.recordings or metadata.settings.views

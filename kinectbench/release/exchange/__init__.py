@@ -1,1 +1,1 @@
-"""Releases in the layouts of others."""
+"""Exchange of releases with other layouts."""

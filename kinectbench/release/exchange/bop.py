@@ -30,7 +30,7 @@ from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts
 from kinectbench.release.release import Release
 
 # The models that pose errors are computed with have fewer triangles: the toolkit's model type "eval" (5,000
-# vertices are an own choice; the data sets of BOP have some thousands). One object has one diameter, so
+# vertices are chosen here; the data sets of BOP have some thousands). One object has one diameter, so
 # that the info beside them is that of the whole models.
 MODELS, MODELS_EVAL, EVAL_TRIANGLES = "models", "models_eval", 10_000
 # Keys of scene_gt_info.json.
@@ -45,7 +45,7 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
   image's cube nobody knows (`unknown_share`, in the order of `images`).
 - `models_eval/` has the same models with at most 10,000 triangles, for the errors of poses.
 - Model frame: the floor's axes, z up, the origin in the middle of the model's box; millimetres.
-- Masks and scene_gt_info.json are by BOP's own rule (the model against the view's depth, 15 mm, missing depth
+- Masks and scene_gt_info.json are by BOP's rule (the model against the view's depth, 15 mm, missing depth
   counts as visible). The masks that the pairs were made with are in the release.
 - A scene without scene_gt.json has its truth held back.
 """
@@ -108,7 +108,7 @@ def _write_dataset_files(
     infos: dict[str, Any],
     camera: Camera | None,
 ) -> None:
-    """Write what belongs to all scenes."""
+    """Write the files common to all scenes."""
     if camera is None:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"
@@ -200,5 +200,5 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 
 
 def _unknown(release: Release, target: Target) -> float:
-    """Share of a pair's true shape that is not known, rounded."""
+    """Unknown share of a pair's true shape, rounded."""
     return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

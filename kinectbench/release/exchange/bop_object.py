@@ -157,7 +157,7 @@ def object_in_view(
 
 
 def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) -> tuple[Camera, int, int]:
-    """A camera whose image holds the whole object, at most three times the size; and where the own begins."""
+    """A camera whose image holds the whole object, at most three times the size; and its offset."""
     points_camera = transform_points(invert_rigid(T_world_camera), mesh.vertices)
     left, right, top, bottom = camera.width, camera.width, camera.height, camera.height
     if points_camera[:, 2].min() > 0:
@@ -181,7 +181,7 @@ def _margins(pixels: Float64, size: int) -> tuple[int, int]:
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """The box around a mask as BOP writes it: the first pixel, and the way from there to the last."""
+    """The box around a mask in BOP's form: first pixel, and distance to the last."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,

@@ -1,4 +1,4 @@
-"""What the layouts of others share: export.json, and the names of splits, categories and values in them."""
+"""Shared parts of layouts: export.json, and the names of splits, categories and values in it."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ SYNSETS = {
     "02691156": "plane",
 }
 NO_SYNSET = "00000000"
-# What a pair is called, and what it holds beside its grids.
+# A pair's name, and its values beside its grids.
 NAMES = ("recording", "object", "view", "category", "split")
 NUMBERS = ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule", "occupancy_rule")
 MATRICES = ("T_world_grid", "T_world_camera", "K")
@@ -37,7 +37,7 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 @contextmanager
 def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
-    """Yield an empty folder that takes `out`'s place when the block ends well.
+    """Yield an empty folder that replaces `out` if the block succeeds.
 
     Args:
         out: a new or an empty folder, or one that may be replaced.
@@ -56,7 +56,7 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, Any]) -> None:
-    """Write export.json: which release it is from, and what the exported files do not say."""
+    """Write export.json: the release, and facts that the exported files lack."""
     content = {
         "format_version": 1,
         "package_version": __version__,
@@ -76,7 +76,7 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
     """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<name>.npz`.
 
     Args:
-        kind: "25d", what is seen, or "3d", the full shape.
+        kind: "25d", the visible part, or "3d", the full shape.
         category: such as "chair".
         split: "train", "validation" or "test".
         views: their number in a group.
@@ -87,7 +87,7 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
 
 
 def pair_row(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
-    """What a pair is called, where its files are, and its numbers, texts and matrices, as JSON values.
+    """A pair's name, its files, and its numbers, texts and matrices, as JSON values.
 
     With the share of its true shape that is not known, where the truth is there.
     """

@@ -1,4 +1,4 @@
-"""The targets of a release as a Parquet table, for who has millions of them: typed, and read by columns.
+"""The targets of a release as a Parquet table, for millions of rows: typed, and read by columns.
 
 It is no file of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is installed.
 """

@@ -1,4 +1,4 @@
-"""Files of the paper's authors: a release as such files, which existing networks read unchanged, and back."""
+"""Export and import of the paper authors' files, which existing networks read unchanged."""
 
 import re
 from collections import Counter
@@ -72,7 +72,7 @@ Metres = Annotated[float, Field(ge=0)]
 
 
 class ExportedPair(Part):
-    """A row of export.json: what a pair is called, where its files are, and what they do not say."""
+    """A row of export.json: a pair's name, its files, and facts that they lack."""
 
     recording: Name
     object: Name
@@ -92,7 +92,7 @@ class ExportedPair(Part):
 
 
 class Exported(Stored):
-    """export.json of this layout; that of another has no pairs."""
+    """export.json of this layout; other layouts' have no pairs."""
 
     FILE: ClassVar[str] = EXPORT_JSON
     ERROR: ClassVar[type[KinectBenchError]] = PairError
@@ -105,7 +105,7 @@ class Exported(Stored):
 
 @dataclass(frozen=True)
 class Found:
-    """One pair of files: where it belongs, and what is known of it beyond its grids."""
+    """A pair of files: its place in the release, and facts beyond its grids."""
 
     target: Target
     file_25d: Path
@@ -114,7 +114,7 @@ class Found:
 
 
 def export_recgan(release: Release, out: Path, progress: Progress | None = None) -> int:
-    """Write every pair of a release as two files, what is seen (`25d`) and the full shape (`3d`).
+    """Write every pair of a release as two files, visible (`25d`) and full shape (`3d`).
 
     Nothing is cropped: their readers centre the grids in 256, so they stay where they are. `export.json`
     holds what the files do not: names and transforms. `known`, `seen` and `shell` are not exported.
@@ -180,21 +180,21 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
     content = Exported.read(folder) if exported.exists() else Exported()
     if content.pairs and views is not None:
         raise SettingsError(f"{exported}: a release that was exported has its own split; leave out --views")
-    found = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
-    if not found:
+    pairs = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
+    if not pairs:
         raise SettingsError(
             f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there", what="no-file"
         )
-    check_names([one.target for one in found], str(folder))
+    check_names([one.target for one in pairs], str(folder))
     with new_folder(out, BENCHMARK_JSON) as temporary:
         targets = []
-        for done, one in enumerate(found, start=1):
+        for done, one in enumerate(pairs, start=1):
             path = temporary / one.target.file
             write_below(path, pair_bytes(_pair(one, root)))
             targets.append(replace(one.target, sha256=sha256_file(path)))
             if progress:
-                progress(done, len(found))
-        first = found[0].values
+                progress(done, len(pairs))
+        first = pairs[0].values
         head = Head(
             content.name or _name(folder, views),
             content.license,
@@ -208,31 +208,31 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
 
 
 def _name(folder: Path, views: int | None) -> str:
-    """Of the release: the folder's, with the number of views that was chosen."""
+    """The release's name: that of the folder, with the number of views."""
     return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
-def _one_view_set(found: list[Found], folder: Path, views: int | None) -> list[Found]:
-    """The pairs with one number of views in test and validation: a mean over several would mean nothing."""
+def _one_view_set(pairs: list[Found], folder: Path, views: int | None) -> list[Found]:
+    """The pairs with one number of views in test and validation, since a mean over several is meaningless."""
 
     def number(one: Found) -> int:
         return int(one.target.recording.rpartition("-")[2])
 
-    there = sorted({number(one) for one in found if one.target.split == "test"})
-    if views is None and len(there) > 1:
-        numbers = " and ".join(map(str, there))
+    counts = sorted({number(one) for one in pairs if one.target.split == "test"})
+    if views is None and len(counts) > 1:
+        numbers = " and ".join(map(str, counts))
         raise SettingsError(
             f"{folder}: test pairs of {numbers} views, which the paper scores apart (125: the viewing angles "
-            f"of training; 216: others); import each into its own release, with --views {there[0]} for one"
+            f"of training; 216: others); import each into its own release, with --views {counts[0]} for one"
         )
-    if views is not None and views not in there:
-        raise SettingsError(f"{folder}: no test pairs of {views} views; there are {there or 'none'}")
-    return [one for one in found if views is None or one.target.split == "train" or number(one) == views]
+    if views is not None and views not in counts:
+        raise SettingsError(f"{folder}: no test pairs of {views} views; there are {counts or 'none'}")
+    return [one for one in pairs if views is None or one.target.split == "train" or number(one) == views]
 
 
 def _exported(folder: Path, content: Exported) -> list[Found]:
     """The pairs that export.json lists."""
-    found = []
+    pairs = []
     for row in content.pairs:
         names = {key: getattr(row, key) for key in NAMES}
         try:
@@ -240,8 +240,8 @@ def _exported(folder: Path, content: Exported) -> list[Found]:
         except ValueError as error:
             raise PairError(f"{folder / EXPORT_JSON}: {error}; export again") from error
         values = {key: getattr(row, key) for key in (*NUMBERS, *MATRICES)}
-        found.append(Found(_target(**names), files[0], files[1], values))
-    return found
+        pairs.append(Found(_target(**names), files[0], files[1], values))
+    return pairs
 
 
 def _theirs(folder: Path) -> list[Found]:
@@ -253,14 +253,14 @@ def _theirs(folder: Path) -> list[Found]:
             raise PairError(f"{path}: not named <model>_<roll>_<pitch>_<yaw>.npz in a folder of the layout")
         rows.append((match[2], match[3], match[5], match[4], tuple(map(int, match.group(6, 7, 8))), path))
     counts: dict[str, int] = {}
-    found = []
+    pairs = []
     for category, split, model, views, _, path in sorted(rows):
         recording = f"{model}-{views}"
         view = counts[recording] = counts.get(recording, -1) + 1
         target = _target(recording, model, f"{view:03d}", SYNSETS.get(category, category), SPLITS[split])
         counterpart = path.parents[1] / path.parent.name.replace("_25d_", "_3d_") / path.name
-        found.append(Found(target, path, counterpart, {}))
-    return found
+        pairs.append(Found(target, path, counterpart, {}))
+    return pairs
 
 
 def _target(recording: str, object: str, view: str, category: str, split: str) -> Target:
@@ -268,18 +268,18 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
 
 
 def _refuse_link_out(path: Path, root: Path) -> None:
-    """What is read is published, and a link could lead to any file of whoever imports the folder."""
+    """Refuse links that lead out: an import publishes what it reads, and they could reach any file."""
     if not lies_below(path, root):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
 
 
-def _pair(found: Found, root: Path) -> Pair:
-    """A pair of two files in a folder; what they do not say is filled in as the card tells."""
-    for path in (found.file_25d, found.file_3d):
+def _pair(files: Found, root: Path) -> Pair:
+    """A pair of two files in a folder; other facts have the defaults that the card names."""
+    for path in (files.file_25d, files.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():
             raise PairError(f"{path}: missing; every file of 25d needs its counterpart of 3d")
-    seen, full = read_recgan_file(found.file_25d), pack(read_recgan_file(found.file_3d))
+    seen, full = read_recgan_file(files.file_25d), pack(read_recgan_file(files.file_3d))
     unknown: dict[str, Any] = {
         "T_world_grid": np.eye(4),
         "T_world_camera": np.eye(4),
@@ -290,7 +290,7 @@ def _pair(found: Found, root: Path) -> Pair:
         "partial_rule": "any",
         "occupancy_rule": "six-rays",
     }
-    values = unknown | found.values
+    values = unknown | files.values
     return Pair(
         partial=pack(reduce_blocks(seen, values["partial_rule"])),
         partial_256=pack(seen),
@@ -303,7 +303,7 @@ def _pair(found: Found, root: Path) -> Pair:
 
 
 def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
-    """What benchmark.json says of each recording."""
+    """The facts about each recording for benchmark.json."""
     recordings = {target.recording: target for target in targets}
     counts = Counter(target.recording for target in targets)
     return {

@@ -30,7 +30,7 @@ from kinectbench.release import view_images
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release
 
-# What camera.json says of the colour of a view.
+# Values of `color` in camera.json.
 REGISTERED = "on the pixels of depth"
 UNREGISTERED = "none: the recording's colour is not registered to its depth"
 HOW_TO_PUBLISH = (
@@ -41,14 +41,14 @@ UNPUBLISHED = "none: the release has no colour of this view"
 
 @dataclass(frozen=True)
 class RgbdView:
-    """What a method may look at of one view.
+    """The input of a method for one view.
 
     Attributes:
         target: its pair.
         depth_mm: (height, width) uint16, millimetres along z, 0 where nothing was measured.
         mask: (height, width) bool, the object.
         color: (height, width, 3) uint8 RGB on the pixels of depth; None where there is none.
-        color_words: what is said of it.
+        color_words: its description.
         K: (3, 3) intrinsics, pixels; pixel centres are integers.
         T_world_camera: (4, 4), camera (x right, y down, z forward) to world, metres.
     """
@@ -69,12 +69,12 @@ class RgbdView:
 
     @property
     def depth_m(self) -> Float32:
-        """(height, width) float32, metres, 0 where nothing was measured."""
+        """(height, width) float32, metres, 0 without a measurement."""
         return self.depth_mm.astype(np.float32) / np.float32(view_images.MM_PER_M)
 
     @cached_property
     def pointmap_m(self) -> Float32:
-        """(height, width, 3) float32, camera frame, metres, NaN where nothing was measured."""
+        """(height, width, 3) float32, camera frame, metres, NaN without a measurement."""
         points = self.camera.backproject(self.depth_mm / view_images.MM_PER_M).astype(np.float32)
         points[self.depth_mm == 0] = np.nan
         return points
@@ -97,8 +97,8 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     rows, columns = np.nonzero(view.mask)
     spots = np.array([columns, rows]) if len(rows) else np.zeros((2, 1), int)
     step = int(np.ceil(((np.ptp(spots, axis=1) + 1) / size).max()))
-    there = np.array(view.depth_mm.shape[::-1])
-    extent = -(-there // step)
+    size_px = np.array(view.depth_mm.shape[::-1])
+    extent = -(-size_px // step)
     middle = (spots.min(axis=1) + spots.max(axis=1)) // (2 * step)
     # Of a larger image a part, of a smaller one all: in its middle.
     first = np.where(
@@ -171,7 +171,7 @@ def export_rgbd(
         reads_color: whether the method looks at colour, so that views without it are named.
 
     Returns:
-        The number of views, and lines on what is not as a reader would expect: colour, and what is cut.
+        The number of views, and notes on missing colour and cut points.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -211,7 +211,7 @@ def _write(
 
 
 def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
-    """Write rgb.png where there is colour, depth.png, depth_m.npy, pointmap_cv.npy and mask.png."""
+    """Write rgb.png if there is colour, depth.png, depth_m.npy, pointmap_cv.npy and mask.png."""
     write_color(view, folder)
     write_png(folder / "depth.png", view.depth_mm)
     np.save(folder / "depth_m.npy", view.depth_m)
@@ -221,7 +221,7 @@ def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
 
 
 def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
-    """Write the colour of a view, if there is any."""
+    """Write the colour of a view, if any."""
     if view.color is not None:
         write_png(folder / name, view.color[..., ::-1])
 
@@ -237,7 +237,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
 
 
 def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
-    """A line on what the method's volume cuts; none if it cuts nothing, or has no volume."""
+    """A line about points outside the method's volume; none if all are inside or it has none."""
     shares = [one.cut_share for one in stated if one.cut_share is not None]
     if not any(shares):
         return []
@@ -248,7 +248,7 @@ def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
 
 
 def read_view(release: Release, target: Target) -> RgbdView:
-    """What a method may look at of one view.
+    """Read the input of a method for one view.
 
     Raises:
         ReleaseError: the release has no such images, or a file is damaged or not the published one.

@@ -1,4 +1,4 @@
-"""A release as WebDataset shards: tar files that training reads from beginning to end.
+"""A release as WebDataset shards: tar files that training reads sequentially.
 
 `kinectbench.decode_sample` (scoring/shards.py) reads the samples back.
 """
@@ -66,7 +66,7 @@ def export_webdataset(
 
 
 def sample_key(target: Target) -> str:
-    """What a pair is called in a shard."""
+    """The key of a pair in a shard."""
     return f"{target.recording.replace('.', '-')}_{target.view}"
 
 
@@ -90,7 +90,7 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
 
 
 def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
-    """A pair, or its input where its truth is held back; of what it holds everything is checked."""
+    """A checked pair, or its checked input if its truth is held back."""
     values = pair_values(content, target.file)
     if target.split in release.metadata.held_back:
         return checked_pair(PairInput, values, target.file)
@@ -98,7 +98,7 @@ def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
 
 
 def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:
-    """Add a file whose owner and time are nobody's."""
+    """Add a file with neutral owner and time."""
     entry = tarfile.TarInfo(name)
     entry.size, entry.mode = len(content), 0o644
     shard.addfile(entry, io.BytesIO(content))

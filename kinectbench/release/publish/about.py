@@ -1,4 +1,4 @@
-"""What croissant.json and datacite.json say of a release, each in its own words; and the day of a release."""
+"""The content of croissant.json and datacite.json, and the date of a release."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ NS_PER_S = 10**9
 
 @dataclass(frozen=True)
 class About:
-    """What is to be said of a release.
+    """The description of a release.
 
     Attributes:
         name: of the benchmark.
@@ -27,7 +27,7 @@ class About:
         citation: how it is cited.
         date: the day of its publication, year-month-day.
         answers: what only a person can tell.
-        warnings: what is wrong with it, one line each.
+        warnings: its faults, one line each.
         color: whether its colour images are published.
         recorded: whether it was made of recordings, and not of models.
     """
@@ -44,7 +44,7 @@ class About:
 
 
 def day_of(citation: CitationSettings, folder: Path) -> str:
-    """The day of a release, year-month-day; no clock is asked, for the same build gives the same bytes.
+    """The date of a release, year-month-day; it does not use the clock, so that bytes are reproducible.
 
     As stated (`date_released`), else that of the last frame that lineage.json names, for no data is older
     than its frames; where their stamps are no times of a day, the day that archives have.
@@ -67,13 +67,13 @@ def day_of(citation: CitationSettings, folder: Path) -> str:
 
 
 def responsible_use(about: About) -> Mapping[str, str | list[str]]:
-    """Croissant's fields for responsible AI, without their prefix; what nobody told is left out."""
+    """Croissant's fields for responsible AI, without their prefix; fields that nobody gave are left out."""
     answers = about.answers
     people = [answers.consent] if answers.consent else []
     if about.recorded:
         shown = "published" if about.color else "not published"
         people.append(f"Colour images are {shown}; privacy.json says what was looked for and removed.")
-    told: dict[str, str | list[str] | None] = {
+    fields: dict[str, str | list[str] | None] = {
         "dataCollection": answers.collection,
         "dataCollectionType": ["Direct measurement" if about.recorded else "Software collection"],
         "dataCollectionMissingData": (
@@ -96,4 +96,4 @@ def responsible_use(about: About) -> Mapping[str, str | list[str]]:
         "personalSensitiveInformation": people or None,
         "dataReleaseMaintenancePlan": answers.maintenance,
     }
-    return {key: value for key, value in told.items() if value}
+    return {key: value for key, value in fields.items() if value}

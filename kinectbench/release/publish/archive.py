@@ -1,4 +1,4 @@
-"""Deterministic archives of a release: the same folder gives the same bytes, whenever and wherever."""
+"""Deterministic archives of a release: the same folder always gives the same bytes."""
 
 import shutil
 import zipfile
@@ -30,7 +30,7 @@ def archive_stem(info: ReleaseInfo) -> str:
 
 
 def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> None:
-    """Refuse archives of what must not be given away, before anything is built.
+    """Refuse archives of a release that must not be distributed, before anything is built.
 
     Args:
         settings: the benchmark's.

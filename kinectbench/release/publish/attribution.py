@@ -31,7 +31,7 @@ HUGGING_FACE = {
 def reasons_against_distribution(
     recordings: Mapping[str, RecordingInfo | RecordingSettings],
 ) -> tuple[str, ...]:
-    """Why the data must not be given away, one line each; empty if it may.
+    """Why the data must not be distributed, one line each; empty if it may be.
 
     Args:
         recordings: by id, each with its licence and source.
@@ -49,24 +49,24 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """The licence of all recordings if they have the same one, else `otherwise`."""
+    """The common licence of all recordings, or `otherwise` if they differ."""
     licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
 
 def license_url(license: str) -> str | None:
-    """Where the text of a licence with an SPDX identifier is; None for other words."""
+    """The URL of a licence with an SPDX identifier; None for other texts."""
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
 
 
 def markdown(text: str) -> str:
-    """A text of others as a line of Markdown that only shows it: no tag, link or cell begins in it."""
+    """An untrusted text as a line of Markdown without tags, links or cells."""
     line = " ".join(text.split()).replace("<", "&lt;")
     return re.sub(r"[\\[|]", r"\\\g<0>", line)
 
 
 def without_tags(text: str) -> str:
-    """A text of its author's own Markdown, in which no HTML begins."""
+    """An author's Markdown text without HTML."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
 
 
@@ -76,7 +76,7 @@ def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo
     Args:
         name: of the benchmark.
         license: of the benchmark.
-        recordings: what benchmark.json says of them, by id.
+        recordings: entries of benchmark.json, by id.
     """
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
@@ -95,7 +95,7 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
     """CITATION.cff (Citation File Format 1.2.0) of a dataset.
 
     Args:
-        citation: the benchmark's; its name stands for what is not said.
+        citation: the benchmark's; its name replaces missing fields.
         name: of the benchmark.
         license: left out where it is no SPDX identifier, as the format asks for.
     """
@@ -119,12 +119,12 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
 
 
 def authors(citation: CitationSettings, name: str) -> list[str]:
-    """The authors, or words for those of a benchmark that does not name them."""
+    """The authors, or a substitute if the benchmark names none."""
     return citation.authors or [f"The makers of {name}"]
 
 
 def citation_line(citation: CitationSettings, name: str) -> str:
-    """One line that cites the release."""
+    """A citation of the release in one line."""
     parts = [", ".join(authors(citation, name))]
     if citation.date_released:
         parts[0] += f" ({citation.date_released[:4]})"
@@ -154,6 +154,6 @@ def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
 
 
 def _author(author: str) -> dict[str, str]:
-    """`Family, Given` is a person, anything else a group."""
+    """`Family, Given` is a person, other names are groups."""
     family, comma, given = author.partition(", ")
     return {"family-names": family, "given-names": given} if comma else {"name": author}

@@ -1,4 +1,4 @@
-"""What a release says to people: the card README.md, and READING.md, which reads it without this package."""
+"""Texts of a release: the card README.md, and READING.md, which reads it without this package."""
 
 import re
 from collections import Counter
@@ -20,7 +20,7 @@ from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
 from kinectbench.release.publish.isolate import isolated_line
 
-# Key of quality.json -> what it is called, how it is written, factor.
+# Key of quality.json -> label, format, factor.
 QUALITY = {
     "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
     "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
@@ -35,7 +35,7 @@ QUALITY = {
 PASSED_OVER = (
     "Passed over: frames that did not do as a view, for which others were tried, and views without a pair."
 )
-# What is no figure: the word of a person.
+# Entries that are a person's statement.
 UNDERSIDE = "underside, as stated"
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
 TRUTH_LINES = """\
@@ -50,7 +50,7 @@ NO_TRUTH = "# No pair of this part has its truth."
 
 
 def quality_words(quality: QualityFile) -> dict[str, str]:
-    """What each known figure is called → its value with its unit, in a fixed order; last what a person says.
+    """Label of each known figure → value with unit, in a fixed order; last a person's statements.
 
     Args:
         quality: quality.json; without a figure where it is held back or the pairs come from elsewhere.
@@ -67,17 +67,17 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
-    """By whose word undersides are closed or open, in one line; empty if no recording is known to say.
+    """Who stated that undersides are closed or open, in one line; empty without a statement.
 
     Args:
         recordings: by id; held-back ones have no quality, and synthetic ones no word.
     """
-    said = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
-    if not said:
+    by_word = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
+    if not by_word:
         return ""
-    counts = ", ".join(f"{word} {said[word]}" for word in get_args(Underside))
-    line = f"Underside, as stated of {said.total()} recording{'s' * (said.total() > 1)}: {counts}."
-    if said["closed"]:
+    counts = ", ".join(f"{word} {by_word[word]}" for word in get_args(Underside))
+    line = f"Underside, as stated of {by_word.total()} recording{'s' * (by_word.total() > 1)}: {counts}."
+    if by_word["closed"]:
         line += (
             " `closed` (no space behind the underside that is open to the air) is the word of whoever "
             "recorded it, no measurement, and the ground truth rests on it: what could be seen from below "
@@ -88,11 +88,11 @@ def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
 
 @dataclass(frozen=True)
 class CardTexts:
-    """What a card says that depends on where the pairs come from.
+    """The texts of a card that depend on the origin of the pairs.
 
     Attributes:
         source: end of the first sentence: "A benchmark for ... shape completion from".
-        beside: what the folders beside `pairs/` hold.
+        beside: the content of the folders beside `pairs/`.
         origin: source of a recording that states none; empty: it has to.
         pictured: whether previews/ has a picture of each pair.
     """
@@ -182,7 +182,7 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: 
 
 
 def _notice(info: ReleaseInfo) -> str:
-    """What must be known before anything else; empty for a complete release that may be given away."""
+    """The notice at the top of the card; empty for a complete release that may be distributed."""
     lines = []
     if info.distribution is not None and not info.distribution.allowed:
         lines += ["**Not for distribution.**", *(f"- {reason}" for reason in info.distribution.reasons), ""]
@@ -240,7 +240,7 @@ def _median(values: Sequence[float | None]) -> float | None:
 
 
 def figures(info: ReleaseInfo) -> str:
-    """Pairs, refused views and figures of each recording's quality.json, and whose word undersides are."""
+    """Pairs, refused views and figures of each recording's quality.json, and the source of undersides."""
     words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
     every = [*(label for label, _, _ in QUALITY.values()), UNDERSIDE]
     labels = [label for label in every if any(label in row for row in words.values())]
@@ -254,7 +254,7 @@ def figures(info: ReleaseInfo) -> str:
 
 
 def flow_section(info: ReleaseInfo) -> str:
-    """How many recordings were tried, at which step how many were left out, and why; empty without any."""
+    """The number of recordings tried, and left out at each step with the reason; empty without figures."""
     flow = info.flow
     if flow is None:
         return ""
@@ -298,11 +298,11 @@ def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def reading(targets: Sequence[Target], held_back: Sequence[str]) -> str:
-    """The page as Markdown; its example is the first pair that has its truth, if there is one.
+    """The page as Markdown; its example is the first pair with truth, if there is one.
 
     Args:
         targets: every pair.
-        held_back: splits of which only the inputs are there.
+        held_back: splits with published inputs only.
     """
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))

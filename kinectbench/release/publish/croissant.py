@@ -17,7 +17,7 @@ NPZ = "application/x-npz"
 TYPES |= {".md": "text/markdown", ".cff": "application/yaml"}
 PAIR_FILES, VIEW_LISTS = "pair-files", "view-lists"
 FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
-    # Readers that know no npz, mlcroissant for one, give the bytes of what is called plain, too.
+    # Readers that know no npz, mlcroissant for one, give the bytes of plain files, too.
     PAIR_FILES: ("pairs/*/*.npz", [NPZ, "text/plain"], "the pairs: npz files of bit-packed grids"),
     "depth-images": ("views/*/*.depth.png", "image/png", "depth of each view, uint16 millimetres, 0 = none"),
     "masks": ("views/*/*.mask.png", "image/png", "255 = the object, in the pixels of depth"),
@@ -35,8 +35,8 @@ def croissant(about: About, folder: Path) -> dict[str, Any]:
     """Content of croissant.json.
 
     Args:
-        about: what is to be said of the release.
-        folder: the release, complete but for what holds hashes or describes it.
+        about: the description of the release.
+        folder: the release, complete except for what holds hashes or describes it.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
@@ -83,7 +83,7 @@ def _file_objects(folder: Path) -> list[dict[str, Any]]:
 
 
 def _file_sets(folder: Path) -> list[dict[str, Any]]:
-    """The files in folders, by pattern; only where there are any."""
+    """Sets of files in folders, by pattern, if any exist."""
     return [
         {
             "@type": "cr:FileSet",

@@ -26,14 +26,14 @@ def publish_if_stale(
     wait: bool = True,
     waiting: Callable[[str], None] | None = None,
 ) -> PublishSummary:
-    """Publish `build/` as `benchmark/`, unless that is what lies there already.
+    """Publish `build/` as `benchmark/`, unless the same release is there already.
 
     Args:
         settings: the benchmark's.
         root: the folder of benchmark.yaml.
         recordings: ids of those built without failure.
-        force: publish anew in any case.
-        options: what is asked for beyond the settings; None: what was asked for last time.
+        force: publish again in any case.
+        options: options beyond the settings; None: those of the last time.
         wait: whether to wait for another run in this benchmark.
         waiting: called with who holds it, before waiting.
 
@@ -69,7 +69,7 @@ def publish_if_stale(
 def already_published(
     settings: BenchmarkSettings, root: Path, recordings: Sequence[str], options: PublishOptions | None
 ) -> PublishSummary | None:
-    """What `publish_if_stale` would find to be current; None if it would publish."""
+    """The current release that `publish_if_stale` would find; None if it would publish."""
     build, out = root / "build", root / "benchmark"
     stamp = _stamp(build)
     asked = options or (stamp.options if stamp else NO_OPTIONS)
@@ -105,7 +105,7 @@ def _fingerprint(
 
 
 def _stamp(build: Path) -> PublishStamp | None:
-    """What was published last; None if nothing was, or nobody knows."""
+    """The last publication; None if there was none or its record is unreadable."""
     try:
         return PublishStamp.read_if_there(build)
     except ReleaseError:
@@ -113,14 +113,14 @@ def _stamp(build: Path) -> PublishStamp | None:
 
 
 def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
-    """What lies in `out`, if it is what the stamp says and the stamp is what is wanted."""
+    """The release in `out`, if it is that of the stamp and matches the request."""
     if stamp is None or stamp.fingerprint != wanted:
         return None
     private = out.with_name(out.name + PRIVATE) if stamp.private_sha256 else None
     parts = {out: stamp.benchmark_sha256} | ({private: stamp.private_sha256} if private else {})
     try:
-        there = all(ReleaseInfo.read(part).benchmark_sha256 == sha256 for part, sha256 in parts.items())
+        is_there = all(ReleaseInfo.read(part).benchmark_sha256 == sha256 for part, sha256 in parts.items())
     except ReleaseError:
         return None
     facts = {key: fact for key, fact in vars(stamp).items() if key not in ("fingerprint", "options")}
-    return PublishSummary(folder=out, private=private, **facts) if there else None
+    return PublishSummary(folder=out, private=private, **facts) if is_there else None

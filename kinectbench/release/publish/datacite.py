@@ -48,7 +48,7 @@ def _rights(license: str) -> dict[str, str]:
 
 
 def _creator(author: str) -> dict[str, str]:
-    """`Family, Given` is a person, anything else a group."""
+    """`Family, Given` is a person, other names are groups."""
     family, comma, given = author.partition(", ")
     if not comma:
         return {"name": author, "nameType": "Organizational"}

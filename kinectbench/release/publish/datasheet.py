@@ -1,4 +1,4 @@
-"""datasheet.md: what the data is for, how it was made, and what is known to be wrong with it."""
+"""datasheet.md: purpose, making and known faults of the data."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ from kinectbench.settings.models import BenchmarkSettings
 
 TEMPLATE = Path(__file__).with_name("datasheet.md")
 NOT_STATED = "Not stated."
-# Key of quality.json -> what it says, unit, factor.
+# Key of quality.json -> label, unit, factor.
 FIGURES = {
     "estimated_iou": ("estimated IoU of the solid to the unknown truth", "", 1.0),
     "estimated_iou_low": (INTERVAL_LOW, "", 1.0),
@@ -37,7 +37,7 @@ FIGURES = {
 
 
 def unanswered(settings: BenchmarkSettings) -> list[str]:
-    """The questions of the datasheet that nobody has answered, by key."""
+    """The unanswered questions of the datasheet, by key."""
     return [key for key, value in settings.publish.datasheet.model_dump().items() if not value]
 
 
@@ -58,11 +58,11 @@ def datasheet(
         infos: by recording; held-back ones have no quality.
         color: "left out", "published" or "none".
         warnings: of the release.
-        held_back: splits of which only the inputs are there.
-        isolated: recordings of which one view is published.
+        held_back: splits with published inputs only.
+        isolated: recordings with a single published view.
     """
-    said = settings.publish.datasheet.model_dump()
-    answers = {key: without_tags(value or NOT_STATED) for key, value in said.items()}
+    given = settings.publish.datasheet.model_dump()
+    answers = {key: without_tags(value or NOT_STATED) for key, value in given.items()}
     refused = sum(info.refused for info in infos.values())
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         answers,
@@ -99,7 +99,7 @@ def datasheet(
 
 
 def _sources(infos: Mapping[str, RecordingInfo]) -> str:
-    """Where the recordings are from."""
+    """The sources of the recordings."""
     by_source: dict[str, list[str]] = {}
     for name, info in sorted(infos.items()):
         by_source.setdefault(markdown(info.source), []).append(name)
@@ -107,11 +107,11 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Median and range of what was measured, one line each; and by whose word undersides are closed."""
+    """Median and range of the figures, one line each; and who declared undersides closed."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
-        found = [getattr(info.quality, key) for info in infos.values()]
-        values = [factor * value for value in found if value is not None]
+        of_key = [getattr(info.quality, key) for info in infos.values()]
+        values = [factor * value for value in of_key if value is not None]
         if values:
             low, middle, high = (f"{value:.3g}" for value in (min(values), median(values), max(values)))
             spread = f" ({low} to {high})" if len(values) > 1 else ""

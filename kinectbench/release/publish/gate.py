@@ -1,7 +1,7 @@
-"""Which recordings are published: what the rules of triage decide, or a person.
+"""Which recordings are published, by the rules of triage or a person's decision.
 
 `recordings[].review` accepts or rejects one recording with a reason, and `publish --allow-poor` lets all pass
-that were built; a release says of each that was tried what became of it, and why.
+that were built; a release states the outcome of each, with the reason.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -15,8 +15,8 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 ALLOWED = "--allow-poor"
 REJECTED = "rejected by review: "
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
-# What is said in place of figures and a person's reason, which tell of a truth that is held back.
-NOT_TOLD = "why is held back, as its truth is"
+# Replaces figures and a person's reason that would reveal held-back truth.
+WITHHELD = "why is held back, as its truth is"
 # Where no recording can be published, the reasons of so many are named.
 SHOWN_REASONS = 4
 WITHOUT_PAIR = "not a single view passed the checks of the pairs"
@@ -30,23 +30,23 @@ def first_lines(lines: Sequence[str]) -> str:
 
 
 def left_out_line(name: str, why: str) -> str:
-    """How the card says that a recording is left out; advice may follow."""
+    """The card's line about a recording that is left out; may end with advice."""
     return f"{name} is left out: {why}"
 
 
 def poor_line(name: str, limits: Sequence[str], why: str) -> str:
-    """How the card says that a recording is published though it does not keep some limits."""
+    """The card's line about a published recording that violates some limits."""
     return f"{name} is published all the same ({why}): {'; '.join(limits)}"
 
 
 def look_line(name: str, look: Sequence[str]) -> str:
-    """How the card says that a person should look at a recording, and nobody has."""
+    """The card's line about a recording that a person should review."""
     return f"{name} is published, and a person should look at it: {'; '.join(look)}"
 
 
 @dataclass(frozen=True)
 class Gate:
-    """What becomes of some recordings.
+    """The decisions on some recordings.
 
     Attributes:
         published: ids, in the order given.
@@ -54,7 +54,7 @@ class Gate:
         refused: id -> limits that it does not keep.
         rejected: id -> a person's reason to leave it out.
         failed: id -> why its build failed.
-        look: id of some of those published -> what a person should look at, and nobody has.
+        look: id of published recordings -> reasons for a review that is still missing.
         not_built: how many of the benchmark are not built, or not asked for.
         without_pair: ids of those that would be published, and have no pair.
         of_one_object: ids of those whose object another recording shows, by `--isolate`.
@@ -83,38 +83,38 @@ class Gate:
 
     @property
     def flow(self) -> Flow:
-        """How many recordings were tried, and what became of them."""
-        there = set(self.published) - set(self.left_out)
+        """The number of recordings tried, and their outcomes."""
+        in_release = set(self.published) - set(self.left_out)
         return Flow(
-            tried=len(there) + len(self.left_out) + self.not_built,
+            tried=len(in_release) + len(self.left_out) + self.not_built,
             not_built=self.not_built,
             failed=len(self.failed),
             rejected=len(self.rejected),
             below_limits=len(self.refused),
             without_pair=len(self.without_pair),
             of_one_object=len(self.of_one_object),
-            published=len(there),
-            poor=len(there & self.poor.keys()),
-            look=len(there & self.look.keys()),
+            published=len(in_release),
+            poor=len(in_release & self.poor.keys()),
+            look=len(in_release & self.look.keys()),
         )
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
-        """The same without the figures and reasons of some recordings, whose truth is held back."""
-        poor = {name: ((NOT_TOLD,), NOT_TOLD) if name in hidden else it for name, it in self.poor.items()}
-        refused = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.refused.items()}
-        rejected = {name: NOT_TOLD if name in hidden else it for name, it in self.rejected.items()}
-        failed = {name: NOT_TOLD if name in hidden else it for name, it in self.failed.items()}
-        look = {name: (NOT_TOLD,) if name in hidden else it for name, it in self.look.items()}
+        """A copy without figures and reasons of recordings with held-back truth."""
+        poor = {name: ((WITHHELD,), WITHHELD) if name in hidden else it for name, it in self.poor.items()}
+        refused = {name: (WITHHELD,) if name in hidden else it for name, it in self.refused.items()}
+        rejected = {name: WITHHELD if name in hidden else it for name, it in self.rejected.items()}
+        failed = {name: WITHHELD if name in hidden else it for name, it in self.failed.items()}
+        look = {name: (WITHHELD,) if name in hidden else it for name, it in self.look.items()}
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """The same with each line about what was built as `say` writes it."""
+        """A copy in which `say` rewrites each line about the build."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """The same, knowing which recordings have a pair: the others are not published, however good."""
+        """A copy that leaves out recordings without a pair, whatever their quality."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
@@ -131,7 +131,7 @@ class Gate:
             yield f"{left_out_line(name, why)}{ADVICE if name in self.refused else ''}"
 
     def lines(self) -> Iterator[str]:
-        """What the card says: how many are left out, why, and which are published though they are poor."""
+        """The card's lines: the number left out, with reasons, and published poor recordings."""
         if count := len(self.left_out):
             yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
         yield from self.reasons()

@@ -1,4 +1,4 @@
-"""What a public part shows of recordings whose truth is held back."""
+"""The public files of recordings whose truth is held back."""
 
 import numpy as np
 

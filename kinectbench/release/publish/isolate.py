@@ -1,4 +1,4 @@
-"""`publish --isolate`: of each object whose truth is held back one view, and nothing else that tells of it.
+"""`publish --isolate`: one view of each object with held-back truth, and nothing else that reveals it.
 
 Views of one object can be registered with each other, and together they are its shape. What the other views
 show of the object, or of where this one was taken, is not published with it either: the floor, the pose,
@@ -29,7 +29,7 @@ from kinectbench.settings.words import listed
 Row = TypeVar("Row", PairRow, ViewRow)
 # Every isolated view has this name: the one it had says which in the order of the sampling it was.
 VIEW = "000"
-# What is said of the recording of an isolated view.
+# Published keys of the recording of an isolated view.
 SETTINGS_KEYS = ("id", "object", "category", "split", "license", "source")
 # Of the colour image, which is encoded again. Chosen by hand.
 JPEG_QUALITY = 95
@@ -37,7 +37,7 @@ JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class Isolated:
-    """What `--isolate` publishes of the recordings whose truth is held back.
+    """What `--isolate` publishes of the recordings with held-back truth.
 
     Attributes:
         views: recording -> its one view, as the build names it.
@@ -48,7 +48,7 @@ class Isolated:
     left_out: tuple[str, ...] = ()
 
     def lines(self) -> Iterator[str]:
-        """Lines for whoever publishes: what was left out."""
+        """Lines for the publisher: what was left out."""
         if self.left_out:
             yield (
                 f"--isolate: {listed(self.left_out)} left out: one view of an object is published, which is "
@@ -70,7 +70,7 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 
 
 def drawn(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
-    """Draw one view of each object, of all of its recordings, each with the same chance.
+    """Choose one view of each object, over all of its recordings, with equal probability.
 
     The draw is SHA-256 of `views.seed` and the object's name, so that other objects do not change it.
 
@@ -84,10 +84,10 @@ def drawn(settings: BenchmarkSettings, build: Path, recordings: Collection[str])
         views = sorted(row.view for row in PairsFile.read(build / name / "pairs").pairs)
         candidates.setdefault(by_id[name].object_name, []).extend((name, view) for view in views)
     chosen = dict[str, str]()
-    for thing, found in candidates.items():
-        if found:
+    for thing, of_thing in candidates.items():
+        if of_thing:
             number = int.from_bytes(sha256(f"{settings.views.seed} {thing}".encode()).digest())
-            recording, view = found[number % len(found)]
+            recording, view = of_thing[number % len(of_thing)]
             chosen[recording] = view
     return Isolated(chosen, tuple(name for name in sorted(recordings) if name not in chosen))
 
@@ -98,7 +98,7 @@ def only_view(rows: Sequence[Row], view: str) -> tuple[Row, ...]:
 
 
 def isolated_view(view: PosedView) -> PosedView:
-    """The view of the object alone: no depth beside the mask, and no mask where there is no depth.
+    """The view of the object alone: no depth outside the mask, and no mask without depth.
 
     The mask of a view also has what has no depth of the object as it was rebuilt of all views.
     """
@@ -107,7 +107,7 @@ def isolated_view(view: PosedView) -> PosedView:
 
 
 def isolated_input(pair: Pair, view: PosedView) -> PairInput:
-    """The input of a pair in the camera's frame; `seen` is what the isolated view has seen.
+    """The input of a pair in the camera's frame; `seen` is from the isolated view alone.
 
     Args:
         pair: complete, of framing `view`.
@@ -142,7 +142,7 @@ def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> 
 
 
 def isolated_line(isolated: Sequence[str]) -> str:
-    """What card and datasheet say of the isolated recordings."""
+    """The line of card and datasheet about the isolated recordings."""
     return (
         f"Of each object whose truth is held back one view is published, named {VIEW}. It is drawn by "
         "`views.seed`, and shows the object without its background. Its cube is fitted to it alone. Nothing "

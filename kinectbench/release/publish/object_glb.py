@@ -1,4 +1,4 @@
-"""`objects/<recording>.glb`: an object as viewers show it, small enough for a page; mesh.ply is the truth.
+"""`objects/<recording>.glb`: a small version of an object for viewers; mesh.ply is the truth.
 
 glTF 2.0 in its binary form, by trimesh: metres, y up, the floor at y = 0. Where mesh.ply has more triangles
 than a viewer needs, they are fewer here, and the file says how far its surface is from that of mesh.ply.
@@ -26,12 +26,12 @@ T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 
 MM_PER_M = 1000
 # Vertices whose distance is measured; of 60,000 triangles all of them took half the file's time.
 MEASURED = 5000
-# Of what the file says in words: matrices, and thousandths of a millimetre.
+# Decimals of texts in the file: matrices, and thousandths of a millimetre.
 MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
 def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
-    """Write the GLB of each recording whose mesh lies in a release's folder: of what is held back none does.
+    """Write the GLB of each recording with a mesh in a release's folder; held-back ones have none.
 
     Args:
         folder: of the release.

@@ -54,7 +54,7 @@ def write_preview(
     build: Path | None = None,
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write index.html of a release whose pairs and views are there already; nothing of the isolated ones.
+    """Write index.html of a release whose pairs and views exist; without isolated ones.
 
     Objects have the colours of the scene in `build`, if colour is published.
 
@@ -71,7 +71,7 @@ def write_preview(
         _part(folder, scenes, name, infos[name], of_recording[name], infos[name].split in held_back, views)
         for name in names
     ]
-    told = warnings[:MOST_WARNINGS] if large else warnings
+    warnings_shown = warnings[:MOST_WARNINGS] if large else warnings
     counts = [(split, sum(target.split == split for target in targets)) for split in SPLITS]
     shown = {
         "settings": settings,
@@ -80,8 +80,8 @@ def write_preview(
         "parts": parts,
         "counts": [(split, count) for split, count in counts if count],
         "pairs": len(targets),
-        "warnings": told,
-        "more_warnings": len(warnings) - len(told),
+        "warnings": warnings_shown,
+        "more_warnings": len(warnings) - len(warnings_shown),
         "held_back": ", ".join(held_back),
         "isolated": listed(isolated),
         "frames": FRAMES,
@@ -119,7 +119,7 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, Any]:
-    """One recording as the page shows it, by so many of its pairs, spread evenly."""
+    """One recording on the page, with this many of its pairs, evenly spread."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
@@ -132,7 +132,7 @@ def _part(
 
 
 def _turntable(objects: Path, built: Path | None) -> str | None:
-    """The object from all around, as a `data:` address; None of one that is held back or has no surface."""
+    """Pictures of the object from all around, as a `data:` address; None if held back or without surface."""
     if not (objects / OBJECT_FILES[0]).is_file():
         return None
     mesh = read_own_ply(objects / OBJECT_FILES[0])
@@ -144,7 +144,7 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
-    """Captions and `data:` addresses: depth with the mask, what was seen, the truth where it is published."""
+    """Captions and `data:` addresses: depth with the mask, visible shape, and the truth if published."""
     pair = (read_input if held_back else read_pair)(folder / target.file)
     # The input as it is, each of its cells as 4 x 4 pixels.
     partial = unpack(pair.partial)
@@ -172,19 +172,19 @@ def _png(picture: NDArray[np.uint8]) -> str:
 
 
 def seen_from_the_front(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """A grid (x right, y down, z forward) as the camera looks at it: (ny, nx, 3) uint8 RGB."""
+    """A grid (x right, y down, z forward) from the camera's side: (ny, nx, 3) uint8 RGB."""
     return _shaded(cells.transpose(1, 0, 2), color)
 
 
 def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """The same from the camera's right: (ny, nz, 3) uint8 RGB; the camera is on the left."""
+    """A grid from the camera's right: (ny, nz, 3) uint8 RGB; the camera is on the left."""
     return _shaded(cells[::-1].transpose(1, 2, 0), color)
 
 
 def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     """A cut along the view through the middle of the shape: (ny, nz, 3) uint8 RGB; the camera is on the left.
 
-    The solid is clay, what the view saw of it blue, and what nobody knows yellow.
+    The solid is clay, what the view saw of it blue, and unknown parts yellow.
     """
     filled = np.flatnonzero(full.any(axis=(1, 2)))
     middle = int(filled[0] + filled[-1]) // 2 if len(filled) else len(full) // 2
@@ -198,7 +198,7 @@ def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
 
 
 def enlarged(picture: Rgb) -> Rgb:
-    """A picture of 64-cells at the size of one of 256-cells."""
+    """A picture of 64-cells enlarged to the size of one of 256-cells."""
     return picture.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
 
 
@@ -210,7 +210,7 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
     down, right = np.zeros_like(smooth), np.zeros_like(smooth)
     down[1:-1] = (smooth[2:] - smooth[:-2]) / 2
     right[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) / 2
-    # An edge before something far is no steep slope.
+    # A depth edge is no steep slope.
     down, right = (np.where(np.abs(slope) < 6, slope, 0.0) for slope in (down, right))
     facing = (LIGHT[0] * right + LIGHT[1] * down + LIGHT[2]) / np.sqrt(right * right + down * down + 1)
     far = depth / cells.shape[2]
@@ -220,7 +220,7 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 
 
 def _nearest(cells: Bools) -> Float64:
-    """Index of the first filled cell along the last axis; 0 where there is none.
+    """Index of the first filled cell along the last axis; 0 without one.
 
     Where that axis is not the one that runs fastest in memory, argmax takes 14 times as long as going through
     the layers (54 ms and 4 ms of 256^3 cells).

@@ -1,4 +1,4 @@
-"""What a release must not tell of people and devices: found, removed and listed in privacy.json."""
+"""Private facts about people and devices: found, removed and listed in privacy.json."""
 
 import re
 from collections import Counter
@@ -52,36 +52,36 @@ APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 
-def scrubbed(value: Any, file: str, found: list[Removed], model: Any = None) -> Any:
-    """A JSON value without what tells of people and devices; what is removed is noted.
+def scrubbed(value: Any, file: str, removals: list[Removed], model: Any = None) -> Any:
+    """A JSON value without private facts; removals are recorded.
 
     Args:
         value: as JSON has it.
         file: of the release, that it is for.
-        found: gets what is removed.
+        removals: collects removed private facts.
         model: the typed value that it is of, or None: keys that its types declare are ours, and keys of a
             mapping that they declare are data, such as categories; neither is removed for its name.
     """
     removed: list[str] = []
     result = _scrubbed(value, "", removed, model)
-    found += _rows(file, removed)
+    removals += _rows(file, removed)
     return result
 
 
-def scrubbed_file(stored: StoredFile, file: str, found: list[Removed]) -> StoredFile:
-    """A stored file without what tells of people and devices; what is removed is noted.
+def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> StoredFile:
+    """A stored file without private facts; removals are recorded.
 
     Raises:
-        ReleaseError: without it the file is no such file any more.
+        ReleaseError: the file is invalid without it.
     """
     removed: list[str] = []
     value = _scrubbed(stored.json_value(), "", removed, stored)
-    found += _rows(file, removed)
+    removals += _rows(file, removed)
     return stored.parse(pretty_json(value), file) if removed else stored
 
 
-def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:
-    """A JPEG file without metadata; what is removed is noted.
+def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
+    """A JPEG file without metadata; removals are recorded.
 
     Raises:
         ReleaseError: it is not a whole JPEG file.
@@ -92,40 +92,40 @@ def scrubbed_jpeg(data: bytes, file: str, found: list[Removed]) -> bytes:
         raise ReleaseError(
             f"{file}: {error}; build this recording's views again", what="not-built"
         ) from error
-    found += _rows(file, removed)
+    removals += _rows(file, removed)
     return clean
 
 
-def privacy(color: ColorPublished, found: list[Removed]) -> Privacy:
-    """What privacy.json says.
+def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
+    """The content of privacy.json.
 
     Args:
         color: "left out", "published" or "none".
-        found: what was removed.
+        removals: collects removed private facts.
     """
     return Privacy(
         format_version=1,
         color=color,
         looked_in=LOOKED_IN,
         looked_for=LOOKED_FOR,
-        removed=tuple(found),
+        removed=tuple(removals),
         kept=KEPT,
     )
 
 
 def removed_lines(rows: list[Removed]) -> Iterator[str]:
-    """One line for each kind of thing that was removed, with the number of files."""
+    """One line for each kind of removed fact, with the number of files."""
     for what, count in Counter(row.what for row in rows).items():
         yield f"removed from {count} file{'s' if count > 1 else ''}: {what}"
 
 
 def _rows(file: str, removed: list[str]) -> list[Removed]:
-    """What was removed from a file of the release, each kind of thing once."""
+    """The kinds of facts removed from a file of the release."""
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
 def _scrubbed(value: Any, key: str, removed: list[str], model: Any) -> Any:
-    """The value of a key without what tells of people; what goes is added to `removed`."""
+    """The value of a key without private facts; adds removals to `removed`."""
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
         for name, child in value.items():
@@ -169,13 +169,13 @@ def _below(value: Any) -> Any:
 
 
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
-    """Take application segments and comments out of a JPEG file; its pixels stay as they are.
+    """Remove application segments and comments from a JPEG file; its pixels are unchanged.
 
     Args:
         data: the file.
 
     Returns:
-        The file without them, and what was taken out, in its order, such as "EXIF (GPS position)".
+        The file without them, and the removals in order, such as "EXIF (GPS position)".
 
     Raises:
         ValueError: it is not a JPEG file, or ends too early.
@@ -193,7 +193,7 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """(marker, first byte, byte after the last, payload) of every segment; the scans come as one, last."""
+    """(marker, first byte, byte after the last, payload) of every segment; the scans are the last one."""
     if data[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
     at = 2
@@ -219,20 +219,20 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 def _name(marker: int, payload: bytes) -> str:
-    """What a segment is, and what of a person's or a device's it holds."""
+    """The name of a segment, and the private facts in it."""
     if marker == COMMENT:
         return "comment"
     name = next((name for head, name in NAMES if payload.startswith(head)), f"APP{marker - APP0}")
-    found = _exif_facts(payload[6:]) if name == "EXIF" else []
-    return f"{name} ({', '.join(found)})" if found else name
+    facts = _exif_facts(payload[6:]) if name == "EXIF" else []
+    return f"{name} ({', '.join(facts)})" if facts else name
 
 
 def _exif_facts(tiff: bytes) -> list[str]:
-    """Which personal facts a block of EXIF holds, by their tags."""
+    """The private facts in a block of EXIF, by their tags."""
     order: Order = "little" if tiff[:2] == b"II" else "big"
     tags = {0x8825: "GPS position", 0xA431: "serial number", 0xA435: "serial number", 0xA430: "owner"}
-    found = [name for tag, name in tags.items() if tag.to_bytes(2, order) in _tags(tiff, order)]
-    return list(dict.fromkeys(found))
+    facts = [name for tag, name in tags.items() if tag.to_bytes(2, order) in _tags(tiff, order)]
+    return list(dict.fromkeys(facts))
 
 
 def _tags(tiff: bytes, order: Order) -> set[bytes]:

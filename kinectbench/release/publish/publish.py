@@ -1,4 +1,4 @@
-"""Publish what was built as a release: one folder that is enough to predict, to score and to check."""
+"""Publish a build as a release: a self-contained folder to predict, score and check."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -45,17 +45,17 @@ SHOWN_VIEWS = 6  # of a recording, in a warning
 
 @dataclass(frozen=True)
 class PublishSummary:
-    """What was published.
+    """The result of publishing.
 
     Attributes:
         folder: the release, or its public part.
         benchmark_sha256: its identity.
         pairs: number of pairs.
         recordings: those published, in the order given.
-        warnings: one line each; the card has them too, but for reasons that tell of a truth held back.
+        warnings: one line each; the card has them too, except reasons that reveal held-back truth.
         private: the part that scores, where something is held back.
         private_sha256: its identity.
-        removed: what was removed for privacy, one line each.
+        removed: removed private facts, one line each.
         unanswered: questions of the datasheet, by key.
         refused: ids of those that did not keep the limits of `publish.gate`.
     """
@@ -93,7 +93,7 @@ def publish(
     recordings: Sequence[str],
     options: PublishOptions = NO_OPTIONS,
 ) -> PublishSummary:
-    """Write a release from the build folders of some recordings; it takes the place of an earlier one.
+    """Write a release from the build folders of some recordings, replacing an earlier one.
 
     Args:
         settings: the benchmark's.
@@ -101,7 +101,7 @@ def publish(
         out: the release's folder; with `hold_back` its public part, beside which `<out>-private` is written.
         recordings: ids, all of them built; one without a single pair, or that does not pass the gate, is left
             out with a warning.
-        options: thresholds, what is held back, and whether poor recordings pass the gate.
+        options: thresholds, held-back splits, and whether poor recordings pass the gate.
 
     Raises:
         ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, no
@@ -140,7 +140,7 @@ def publish(
         note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
         info = ReleaseInfo.read(folder)
-    # Whoever publishes is told the reasons, too.
+    # The publisher gets the reasons, too.
     named = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
     warnings = tuple(dict.fromkeys((*named, *isolated.lines())))
     return replace(
@@ -163,7 +163,7 @@ def _refuse_other(out: Path) -> None:
 
 
 def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
-    """Refuse a release of more files than one may have, before hours are spent on it."""
+    """Refuse a release with too many files, before hours are spent on it."""
     pairs = sum(len(PairsFile.read(build / name / "pairs").pairs) for name in recordings)
     of_pair = 2 + len(VIEW_IMAGES) + settings.publish.color
     total = of_pair * pairs + FILES_OF_RECORDING * len(recordings)
@@ -180,9 +180,9 @@ def _refuse_empty_split(
 ) -> None:
     """Refuse to hold back a split that has no recording."""
     by_id = settings.by_id()
-    there = {by_id[name].split for name in recordings}
+    splits = {by_id[name].split for name in recordings}
     for split in hold_back:
-        if split not in there:
+        if split not in splits:
             raise ReleaseError(
                 f"--hold-back {split}: no recording of this split was built; check the splits",
                 what="no-pairs",
@@ -198,27 +198,27 @@ def _write(
     isolated: Isolated,
 ) -> PublishSummary:
     """Fill one folder."""
-    found = list[Removed]()
-    passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, found)["left_out"])
-    made = _pairs(settings, build, folder, passed, options, isolated, found)
+    removals = list[Removed]()
+    passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, removals)["left_out"])
+    made = _pairs(settings, build, folder, passed, options, isolated, removals)
     passed = passed.with_pairs(made)
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}", what="no-pairs")
     infos = {name: published.info for name, published in made.items()}
-    # What would do harm first, then what is wrong with the truth, and last how it is used.
+    # First possible harm, then faults of the truth, and last its use.
     warnings = [
         *reasons_against_distribution(infos),
         *_gives_away(settings, options.hold_back, infos, isolated),
         *passed.lines(),
-        *_doubted(infos),
+        *_warned(infos),
         *_unknown(made),
         *_without_thresholds(settings, infos),
     ]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     alone = tuple(sorted(isolated.views))
-    _write_texts(settings, folder, made, targets, warnings, options, found, alone)
-    public = _public_settings(settings, options.hold_back, found, bool(options.isolate))
-    privacy(_color(settings, made), found).write(folder)
+    _write_texts(settings, folder, made, targets, warnings, options, removals, alone)
+    public = _public_settings(settings, options.hold_back, removals, bool(options.isolate))
+    privacy(_color(settings, made), removals).write(folder)
     head = Head(
         settings.name,
         settings.license,
@@ -244,7 +244,7 @@ def _write(
         len(targets),
         tuple(made),
         tuple(warnings),
-        removed=tuple(removed_lines(found)),
+        removed=tuple(removed_lines(removals)),
         unanswered=tuple(unanswered(settings)),
         refused=tuple(passed.refused),
     )
@@ -257,29 +257,29 @@ def _pairs(
     passed: Gate,
     options: PublishOptions,
     isolated: Isolated,
-    found: list[Removed],
+    removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the pairs of each recording; what was published by id, but for those without a pair."""
+    """Write the pairs of each recording; returns those with a pair, by id."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
         hidden, only = name in hidden_ids, isolated.views.get(name)
         built = Built(settings, by_id[name], build / name, hidden, most_named, only)
-        published = publish_recording(built, folder, found)
+        published = publish_recording(built, folder, removals)
         if published is not None:
-            made[name] = _with_doubts(published, passed, name)
+            made[name] = _with_warnings(published, passed, name)
     return made
 
 
-def _with_doubts(published: Published, passed: Gate, name: str) -> Published:
-    """What was published of a recording, with the limits that it does not keep, and what to look at."""
-    told = dict[str, Any]()
+def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
+    """A published recording with the limits that it violates and reasons to review it."""
+    changes = dict[str, Any]()
     if name in passed.poor:
-        told["poor"], told["accepted"] = passed.poor[name]
+        changes["poor"], changes["accepted"] = passed.poor[name]
     if name in passed.look:
-        told["look"] = passed.look[name]
-    return replace(published, info=published.info.model_copy(update=told)) if told else published
+        changes["look"] = passed.look[name]
+    return replace(published, info=published.info.model_copy(update=changes)) if changes else published
 
 
 def _write_texts(
@@ -289,7 +289,7 @@ def _write_texts(
     targets: Sequence[Target],
     warnings: Sequence[str],
     options: PublishOptions,
-    found: list[Removed],
+    removals: list[Removed],
     isolated: Sequence[str],
 ) -> None:
     """Write datasheet, changelog, lineage and thresholds."""
@@ -308,7 +308,7 @@ def _write_texts(
     ).write(folder)
     if options.thresholds is not None:
         given = ThresholdsFile.parse(options.thresholds, THRESHOLDS_JSON)
-        scrubbed_file(given, THRESHOLDS_JSON, found).write(folder)
+        scrubbed_file(given, THRESHOLDS_JSON, removals).write(folder)
 
 
 def _gives_away(
@@ -317,7 +317,7 @@ def _gives_away(
     infos: Mapping[str, RecordingInfo],
     isolated: Isolated,
 ) -> list[str]:
-    """What the release shows that may be meant to stay hidden: people, and of held-back shapes what."""
+    """Published facts that may be meant to stay hidden: people, and parts of held-back shapes."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
@@ -340,13 +340,13 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
     return [f"no validation split{why}: thresholds are fixed at 0.5 unless a threshold file is given"]
 
 
-def _doubted(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """A line for each recording whose object or trajectory is doubtful; the datasheet has all of them."""
+def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
+    """A line for each recording with warnings of its object or trajectory; the datasheet has all of them."""
     lines = []
     for name, info in infos.items():
-        found = info.quality.warnings
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        lines += [f"{name}: {found[0]}{more}"] if found else []
+        warnings = info.quality.warnings
+        more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
+        lines += [f"{name}: {warnings[0]}{more}"] if warnings else []
     return lines
 
 
@@ -362,14 +362,14 @@ def _unknown(made: Mapping[str, Published]) -> list[str]:
 
 
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:
-    """What became of colour."""
+    """The outcome for colour."""
     if not any(published.has_color for published in made.values()):
         return "none"
     return "published" if settings.publish.color else "left out"
 
 
 def _public_settings(
-    settings: BenchmarkSettings, hold_back: Sequence[str], found: list[Removed], isolate: bool = False
+    settings: BenchmarkSettings, hold_back: Sequence[str], removals: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
     """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
 
@@ -381,9 +381,9 @@ def _public_settings(
         recording.pop("masks")
         recording["underside"] = settings.underside_of(own)
         if recording["split"] in hold_back:
-            said = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH
-            for key in said:
+            hidden_keys = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH
+            for key in hidden_keys:
                 recording.pop(key)
-    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, found, settings)
-    # What people say of themselves here is meant to be read.
+    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, removals, settings)
+    # These statements of people are meant to be public.
     return clean | {"publish": settings.publish.model_dump(mode="json")}

@@ -1,4 +1,4 @@
-"""What a release holds of one recording: pairs, views and the object, or of a held-back one the inputs."""
+"""The files of one recording in a release: pairs, views and object, or only inputs if held back."""
 
 import shutil
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 @dataclass(frozen=True)
 class Built:
-    """A recording that is to be published.
+    """A recording to publish.
 
     Attributes:
         settings: the benchmark's.
@@ -73,12 +73,12 @@ class Built:
         return self.hidden and self.only is not None
 
     def built_name(self, view: str) -> str:
-        """What the build calls a view that is published."""
+        """The build's name of a published view."""
         return view if self.only is None else self.only
 
     @cached_property
     def pairs(self) -> PairsFile:
-        """Its pairs, and the views of which none was made; read once, as the other two."""
+        """Its pairs, and the views without one; cached like the other two."""
         pairs = PairsFile.read(self.folder / "pairs")
         if self.only is None:
             return pairs
@@ -99,7 +99,7 @@ class Built:
 
     @cached_property
     def posed_views(self) -> dict[str, PosedView]:
-        """Its views with a pair, by the names that they are published under; isolated: the object alone."""
+        """Its views with a pair, by their published names; isolated: the object alone."""
         published = {row.view for row in self.pairs.pairs}
         return {row.view: self._posed(row) for row in self.views.views if row.view in published}
 
@@ -114,18 +114,18 @@ class Built:
 
     @cached_property
     def quality(self) -> QualityFile:
-        """How good its object is."""
+        """The quality of its object."""
         return QualityFile.read(self.folder / "object")
 
 
 @dataclass(frozen=True)
 class Published:
-    """What was published of a recording.
+    """The published part of a recording.
 
     Attributes:
         targets: its pairs; none: nothing was published.
-        info: what benchmark.json says of it.
-        lineage: what lineage.json says of it.
+        info: its entry in benchmark.json.
+        lineage: its entry in lineage.json.
         has_color: whether its views have colour, published or not.
         all_unknown: views of whose true shape nothing is known; none are stated where the truth is held back.
     """
@@ -137,13 +137,13 @@ class Published:
     all_unknown: tuple[str, ...] = ()
 
 
-def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Published | None:
-    """Copy what is published of one recording into a release; None if it has no pair.
+def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Published | None:
+    """Copy the published part of one recording into a release; None if it has no pair.
 
     Args:
         built: the recording.
         folder: the release's.
-        found: collects what is removed for privacy.
+        removals: collects removed private facts.
 
     Raises:
         ReleaseError: a file is missing or damaged, or a pair is not of the benchmark's framing and rule.
@@ -154,10 +154,10 @@ def publish_recording(built: Built, folder: Path, found: list[Removed]) -> Publi
     pairs = {view: _publish_pair(built, view, folder) for view in names}
     targets = tuple(target for target, _ in pairs.values())
     if not built.isolated:
-        _publish_object(built, folder, found)
-    has_color = _publish_views(built, targets, folder, found)
+        _publish_object(built, folder, removals)
+    has_color = _publish_views(built, targets, folder, removals)
     unknown = tuple(view for view, (_, nothing_known) in pairs.items() if nothing_known and not built.hidden)
-    info = _info(built, len(names), found)
+    info = _info(built, len(names), removals)
     return Published(targets, info, _lineage(built, names), has_color, unknown)
 
 
@@ -170,16 +170,16 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
     except PairError as error:
         raise ReleaseError(str(error)) from error
     for key in ("framing", "partial_rule"):
-        found, wanted = getattr(pair, key), getattr(built.settings.pairs, key)
-        if found != wanted:
+        stored, wanted = getattr(pair, key), getattr(built.settings.pairs, key)
+        if stored != wanted:
             raise ReleaseError(
-                f"{path}: {key} is '{found}', the settings say '{wanted}'; run pairs again", what="not-built"
+                f"{path}: {key} is '{stored}', the settings say '{wanted}'; run pairs again", what="not-built"
             )
     return content, pair
 
 
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
-    """Write a pair as it was built, or its input alone; with whether nothing of its true shape is known."""
+    """Write a pair as built, or its input alone; returns whether its true shape is entirely unknown."""
     recording = built.recording
     content, pair = _read_pair(built, view)
     if built.isolated:
@@ -202,33 +202,33 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
     return target, pair.unknown_share == 1
 
 
-def _publish_object(built: Built, folder: Path, found: list[Removed]) -> None:
+def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:
     """Copy the object's files; of a held-back one the floor only."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     for file in OBJECT_FILES if not built.hidden else ():
         _copy_built(source / file, folder / name / file)
     floor = FloorFile.read(source)
-    _write(own_floor(floor) if built.hidden else floor, folder, name, found)
+    _write(own_floor(floor) if built.hidden else floor, folder, name, removals)
     if not built.hidden:
-        _write(built.quality, folder, name, found)
+        _write(built.quality, folder, name, removals)
 
 
-def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found: list[Removed]) -> bool:
-    """Copy depth and mask of every view that has a pair, and colour where it is wanted and there is any.
+def _publish_views(built: Built, targets: Sequence[Target], folder: Path, removals: list[Removed]) -> bool:
+    """Copy depth and mask of every view with a pair, and available colour if requested.
 
     Args:
         built: the recording.
         targets: its pairs.
         folder: the release's.
-        found: collects what is removed for privacy.
+        removals: collects removed private facts.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     has_color = False
     for view in (target.view for target in targets):
-        here = built.built_name(view)
-        color = source / f"{here}.color.jpg"
+        name_in_build = built.built_name(view)
+        color = source / f"{name_in_build}.color.jpg"
         has_color |= color.is_file()
         shown = color if built.settings.publish.color and color.is_file() else None
         if built.isolated:
@@ -236,13 +236,13 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, found:
             write_isolated_images(built.posed_views[view], registered, folder / name)
             continue
         for suffix in VIEW_IMAGES:
-            _copy_built(source / f"{here}{suffix}", folder / name / f"{view}{suffix}")
+            _copy_built(source / f"{name_in_build}{suffix}", folder / name / f"{view}{suffix}")
         if shown is not None:
             image = f"{name}/{view}.color.jpg"
-            data = scrubbed_jpeg(read_plain(shown, IMAGE_BYTES), image, found)
+            data = scrubbed_jpeg(read_plain(shown, IMAGE_BYTES), image, removals)
             (folder / image).write_bytes(data)
     views = _with_pairs(built.views, built.camera, targets)
-    _write(own_views(views) if built.hidden else views, folder, name, found)
+    _write(own_views(views) if built.hidden else views, folder, name, removals)
     return has_color
 
 
@@ -259,8 +259,8 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
     return views.model_copy(update={"views": tuple(rows)})
 
 
-def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
-    """What benchmark.json says of a recording."""
+def _info(built: Built, pairs: int, removals: list[Removed]) -> RecordingInfo:
+    """The facts about a recording for benchmark.json."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
@@ -270,7 +270,7 @@ def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
         split=recording.split,
         pairs=pairs,
         refused=len(refused),
-        quality=scrubbed_file(quality, "benchmark.json", found),
+        quality=scrubbed_file(quality, "benchmark.json", removals),
         license=built.settings.license_of(recording),
         source=built.settings.source_of(recording),
     )
@@ -281,18 +281,18 @@ def _info(built: Built, pairs: int, found: list[Removed]) -> RecordingInfo:
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
-    """What benchmark.json has of quality.json: the method is alike everywhere, and more than all the rest."""
+    """The part of quality.json for benchmark.json: without the method, which is long and equal for all."""
     kept = quality.model_fields_set - {"method"}
     return QualityFile.model_construct(kept, **{key: getattr(quality, key) for key in kept})
 
 
-def _write(stored: Stored, folder: Path, name: str, found: list[Removed]) -> None:
-    """Write a file without what tells of people into a folder of the release."""
-    scrubbed_file(stored, f"{name}/{stored.FILE}", found).write(folder / name)
+def _write(stored: Stored, folder: Path, name: str, removals: list[Removed]) -> None:
+    """Write a file without private facts into a folder of the release."""
+    scrubbed_file(stored, f"{name}/{stored.FILE}", removals).write(folder / name)
 
 
 def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
-    """Where the pairs of a recording come from; of a held-back one without its views and a given box.
+    """The origin of a recording's pairs; without views and a given box if held back.
 
     Of an isolated one only who made it, and its licence.
     """
@@ -324,7 +324,7 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
 
 
 def _frame(row: ViewRow) -> LineageView:
-    """The frame of a view that was recorded."""
+    """The recorded frame of a view."""
     if row.frame is None or row.stamp_ns is None:
         raise ReleaseError(
             f"view {row.view}: views.json does not say of which frame it is; build it again", what="not-built"
@@ -333,7 +333,7 @@ def _frame(row: ViewRow) -> LineageView:
 
 
 def _stage(folder: Path, hidden: bool) -> LineageStage:
-    """What a stage's manifest says; without what a person says of the object, if it is hidden."""
+    """A stage's manifest; without a person's statements about the object if it is hidden."""
     manifest = Manifest.read(folder)
     return LineageStage(
         package_version=manifest.package_version,

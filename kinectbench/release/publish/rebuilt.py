@@ -1,4 +1,4 @@
-"""How much of a held-back truth the public views of its object can rebuild: a solid carved at their poses.
+"""How well public views can rebuild a held-back truth: a solid carved at their poses.
 
 Whoever has the views can register them with each other. A registration cannot find better poses than the true
 ones, so what is rebuilt with these says about how much an attack can reach. The benchmark `held_back_attack`
@@ -28,7 +28,7 @@ CUBES = 4
 # One view in so many may err at a pixel before a cell that it sees through is empty: of 8 views
 # of a real cabinet, carved within their hull, all together give an IoU of 0.84, all but one 0.96.
 VIEWS_PER_ERROR = 8
-# The cell of each block of a cube that stands for it.
+# The cell that represents each block of a cube.
 MIDDLE = slice(BLOCK // 2, None, BLOCK)
 # A figure that says "up to about", from a few cubes.
 DECIMALS = 2
@@ -36,7 +36,7 @@ DECIMALS = 2
 
 @dataclass(frozen=True)
 class PosedView:
-    """One view and where its camera stood.
+    """One view and its camera's pose.
 
     Attributes:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -53,7 +53,7 @@ class PosedView:
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """IoU with the truth, where that is known, in [0, 1]: the mean over some of the views' cubes.
+    """IoU with the known truth, in [0, 1]: the mean over some of the views' cubes.
 
     Attributes:
         iou: of the solid rebuilt from all views.
@@ -65,20 +65,20 @@ class Rebuilt:
 
 
 def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """How much of what is held back can be rebuilt at most, and what to do; None where nothing is held back.
+    """How well held-back truth can be rebuilt at most, and the remedy; None without held-back truth.
 
     Args:
-        infos: what benchmark.json says of the recordings.
+        infos: entries of benchmark.json.
     """
-    found = {
+    results = {
         name: (info.rebuilt_iou, info.rebuilt_single_iou)
         for name, info in infos.items()
         if info.rebuilt_iou is not None
     }
-    if not found:
+    if not results:
         return None
-    name = max(found, key=lambda each: found[each])
-    most, single = found[name]
+    name = max(results, key=lambda each: results[each])
+    most, single = results[name]
     return (
         f"the public views of a held-back object, registered with each other, rebuild its truth up to an IoU "
         f"of {most:.2f} ({name}; one view alone: {single:.2f}; `rebuilt_iou` in benchmark.json has all): "
@@ -87,7 +87,7 @@ def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
 
 
 def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Float64) -> PosedView:
-    """A view of a folder of views, at a pose.
+    """Read a view from a folder of views, with its camera pose.
 
     Raises:
         StorageError: an image is damaged.
@@ -98,7 +98,7 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 
 
 def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> Rebuilt:
-    """How much of the truth of one object can be rebuilt, by the best of the ways of `solids`.
+    """How well the truth of one object can be rebuilt, by the best method of `solids`.
 
     Args:
         views: its public ones by name.
@@ -107,7 +107,7 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> R
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
     single = [_ious(pair, [views[name]]) for name, pair in pairs.items()]
-    return Rebuilt(*(round(float(np.mean(found, axis=0).max()), DECIMALS) for found in (every, single)))
+    return Rebuilt(*(round(float(np.mean(ious, axis=0).max()), DECIMALS) for ious in (every, single)))
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
@@ -116,7 +116,7 @@ def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
 
 
 def known_iou(solid: Bools, pair: Pair) -> float:
-    """IoU of a solid (64, 64, 64), of `sampled` cells, with the truth where that is known; 1 of nothing."""
+    """IoU of a solid (64, 64, 64), of `sampled` cells, with the known truth; 1 if both are empty."""
     full, known = sampled(unpack(pair.full)), sampled(unpack(pair.known))
     union = int(((solid | full) & known).sum())
     return int((solid & full & known).sum()) / union if union else 1.0
@@ -128,7 +128,7 @@ def sampled(cells: Bools) -> Bools:
 
 
 def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]:
-    """What some views leave of a grid: carved, the convex hull of their points, and both at once.
+    """Solids from some views: carved, convex hull of points, and their intersection.
 
     A cell is empty if more than one view in eight sees through it: it lies beside that view's mask, or in
     front of its depth. A view knows nothing of cells outside its image.
@@ -155,7 +155,7 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
 
 
 def _seen_through(points_world: Float64, view: PosedView, margin_m: float) -> Bools:
-    """Which points (n, 3) lie beside a view's mask, or more than a margin and its noise before its depth."""
+    """Points (n, 3) outside a view's mask, or in front of its depth by more than a margin and noise."""
     points = transform_points(invert_rigid(view.T_world_camera), points_world)
     ahead = np.where(points[:, 2:] > 0, points, np.array([0.0, 0.0, 1.0]))
     column, row = np.rint(view.camera.project(ahead)).T.astype(np.int64)

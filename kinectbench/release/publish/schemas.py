@@ -1,7 +1,7 @@
-"""The schemas of a release: what every file holds, for people and programs that do not have this package.
+"""The schemas of a release: the content of every file, for readers without this package.
 
 They lie in `schemas/` beside this file as they are published, so that the bytes of a release do not depend on
-the version of pydantic; a test makes them anew from the models and compares. The schema of scores.json lies
+the version of pydantic; a test makes them again from the models and compares. The schema of scores.json lies
 there too, and is not published. After a change of the models, in a checkout,
 `python -m kinectbench.release.publish.schemas` writes all of them, and the copy of the last one in docs/.
 """
@@ -50,13 +50,13 @@ TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
 SCORES_SCHEMA = "scores.schema.json"
 # Of an error's words, characters, and of the errors in one file.
-MOST_TOLD, MOST_FAULTS = 200, 50
+MOST_CHARACTERS, MOST_FAULTS = 200, 50
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
 
 
 def schema_texts() -> dict[str, str]:
-    """Every schema as a text by its file's name, made from the models."""
+    """Every schema as a text by its file's name, from the models."""
     schemas = {
         f"{name}.schema.json": {"$schema": DIALECT, "$comment": files}
         | model.model_json_schema(by_alias=True)
@@ -70,15 +70,15 @@ def write_schemas(folder: Path) -> None:
     """Write the schemas of the files that a release holds so far; benchmark.json comes last."""
     (folder / SCHEMAS).mkdir()
     stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
-    there = [
+    written = [
         name for name, (files, _) in JSON_FILES.items() if name == "benchmark" or any(folder.glob(files))
     ]
-    for name in (*(f"{name}.schema.json" for name in there), TABLE_SCHEMA, PAIR_SCHEMA):
+    for name in (*(f"{name}.schema.json" for name in written), TABLE_SCHEMA, PAIR_SCHEMA):
         (folder / SCHEMAS / name).write_bytes(stored.joinpath(name).read_bytes())
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
-    """What is wrong with a JSON file of a release by its schema, a clause each; nothing if it has none.
+    """The schema violations of a JSON file of a release, a clause each; none without a schema.
 
     Args:
         name: of the file, relative to the release.
@@ -94,8 +94,8 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
                     return
                 for fault in error.errors():
                     where = printable(".".join(str(part) for part in fault["loc"]))
-                    told = printable(fault["msg"], MOST_TOLD)
-                    yield f"'{where}': {told}" if where else told
+                    problem = printable(fault["msg"], MOST_CHARACTERS)
+                    yield f"'{where}': {problem}" if where else problem
 
 
 def _table() -> dict[str, Any]:

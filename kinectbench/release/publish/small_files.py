@@ -65,20 +65,20 @@ PACKAGES = (
 
 @dataclass(frozen=True)
 class Head:
-    """What benchmark.json begins with.
+    """The first keys of benchmark.json.
 
     Attributes:
         name: of the benchmark.
         license: of the data.
         framing: of every pair.
         partial_rule: of every pair.
-        settings: what it was made with, as plain JSON values, without paths of the machine.
-        texts: what the card says of it.
+        settings: the settings of its making, as plain JSON values, without paths of the machine.
+        texts: texts of the card.
         citation: how it is cited.
-        held_back: splits of which only the inputs are there.
+        held_back: splits with published inputs only.
         left_out: recording that was built, or failed, and is not published -> why.
         flow: how many were tried, and what became of them; None: it is not made from recordings.
-        isolated: recordings of which one view is published.
+        isolated: recordings with a single published view.
     """
 
     name: str
@@ -102,13 +102,13 @@ def write_small_files(
     warnings: Sequence[str],
     scenes: Path | None = None,
 ) -> str:
-    """Complete a folder that holds everything else of a release; returns the release's identity.
+    """Write the small files of an otherwise complete release folder; returns its identity.
 
     Args:
         head: what benchmark.json begins with.
         folder: of the release.
         targets: every pair, sorted.
-        infos: recording -> what benchmark.json says of it.
+        infos: recording -> its entry in benchmark.json.
         warnings: one line each, for the card.
         scenes: as of `write_glbs`.
     """
@@ -129,7 +129,7 @@ def write_small_files(
 
 
 def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> About:
-    """What other catalogues are told of a release."""
+    """The metadata of a release for other catalogues."""
     published = head.settings.get("publish")
     options = PublishSettings() if published is None else PublishSettings.model_validate(published)
     return About(
@@ -146,7 +146,7 @@ def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> A
 
 
 def note_in_benchmark_json(folder: Path, **more: str) -> None:
-    """Give keys of benchmark.json of a finished release their values; its identity stays the same."""
+    """Set keys of benchmark.json in a finished release; its identity stays the same."""
     ReleaseInfo.read(folder).model_copy(update=more).write(folder)
     path = folder / SHA256SUMS
     sums = parse_sums(read_plain_text(path), str(path)) | {
@@ -156,14 +156,14 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
 
 
 def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
-    """A recording that says nothing itself is under the benchmark's licence, from where its texts say."""
-    said = {"license": head.license, "source": head.texts.origin}
-    update = {key: value for key, value in said.items() if value and getattr(info, key) == UNSPECIFIED}
+    """A recording with the benchmark's licence and source in place of missing ones."""
+    defaults = {"license": head.license, "source": head.texts.origin}
+    update = {key: value for key, value in defaults.items() if value and getattr(info, key) == UNSPECIFIED}
     return info.model_copy(update=update)
 
 
 def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
-    """benchmark.json but for the identity; keys of what a release does not have are left out."""
+    """benchmark.json without the identity; keys of missing parts are left out."""
     reasons = reasons_against_distribution(infos)
     info = ReleaseInfo(
         name=head.name,
@@ -179,14 +179,14 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         packages=package_versions(),
         recordings=dict(infos),
     )
-    there = {
+    present = {
         "version": head.citation.version,
         "held_back": head.held_back,
         "left_out": dict(head.left_out),
         "flow": head.flow,
         "isolated": head.isolated,
     }
-    return info.model_copy(update={key: value for key, value in there.items() if value})
+    return info.model_copy(update={key: value for key, value in present.items() if value})
 
 
 def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
@@ -194,9 +194,9 @@ def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
     (folder / TARGETS_CSV).write_text(targets_text(targets), encoding="utf-8")
     (folder / SPLIT_TARGETS).mkdir()
     for split in SPLITS:
-        here = tuple(target for target in targets if target.split == split)
-        if here:
-            (folder / SPLIT_TARGETS / f"{split}.csv").write_text(targets_text(here), encoding="utf-8")
+        of_split = tuple(target for target in targets if target.split == split)
+        if of_split:
+            (folder / SPLIT_TARGETS / f"{split}.csv").write_text(targets_text(of_split), encoding="utf-8")
     Splits.of(targets).write(folder)
 
 

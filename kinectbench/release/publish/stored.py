@@ -1,4 +1,4 @@
-"""Publishing a benchmark that lies in a store: what was built is fetched, published here, and put there."""
+"""Publish a benchmark in a store: fetch its build, publish locally, and upload the release."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,11 +39,11 @@ def publish_stored(
     options: PublishOptions | None = None,
     progress: Progress | None = None,
 ) -> PublishSummary:
-    """`publish_if_stale` of recordings that were built in a store; the release lies in `benchmark/` there.
+    """`publish_if_stale` for a benchmark in a store, as `benchmark/` there.
 
     Args:
         jobs: the recordings, at least one, all of them built.
-        force: publish anew in any case.
+        force: publish again in any case.
         options: as of `publish_if_stale`.
         progress: called with (recordings fetched, recordings in all).
 
@@ -57,14 +57,14 @@ def publish_stored(
     with scratch_folder() as root, named_as_there(store, root):
         _fetch_state(store, root)
         _fetch_failures(store, root, [each.id for each in settings.recordings if each.id not in names])
-        found = [checkout(job, root) for job in jobs]
-        in_parallel(partial(_fetch_pairs_manifest, each) for each in found)
+        checkouts = [checkout(job, root) for job in jobs]
+        in_parallel(partial(_fetch_pairs_manifest, each) for each in checkouts)
         summary = None if force else already_published(settings, root, names, options)
         if summary is None:
-            for number, each in enumerate(found, start=1):
+            for number, each in enumerate(checkouts, start=1):
                 _fetch_read(each)
                 if progress:
-                    progress(number, len(found))
+                    progress(number, len(checkouts))
             summary = publish_if_stale(settings, root, names, force, options)
             for part in (summary.folder, summary.private):
                 if part is not None:
@@ -75,7 +75,7 @@ def publish_stored(
 
 
 def _fetch_state(store: Store, root: Path) -> None:
-    """Fetch what says what was published last."""
+    """Download the record of the last publication."""
     for name in (
         f"build/{PublishStamp.FILE}",
         f"{RELEASE}/{BENCHMARK_JSON}",
@@ -97,17 +97,17 @@ def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
             write_below(root / "build" / name / Failed.FILE, content)
 
 
-def _fetch_pairs_manifest(found: Checkout) -> None:
-    fetch_file(found.store, found.job.recording.id, found.artefacts["pairs"], Manifest.FILE)
+def _fetch_pairs_manifest(copy: Checkout) -> None:
+    fetch_file(copy.store, copy.job.recording.id, copy.artefacts["pairs"], Manifest.FILE)
 
 
-def _fetch_read(found: Checkout) -> None:
-    """Fetch what a release is made of."""
-    recording = found.job.recording.id
+def _fetch_read(copy: Checkout) -> None:
+    """Download the files that a release is made of."""
+    recording = copy.job.recording.id
     for stage, files in READ.items():
         if files is None:
-            fetch_stage(found.store, recording, found.artefacts[stage])
+            fetch_stage(copy.store, recording, copy.artefacts[stage])
         else:
             in_parallel(
-                partial(fetch_file, found.store, recording, found.artefacts[stage], name) for name in files
+                partial(fetch_file, copy.store, recording, copy.artefacts[stage], name) for name in files
             )

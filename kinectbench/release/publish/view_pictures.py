@@ -1,4 +1,4 @@
-"""previews/: a small picture of each pair's view, and the tables by which viewers of datasets show them.
+"""previews/: a small picture of each pair's view, and the tables for viewers of datasets.
 
 A folder for each split, as `ImageFolder` of Hugging Face's `datasets` reads it: `metadata.jsonl` has a line
 for each pair, whose `file_name` is the picture, relative to it.
@@ -22,7 +22,7 @@ WIDTH_PX = 320
 
 
 def row_picture(target: Target) -> str:
-    """`file_name` of a pair's row."""
+    """`file_name` in the row of a pair."""
     return f"{target.recording}/{target.view}.jpg"
 
 
@@ -33,22 +33,22 @@ def rows_text(targets: Sequence[Target]) -> str:
 
 
 def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
-    """Write previews/ of a release whose views are there already; nothing that `views/` does not show.
+    """Write previews/ of a release with existing views; shows nothing that `views/` does not.
 
     Raises:
         StorageError: an image is damaged.
     """
     for split in SPLITS:
-        here = [target for target in targets if target.split == split]
-        for target in here:
+        of_split = [target for target in targets if target.split == split]
+        for target in of_split:
             picture = view_picture(folder / "views" / target.recording, target.view)
             write_below(folder / PREVIEWS / split / row_picture(target), images.jpeg(picture))
-        if here:
-            write_below(folder / PREVIEWS / split / ROWS, rows_text(here).encode())
+        if of_split:
+            write_below(folder / PREVIEWS / split / ROWS, rows_text(of_split).encode())
 
 
 def view_picture(views: Path, view: str) -> Rgb:
-    """Depth with the mask's outline, and on its right colour, where that is published."""
+    """Depth with the mask's outline, and to its right colour if published."""
     picture = depth_with_mask(views, view)
     path = views / f"{view}.color.jpg"
     if not path.is_file():

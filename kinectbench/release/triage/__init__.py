@@ -1,1 +1,1 @@
-"""Which recordings of a build can be trusted, which a person should look at, and which are one object."""
+"""Which recordings of a build are trustworthy, which need a review, and which show one object."""

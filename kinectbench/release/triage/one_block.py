@@ -1,4 +1,4 @@
-"""Whether most of a solid is one thick block in a corner of it: what stands against an object joins it.
+"""Whether most of a solid is one thick block in a corner: a thing beside the object has merged with it.
 
 A box that stands against a chair leaves no gap in the depth, and the two are built as one thing. Most of the
 volume is then the box, and the box is small beside the whole.
@@ -15,7 +15,7 @@ from kinectbench.core.types import Bools
 
 # Cells along the longest side; finer ones changed no share by more than 0.02.
 CELLS = 80
-# A block is what a ball of this radius fits into, as a share of the longest side. Chosen by hand: legs, seats
+# A block has room for a ball of this radius, as a share of the longest side. Chosen by hand: legs, seats
 # and backs of simulated furniture are thinner.
 RADIUS_SHARE = 0.06
 # A block with more of the volume, in a box that has less of the whole box, is looked at. A simulated chair
@@ -25,7 +25,7 @@ LEAST_VOLUME_SHARE, MOST_BOX_SHARE = 0.5, 0.2
 
 
 def one_block(folder: Path) -> tuple[float, float] | None:
-    """The largest block's share of the volume, and of the box around all; None unless it is to be looked at.
+    """The largest block's share of the volume and of the overall box; None unless it needs a review.
 
     Args:
         folder: `object/`, with or without its volume; a damaged one says nothing, and is refused where it is

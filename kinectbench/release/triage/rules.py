@@ -1,4 +1,4 @@
-"""What speaks against a recording: the limits that it does not keep, and what a person should look at.
+"""Reasons against a recording: violated limits, and reasons for a review.
 
 Limits are `publish.gate` of benchmark.yaml: a recording that does not keep one is rejected. What is to be
 looked at is published, and the release says so. docs/evidence/releases.md has the decisions beside the truth
@@ -20,8 +20,8 @@ from kinectbench.release.triage.one_block import one_block
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
 
-# A doubt advises after this.
-END_OF_DOUBT = ";"
+# A warning gives advice after this.
+END_OF_WARNING = ";"
 # A lower end of the estimate below it says little of the truth.
 LEAST_LOW = 0.6
 # Shares beyond which a person should look. docs/evidence/releases.md has the recordings they were chosen by.
@@ -36,13 +36,13 @@ NOT_BUILT = "not built, or not asked for"
 
 @dataclass(frozen=True)
 class Judged:
-    """What speaks against one recording, a line each.
+    """Reasons against one recording, a line each.
 
     Attributes:
         recording: its settings, with the review of a person.
         failure: why it is not built; None: it is.
         limits: those of `publish.gate` that it does not keep.
-        look: what a person should look at.
+        look: reasons for a review.
     """
 
     recording: RecordingSettings
@@ -52,7 +52,7 @@ class Judged:
 
     @property
     def decision(self) -> Decision:
-        """What becomes of it: a person's review comes first, then the rules."""
+        """The decision: a person's review has priority over the rules."""
         review = self.recording.review
         if self.failure or (review and review.decision == "reject"):
             return "reject"
@@ -62,7 +62,7 @@ class Judged:
 
 
 def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
-    """Judge every recording of a benchmark, in the order of its settings; what is not known speaks for none.
+    """Judge every recording of a benchmark, in the order of its settings; ignores unknown figures.
 
     Args:
         settings: the benchmark's: limits, and what people decided.
@@ -83,7 +83,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
         of_object = (*_of_object(quality), *_of_block(folder / "object"))
         look = (*_of_poses(health), *of_object, *_of_frames(head))
-        # A doubt is not said twice.
+        # A warning is not repeated.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look)
 
@@ -102,14 +102,14 @@ def failure(folder: Path) -> str:
 def _beyond(
     limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
 ) -> Iterator[str]:
-    """The limits that are not kept, with the figures."""
+    """The violated limits, with the figures."""
     grade = None if health is None else health.grade
-    # The poses' errors that an estimate counts are those of the trajectory: is that not good, less is sure.
-    doubtful = grade == "not good" and quality.estimated_iou_low is not None
-    value = quality.estimated_iou_low if doubtful else quality.estimated_iou
+    # The estimate counts errors of the poses: if the trajectory is not good, use its lower end.
+    uncertain = grade == "not good" and quality.estimated_iou_low is not None
+    value = quality.estimated_iou_low if uncertain else quality.estimated_iou
     if value is not None and value < limits.min_estimated_iou:
         what = (
-            "lower end of the estimated IoU, as the trajectory is not good," if doubtful else "estimated IoU"
+            "lower end of the estimated IoU, as the trajectory is not good," if uncertain else "estimated IoU"
         )
         yield f"{what} {value:.2f}, less than publish.gate.min_estimated_iou: {limits.min_estimated_iou:g}"
     if grade is not None and GRADES.index(grade) < GRADES.index(limits.min_grade):
@@ -120,15 +120,15 @@ def _beyond(
             f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
             f"{limits.max_unknown_share:g}"
         )
-    doubts = (*(() if head is None else head.doubts), *quality.known_doubts)
-    if len(doubts) > limits.max_doubts:
-        first = doubts[0].split(END_OF_DOUBT, 1)[0]
-        count = f"{len(doubts)} doubt{'s' * (len(doubts) > 1)} of the object, its floor or its size"
+    warnings = (*(() if head is None else head.doubts), *quality.measurement_warnings)
+    if len(warnings) > limits.max_doubts:
+        first = warnings[0].split(END_OF_WARNING, 1)[0]
+        count = f"{len(warnings)} warning{'s' * (len(warnings) > 1)} of the object, its floor or its size"
         yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"
 
 
 def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
-    """What is to be looked at of the camera's path."""
+    """Reasons to review the camera's path."""
     if health is None:
         return
     if health.grade == "not good":
@@ -139,8 +139,8 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
 
 
 def _of_object(quality: QualityFile) -> Iterator[str]:
-    """What is to be looked at of the object."""
-    yield from (line.split(END_OF_DOUBT, 1)[0] for line in quality.known_doubts)
+    """Reasons to review the object."""
+    yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
     low = quality.estimated_iou_low
     if low is not None and low < LEAST_LOW:
         yield f"the estimated IoU is wide, {quality.estimated_iou_words()}: its lower end below {LEAST_LOW}"
@@ -159,7 +159,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
 
 
 def _of_block(folder: Path) -> Iterator[str]:
-    """What is to be looked at of the solid: whether it is the object alone."""
+    """Reasons to review the solid: whether it is the object alone."""
     if (block := one_block(folder)) is not None:
         yield (
             f"{block[0]:.0%} of the solid is one block that fills {block[1]:.0%} of its box: does another "
@@ -168,8 +168,8 @@ def _of_block(folder: Path) -> Iterator[str]:
 
 
 def _of_frames(head: CameraFile | None) -> Iterator[str]:
-    """What is to be looked at of the recording itself: a file that ends early, frames that are damaged."""
+    """Reasons to review the recording: a file that ends early, damaged frames."""
     if head is None:
         return
-    yield from (line.split(END_OF_DOUBT, 1)[0] for line in head.doubts)
+    yield from (line.split(END_OF_WARNING, 1)[0] for line in head.doubts)
     yield from (line for line in head.warnings if any(word in line for word in DAMAGED))

@@ -1,4 +1,4 @@
-"""Recordings of one and the same object: their shapes are turned about the vertical until they agree.
+"""Recordings of the same object: their shapes are turned about the vertical until they agree.
 
 docs/releases.md has the rule, docs/evidence/releases.md what was measured of it by
 `python benchmarks/run.py same_object`.
@@ -33,7 +33,7 @@ NEAR_SHARE, NEAR_M = 0.012, 0.006
 REACH, LEAST_REACH, LEAST_POINTS = 8.0, 2.0, 10
 # Heights, lengths and widths of one object differ by less between its recordings (4 % at most, measured).
 SIZES_APART = 0.12
-# Two shapes are one object if their agreement is at least this: docs/releases.md has what it was chosen by.
+# Two shapes are one object if their agreement is at least this: docs/releases.md has its derivation.
 LEAST_AGREEMENT = 0.9
 
 
@@ -43,7 +43,7 @@ class Shape:
 
     Attributes:
         measured: (n, 3) points of it that cameras measured.
-        surface: (m, 3) points of all of it, with what was inferred.
+        surface: (m, 3) points of all of it, inferred parts included.
     """
 
     measured: Float64
@@ -58,7 +58,7 @@ class Shape:
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
-        """The shape of `build/<recording>/object/`; None where nothing of it was measured.
+        """The shape in `build/<recording>/object/`; None if nothing was measured.
 
         Raises:
             StorageError: a file is missing or damaged.
@@ -74,10 +74,10 @@ class Shape:
 
 
 def agreement(a: Shape, b: Shape) -> float:
-    """How well two shapes agree, 0 to 1, turned about the vertical and moved against each other.
+    """Agreement of two shapes, 0 to 1, after the best turn about the vertical and shift.
 
     Returns:
-        The lesser of two shares: of what was measured of one that lies near the surface of the other.
+        The lesser of two shares: of one's measured points that lie near the surface of the other.
     """
     diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
     near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
@@ -95,7 +95,7 @@ def agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """R (3, 3) and t (3,) that lay points (n, 3) onto the nearest others, by a turn about z and a shift."""
+    """R (3, 3) and t (3,) that register points (n, 3) to the nearest others, by a turn about z and shift."""
     t = np.zeros(3)
     for step in range(STEPS):
         placed = points @ R.T + t
@@ -103,9 +103,9 @@ def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tup
         used = distance_m < near_m * max(REACH / (1 + step), LEAST_REACH)
         if used.sum() < LEAST_POINTS:
             break
-        here, there = placed[used], tree.data[nearest[used]]
-        middle, target = here.mean(axis=0), there.mean(axis=0)
-        p, q = (here - middle)[:, :2], (there - target)[:, :2]
+        used_points, targets = placed[used], tree.data[nearest[used]]
+        middle, target = used_points.mean(axis=0), targets.mean(axis=0)
+        p, q = (used_points - middle)[:, :2], (targets - target)[:, :2]
         sine, cosine = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()
         turn = yaw_rotation(float(np.arctan2(sine, cosine)))
         R, t = turn @ R, turn @ (t - middle) + target

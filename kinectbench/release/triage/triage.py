@@ -1,4 +1,4 @@
-"""The triage of a benchmark: what becomes of each recording, and which show one object without saying so."""
+"""Triage of a benchmark: a decision for each recording, and undeclared recordings of one object."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
     """
     qualities = {name: QualityFile.read(build / name / "object") for name in sorted(built)}
     rows = [_row(each, qualities.get(each.recording.id)) for each in judged(settings, build, built)]
-    rows.sort(key=_doubt)
+    rows.sort(key=_severity)
     wanted = {row.recording for row in rows if row.decision != "reject"}
     sizes_m = {
         name: size for name, of in qualities.items() if name in wanted and (size := _size_m(of)) is not None
@@ -52,8 +52,8 @@ def _row(each: Judged, quality: QualityFile | None) -> TriageRow:
     )
 
 
-def _doubt(row: TriageRow) -> tuple[int, float, int, str]:
-    """By what rows are sorted: the gravest decision first, of these the lowest estimate, then the reasons."""
+def _severity(row: TriageRow) -> tuple[int, float, int, str]:
+    """Sort key: the gravest decision first, then the lowest estimate, then the reasons."""
     low = row.estimated_iou_low
     return DECISIONS.index(row.decision), -1.0 if low is None else low, -len(row.reasons), row.recording
 
@@ -71,14 +71,14 @@ def _same(
 ) -> Iterator[SameObject]:
     """Recordings of one shape whose objects have different names; those in different splits come first."""
     by_id = {each.id: each for each in recordings}
-    found = []
+    pairs = []
     names = {name: by_id[name].object_name for name in sizes_m}
     for a, b, value in same_objects({name: build / name / "object" for name in sizes_m}, sizes_m, names):
         first, second = by_id[a], by_id[b]
         write = f"object: {first.object_name}"
         if first.split != second.split:
             write += f", split: {first.split}"
-        found.append(
+        pairs.append(
             SameObject(
                 recordings=(a, b),
                 agreement=round(value, 3),
@@ -86,4 +86,4 @@ def _same(
                 write=write,
             )
         )
-    yield from sorted(found, key=lambda pair: (pair.splits[0] == pair.splits[1], -pair.agreement))
+    yield from sorted(pairs, key=lambda pair: (pair.splits[0] == pair.splits[1], -pair.agreement))

@@ -1,1 +1,1 @@
-"""Methods of today: what each reads of a view, and how its output becomes a prediction. A file for each."""
+"""Published methods: input and output formats of each, one file a method."""

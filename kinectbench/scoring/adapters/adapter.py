@@ -1,4 +1,4 @@
-"""What an adapter is: a writer of the files that a method reads, and a reader of those that it writes."""
+"""An adapter: a writer of a method's input files, and a reader of its output."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ MOST_FILES = 1000
 
 @dataclass(frozen=True)
 class Adapter:
-    """How one method is fed and read.
+    """Input and output of one method.
 
     Attributes:
         write: the files that its own loader reads, and `T_camera_method` for camera.json.
@@ -26,7 +26,7 @@ class Adapter:
         read: from that file and camera.json to the shape in the frame that `T_camera_method` maps from;
             it raises PredictionError, ValueError or one of `UNREADABLE`.
         form: of its predictions: mesh, points or voxels.
-        inputs: what it looks at.
+        inputs: its inputs.
         module: that `write` needs beyond the extra `build`; "" if none.
     """
 
@@ -39,17 +39,17 @@ class Adapter:
 
 
 def find_output(folder: Path, pattern: str) -> Path | None:
-    """The file that a method wrote into the folder of a view; None if there is none.
+    """A method's output file in the folder of a view; None if there is none.
 
     Raises:
         PredictionError: there are several.
     """
     if not folder.is_dir():
         return None
-    found = sorted(path for path in listed(folder, MOST_FILES) if path.match(pattern))
-    if len(found) > 1:
-        raise PredictionError(f"{found[0].name} and {found[1].name} are there; keep one")
-    return found[0] if found else None
+    files = sorted(path for path in listed(folder, MOST_FILES) if path.match(pattern))
+    if len(files) > 1:
+        raise PredictionError(f"{files[0].name} and {files[1].name} are there; keep one")
+    return files[0] if files else None
 
 
 def scaling(scale: float) -> Float64:

@@ -40,7 +40,7 @@ NUMBERS = 7
 
 
 def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
-    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; state what its cube cuts."""
+    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report points outside its cube."""
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
     write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
@@ -67,13 +67,13 @@ def cube_mm(seen_mm: Float64) -> Float64:
 
 
 def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
-    """Which points (n, 3) lie in its cube, bool (n,); arguments as of `cube_mm`."""
+    """Points (n, 3) inside its cube, bool (n,); arguments as of `cube_mm`."""
     low, high = cube_mm(seen_mm)
     return np.asarray(((points_mm >= low) & (points_mm < high)).all(axis=1))
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """The share of the object outside its cube, and of what: the true solid, or the seen points."""
+    """The share of the object outside its cube, and its reference: the true solid, or the seen points."""
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
         points_m, of = seen_m, "seen"

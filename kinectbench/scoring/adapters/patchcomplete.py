@@ -1,7 +1,7 @@
 """PatchComplete (Rao et al., NeurIPS 2022): distances of 32^3 voxels in a cube.
 
 Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube, and writes `predicted_voxels`,
-in voxels; solid is what is at most 1e-10. The cube is that of the pair, in the camera's axes.
+in voxels; values up to 1e-10 are solid. The cube is that of the pair, in the camera's axes.
 """
 
 from pathlib import Path
@@ -41,9 +41,9 @@ def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dic
 
 
 def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
-    """How far the measured surface is behind each voxel's centre, along z: (32, 32, 32), metres, clipped.
+    """Distance of the measured surface behind each voxel's centre, along z: (32, 32, 32), metres, clipped.
 
-    What lies before the surface is positive. So is what no pixel of the object shows.
+    Voxels before the surface are positive, and so are voxels outside the object's pixels.
 
     Args:
         view: depth and mask of the object.
@@ -53,7 +53,7 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     centers = (np.indices((VOXELS,) * 3).reshape(3, -1).T + 0.5) / VOXELS
     points = transform_points(T_camera_cube, centers)
     front = points[:, 2] > 0
-    found = np.full(len(points), clip_m)
+    values_m = np.full(len(points), clip_m)
     pixels = np.rint(view.camera.project(points[front])).astype(np.int64)
     u, v = pixels.T
     height, width = view.depth_mm.shape
@@ -62,8 +62,8 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     at = v[inside], u[inside]
     depth_m[inside] = np.where(view.mask[at], view.depth_mm[at], 0) / 1000.0
     behind = np.where(depth_m > 0, depth_m - points[front, 2], clip_m)
-    found[front] = np.clip(behind, -clip_m, clip_m)
-    return found.reshape((VOXELS,) * 3).astype(np.float32)
+    values_m[front] = np.clip(behind, -clip_m, clip_m)
+    return values_m.reshape((VOXELS,) * 3).astype(np.float32)
 
 
 def read(path: Path, camera: ViewCamera) -> CameraShape:

@@ -77,7 +77,7 @@ def read(path: Path, camera: ViewCamera) -> CameraShape:
 
 
 def _check(header: NpyHeader) -> None:
-    """Refuse what is no list of points, before it is read."""
+    """Refuse a header that is no list of points."""
     shape = header.shape
     if header.dtype.kind != "f" or len(shape) != 2 or shape[1] != 3 or not 1 <= shape[0] <= MAX_POINTS:
         raise NpyError(f"{shape} {header.dtype}; (n, 3) floats are wanted")

@@ -1,4 +1,4 @@
-"""The methods of today that are fed and read, by name; and what becomes of all that one of them wrote."""
+"""The supported published methods by name, and the conversion of their outputs."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -52,7 +52,7 @@ def export_for(
     """Write the views of a release as a method's own loader reads them; see `export_rgbd`.
 
     Raises:
-        SettingsError: there is no adapter of this name, or what it needs is not installed.
+        SettingsError: there is no adapter of this name, or a package for it is not installed.
     """
     adapter = adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
@@ -63,12 +63,12 @@ def export_for(
 def adapt(
     release: Release, name: str, output: Path, out: Path, progress: Progress | None = None
 ) -> tuple[int, list[str]]:
-    """Turn what a method wrote into predictions in the camera frame, with method.json beside them.
+    """Convert a method's output into predictions in the camera frame, with method.json.
 
     Args:
         release: that the views are of.
         name: of the method.
-        output: a folder `<recording>/<view>/` for each view, with what the method wrote and the camera.json
+        output: a folder `<recording>/<view>/` for each view, with the method's output and the camera.json
             of `export --for`.
         out: a new folder of predictions, or an earlier one, which is replaced.
         progress: called with (views done, views in all).
@@ -77,7 +77,7 @@ def adapt(
         The number of predictions, and a line for each view whose output cannot be used.
 
     Raises:
-        SettingsError: there is no such method, or `out` holds something else.
+        SettingsError: unknown method, or `out` holds something else.
         PredictionError: nothing there can be used.
         StorageError: the disk is full or read-only.
     """
@@ -98,7 +98,7 @@ def adapt(
                 progress(done, len(release.targets))
         if not written:
             raise PredictionError(_nothing(output, adapter, problems), what="none")
-        said = MethodFile(
+        method_file = MethodFile(
             name=name,
             benchmark_sha256=release.benchmark_sha256,
             frame="camera",
@@ -109,7 +109,7 @@ def adapt(
             inputs=adapter.inputs,
             settings={"adapted_by": f"kinectbench {__version__}"},
         )
-        said.write(folder)
+        method_file.write(folder)
     return written, problems
 
 
@@ -117,16 +117,16 @@ def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
     """Write the prediction of one view, and return its camera.json; None if the method wrote nothing."""
-    there = output / target.recording / target.view
+    view_folder = output / target.recording / target.view
     try:
-        path = find_output(there, adapter.output)
+        path = find_output(view_folder, adapter.output)
     except OSError as error:
         raise PredictionError(
             f"its folder cannot be listed ({error.strerror or error})", what="unreadable"
         ) from error
     if path is None:
         return None
-    camera = ViewCamera.read(there)
+    camera = ViewCamera.read(view_folder)
     T_camera_method = _placed(camera, name)
     if not np.allclose(camera.T_world_camera, camera_of(release, target)[1], rtol=0, atol=SAME_POSE):
         raise PredictionError(
@@ -142,7 +142,7 @@ def _adapted(
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:
-    """T_camera_method of a camera.json, which anybody may have written.
+    """T_camera_method of an untrusted camera.json.
 
     Raises:
         PredictionError: it is missing, no similarity, or of another method.
@@ -155,7 +155,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Why there is nothing to adapt."""
+    """Why there is nothing to convert."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"

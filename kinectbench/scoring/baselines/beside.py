@@ -1,4 +1,4 @@
-"""Scores of the baselines that stand beside a method's: made in memory, kept beside the scores.
+"""Scores of baselines beside a method's, computed in memory and stored beside the scores.
 
 Of cells voxel metrics only: a table needs no more to show what a method is worth, and surfaces take most of
 the time. Beside predictions in the camera frame baselines are scored under `camera` alone.
@@ -35,11 +35,11 @@ def baselines_beside(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[ScoreTable]:
-    """The scores of every baseline that the release allows, as `score` would give them for its files.
+    """The scores of every baseline that the release allows, equal to those of `score` for its files.
 
     They are kept in `out/baselines/<name>/scores.json`, those of space in `out/baselines/<name>+camera/`, and
     read from there where release, settings and the versions of counting and of the baselines are the same,
-    and a few pairs that are counted again give the rows that are kept; otherwise they are made anew.
+    and a few pairs that are counted again give the rows that are kept; otherwise they are made again.
     Thresholds are found on the validation split for each, else they are 0.5.
 
     Args:
@@ -81,7 +81,7 @@ def baselines_beside(
 
 
 def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
-    """What was made before, if it would be the same again."""
+    """Earlier results that are still valid."""
     try:
         table = read_table(folder / ScoreTable.FILE)
     except StorageError:  # none there, or one that is damaged or does not add up

@@ -1,4 +1,4 @@
-"""Baselines counted pair by pair in memory: the tables that their files would get, and no files."""
+"""Baselines counted pair by pair in memory: the tables for their files, without files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -42,11 +42,11 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
 
-    The tables are those that `write_baselines` and `score_methods` would give, but for the hashes of files
-    that are not there.
+    The tables are those that `write_baselines` and `score_methods` would give, except for the hashes of files
+    that do not exist.
 
     Args:
-        release: what is predicted.
+        release: of the predictions.
         out: folder for the results.
         protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`; it wins over the validation split.
@@ -87,7 +87,7 @@ def counted_baselines(
     """The table of each of some baselines, in the order of `names`.
 
     Args:
-        release: what is predicted.
+        release: of the predictions.
         names: baselines that it allows (`possible_baselines`).
         counting: how pairs are counted; surface metrics on the test split only.
         thresholds_file: see `read_thresholds`; default: thresholds are found on the validation split for each
@@ -110,8 +110,8 @@ def counted_baselines(
     for together in rounds:
         tasks = baseline_tasks(release, names, rates, together)
         tell = None if progress is None else partial(_tell, progress, len(counted), pairs)
-        found = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
-        counted |= {task.target: of for task, of in zip(tasks, found, strict=True)}
+        results = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
+        counted |= {task.target: of for task, of in zip(tasks, results, strict=True)}
         if "validation" in together:
             thresholds = {name: _searched(release, name, counted) for name in names}
     settings = describe(counting, "error")
@@ -126,10 +126,10 @@ def counted_baselines(
 def baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
 ) -> set[str]:
-    """Names of tables some of whose rows are not what their baseline gives: a few pairs are counted again.
+    """Names of tables whose rows contradict their baseline; a few pairs are counted again.
 
     Args:
-        release: what is predicted.
+        release: of the predictions.
         tables: by name, of `release` and `counting`, without surface metrics.
         counting: how pairs are counted.
         jobs: number of processes that read the truth.
@@ -141,10 +141,10 @@ def baselines_that_differ(
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
     chosen = [task for task in tasks if task.target.name in pairs]
-    found = run_tasks(partial(_count, counting, {}), chosen, jobs)
+    recounted = run_tasks(partial(_count, counting, {}), chosen, jobs)
     wrong = set()
     for name, table in tables.items():
-        results = {task.target: of[name] for task, of in zip(chosen, found, strict=True)}
+        results = {task.target: of[name] for task, of in zip(chosen, recounted, strict=True)}
         kept = {(row.pair, row.protocol): row for row in table.rows}
         if any(target.category not in table.thresholds for target in results):
             wrong.add(name)
@@ -156,7 +156,7 @@ def baselines_that_differ(
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
-    """One progress over both rounds."""
+    """Combine the progress of both rounds."""
     progress(before + done, pairs)
 
 

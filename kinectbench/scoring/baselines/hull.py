@@ -1,4 +1,4 @@
-"""What the view bounds: its convex hull, carved or not, and its silhouette extruded away from the camera."""
+"""Bounds of a view: its convex hull, carved or not, and its silhouette extruded along the view."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,14 @@ def hull(inputs: Inputs) -> Bools:
 
     A cell is set if its centre lies in the hull of the set cells' centres or on it. Where the partial is
     flat, or is fewer than four cells, it is its own hull.
-
-    Source: own rule.
     """
     return filled_hull(inputs.partial)
 
 
 def carved_hull(inputs: Inputs) -> Bools:
-    """The convex hull of `partial_256` without what the view saw to be empty: (256, 256, 256) bool.
+    """The convex hull of `partial_256` without observed free space: (256, 256, 256) bool.
 
-    The strongest of what one view alone tells without a prior: the hull may hold air that nobody saw.
+    The strongest bound from a single view without a prior: the hull may hold unseen air.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved
@@ -35,7 +33,7 @@ def silhouette(inputs: Inputs) -> Bools:
     """Every cell whose ray from the camera met the partial before: (256, 256, 256) bool.
 
     Rays go from the camera's centre through cell centres, on to the grid's far side. They are looked up in an
-    image of 512 x 512 rays over the grid's far side. Own rule.
+    image of 512 x 512 rays over the grid's far side.
     """
     pair = inputs.pair
     centre = np.linalg.inv(pair.T_world_grid) @ pair.T_world_camera[:, 3]

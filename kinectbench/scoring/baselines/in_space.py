@@ -40,7 +40,7 @@ def space_baselines(
     """The table of each of some baselines, in the order of `names`, but of `base-rate`: it has no surface.
 
     Args:
-        release: what is predicted.
+        release: of the predictions.
         names: baselines that it allows (`possible_baselines`).
         protocols: camera, aligned or both.
         thresholds_file: see `read_thresholds`; default: as of the grid protocols.
@@ -86,7 +86,7 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Names of tables some of whose rows are not what their baseline gives: a few pairs are scored again."""
+    """Names of tables whose rows contradict their baseline; a few pairs are scored again."""
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
@@ -94,13 +94,13 @@ def space_baselines_that_differ(
     if any(task.target.category not in table.thresholds for task in chosen for table in tables.values()):
         return set(tables)
     used = {name: table.thresholds for name, table in tables.items()}
-    found = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), chosen, jobs)
+    results = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), chosen, jobs)
     wrong = set()
     for name, table in tables.items():
         kept = {(row.pair, row.heading): row for row in table.rows}
         again = [
             row
-            for task, of in zip(chosen, found, strict=True)
+            for task, of in zip(chosen, results, strict=True)
             if isinstance(one := of[name], ViewResult)
             for row in rows_of_view(task.target, one, table.thresholds[task.target.category])
         ]
@@ -110,7 +110,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """What chooses the thresholds of each baseline, of a pair of the validation split."""
+    """Tallies of a validation pair that choose each baseline's thresholds."""
     truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -121,10 +121,10 @@ def _results(
     """Every baseline's result of one view."""
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
-    found: Results = {}
+    results: Results = {}
     for name, prediction in predicted(task):
         try:
-            found[name] = grid_result(truth, prediction, thresholds[name][category], asked)
+            results[name] = grid_result(truth, prediction, thresholds[name][category], asked)
         except PredictionError as error:  # a surface of noise
-            found[name] = f"{task.target.name}: {error}"
-    return found
+            results[name] = f"{task.target.name}: {error}"
+    return results

@@ -1,4 +1,4 @@
-"""What a baseline may look at: a pair's input, and truth of the training split."""
+"""Inputs of baselines: a pair's input, and truth of the training split."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a baseline predicts from.
+    """The inputs of a baseline.
 
     Attributes:
         pair: without its truth.
@@ -55,7 +55,7 @@ class Inputs:
 
 
 def read_training(release: Release, category: str) -> Training | None:
-    """The training truth of a category, None if there is none.
+    """The training truth of a category, None without any.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -74,7 +74,7 @@ def read_training(release: Release, category: str) -> Training | None:
 
 
 def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:
-    """Which way is up, by the floor of the recording; where the release has none, up in the image.
+    """The up direction, by the recording's floor; without a floor, up in the image.
 
     Raises:
         ReleaseError: the floor's file is damaged.

@@ -34,7 +34,7 @@ def sweep_plane(
     row_within: Bools,
     column_within: Bools,
 ) -> None:
-    """Take rays one plane further: those that meet a set cell are hit, cells that a hit ray passes are set.
+    """Move rays one plane further: rays that meet a set cell become hit, and hit rays set their cells.
 
     Args:
         hit: (p, p) which rays met the partial so far; changed.
@@ -66,7 +66,7 @@ def sweep_plane(
 def mirror_gain(
     points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
 ) -> int:
-    """What the mirror image of points by a plane gains: `gain` of each one's block, -1 outside the grid.
+    """Gain of mirroring points by a plane: `gain` of each point's block, -1 outside the grid.
 
     Args:
         points: (n, 3) cells.

@@ -1,4 +1,4 @@
-"""The partial and its mirror image, by the vertical plane that what was seen speaks for most."""
+"""The partial and its mirror image, by the best-supported vertical plane."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def mirror(inputs: Inputs) -> Bools:
     """The partial and its mirror image: (256, 256, 256) bool.
 
     Of 36 x 33 vertical planes through the grid the one is taken whose mirror image has the most cells on the
-    partial, less those in space that was seen to be empty; of several the first. Own rule.
+    partial, less those in space that was seen to be empty; of several the first.
     """
     partial = inputs.partial
     points = np.argwhere(partial).astype(np.float64) + 0.5
@@ -25,10 +25,10 @@ def mirror(inputs: Inputs) -> Bools:
         return partial
     seen_empty = reduce_blocks(unpack(inputs.pair.seen) & ~partial, "majority")
     normal, offset = best_plane(points, unpack(inputs.pair.partial), seen_empty, inputs.up_grid)
-    found = np.floor(mirrored(points, normal, offset)).astype(int)
-    inside = ((found >= 0) & (found < len(partial))).all(axis=1)
+    cells = np.floor(mirrored(points, normal, offset)).astype(int)
+    inside = ((cells >= 0) & (cells < len(partial))).all(axis=1)
     result = partial.copy()
-    result[tuple(found[inside].T)] = True
+    result[tuple(cells[inside].T)] = True
     return result
 
 

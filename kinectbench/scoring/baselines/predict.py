@@ -1,4 +1,4 @@
-"""Which baselines a release allows, their predictions pair by pair, and their files."""
+"""Baselines that a release allows, their predictions pair by pair, and their files."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ SPLITS: tuple[Split, ...] = ("test", "validation")
 
 @dataclass(frozen=True)
 class BaselineTask:
-    """One pair to be predicted by some baselines.
+    """One pair for some baselines.
 
     Attributes:
         release: whose pair it is.
@@ -102,7 +102,7 @@ def write_baselines(
     The same input gives the same bytes. method.json names the release that was predicted.
 
     Args:
-        release: what is predicted.
+        release: of the predictions.
         out: a folder of methods.
         names: some of `BASELINES`; default: all that are possible.
         jobs: number of processes.
@@ -145,21 +145,21 @@ def write_baselines(
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a link, if there is one."""
+    """Remove a file or link if it exists."""
     if path.is_file() or path.is_symlink():
         with storage_errors(path):
             path.unlink()
 
 
 def _method(name: str, release: Release) -> MethodFile:
-    """What a baseline's method.json says."""
+    """method.json of a baseline."""
     return MethodFile(
         name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
     )
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Refuse names of no baseline.
+    """Refuse unknown names of baselines.
 
     Raises:
         SettingsError: no such baseline.

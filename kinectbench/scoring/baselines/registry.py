@@ -17,12 +17,12 @@ SMALLEST_RATE, LARGEST_RATE = 2.0**-14, 1 - 2.0**-11
 
 
 def empty(inputs: Inputs) -> NDArray[np.bool_]:
-    """Nothing anywhere: (16, 16, 16) bool."""
+    """An empty grid: (16, 16, 16) bool."""
     return np.zeros((CONSTANT_CELLS,) * 3, np.bool_)
 
 
 def constant(inputs: Inputs) -> NDArray[np.float16]:
-    """The category's base rate everywhere: (16, 16, 16) float16, to within 0.05 % of it.
+    """The category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
 
     It is held to what float16 can say near 0 and 1.
     """
@@ -43,7 +43,7 @@ def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
 def nearest(inputs: Inputs) -> NDArray[np.bool_]:
     """The full shape of the training pair whose partial has the highest IoU at 64^3: (256, 256, 256) bool.
 
-    Of several the first. Own rule.
+    Of several the first.
     """
     assert inputs.training is not None
     partials = inputs.training.partials

@@ -1,4 +1,4 @@
-"""A block-sparse voxel volume: blocks of 8x8x8 voxels where something is to be measured."""
+"""A block-sparse voxel volume: blocks of 8x8x8 voxels near measured surfaces."""
 
 from dataclasses import dataclass
 from typing import TypeVar

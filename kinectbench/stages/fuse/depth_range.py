@@ -1,8 +1,8 @@
-"""How far depth makes surface: as far as what the cameras look at may reach, unless a person says how far.
+"""The largest depth that is fused: enough for what the cameras look at, unless a person sets it.
 
 What is looked at lies where the optical axes meet, and no nearer than the nearest tenth of the depth in the
 middle of the images: where axes do not meet, as along a shelf, that depth alone tells. It may reach as far
-behind that as a ball that fills the wider side of the image. Own rules; what is nearer than 3 m is fused in
+behind that as a ball that fills the wider side of the image. Chosen here; what is nearer than 3 m is fused in
 any case.
 """
 
@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.settings.models import LEAST_RANGE_M, FusionSettings
 
-# The noise of a Kinect is 0.11 m there; what is recorded as farther is often no depth at all.
+# The noise of a Kinect is 0.11 m there; larger values are often invalid.
 FARTHEST_M = 8.0
 # Rounded up to it, so that poses that differ by a hair give the same range.
 RANGE_STEP_M = 0.1
@@ -35,7 +35,7 @@ class SampledDepth:
 
     Attributes:
         whole_m: (n,) float32, metres, all of it.
-        middle_m: (m,) of this, what lies in the middle third of rows and of columns.
+        middle_m: (m,) the part of it in the middle third of rows and of columns.
         nearest_m: (k,) for each frame with depth there: a tenth of that depth is nearer.
     """
 
@@ -45,7 +45,7 @@ class SampledDepth:
 
 
 def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
-    """Gather what is measured in depth images (height, width), metres, 0 = none."""
+    """Sample depth images (height, width), metres, 0 = none."""
     whole, middle = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
     nearest = []
     for depth_m in depths_m:
@@ -77,7 +77,7 @@ def depth_range_of(
 def depth_range(
     camera: Camera, T_world_camera: Float64, sampled: SampledDepth, settings: FusionSettings
 ) -> DepthRangePart:
-    """Choose how far depth makes surface of the scene, and count what lies beyond.
+    """Choose the largest depth to fuse into the scene, and count the depth beyond.
 
     Args:
         camera: of the depth images.
@@ -102,7 +102,7 @@ def depth_range(
 
 
 def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
-    """A line for people if what the cameras look at may lie beyond the depth that makes surface."""
+    """A warning if the object of interest may lie beyond the largest fused depth."""
     if part.missed_share <= MAX_MISSED_SHARE:
         return ()
     remedy = "raise `fusion.max_depth_m`, or leave it out"
@@ -115,7 +115,7 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """How far depth makes surface in a grid, metres: as far as the grid itself reaches, 3 to 8 m.
+    """The largest depth to fuse into a grid, metres: the grid's farthest point, 3 to 8 m.
 
     All depth that falls into the grid counts, with its weight: depth that hits the far wall of a cavity
     carves the cavity. The grid bounds what it costs. A person's `fusion.max_depth_m` holds, though.
@@ -140,15 +140,15 @@ def _range_m(reach_m: float) -> float:
 
 
 def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
-    """How far what is looked at lies from most cameras, along their axes, metres; None if nothing tells."""
-    told_m = []
+    """Typical distance along the axis to what the cameras look at, metres; None without data."""
+    distances_m = []
     if len(T_world_camera):
         towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]
         ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
-        told_m.append(float(np.quantile(np.maximum(ahead_m, 0), USUAL_SHARE)))
+        distances_m.append(float(np.quantile(np.maximum(ahead_m, 0), USUAL_SHARE)))
     if len(sampled.nearest_m):
-        told_m.append(float(np.median(sampled.nearest_m)))
-    return max(told_m, default=None)
+        distances_m.append(float(np.median(sampled.nearest_m)))
+    return max(distances_m, default=None)
 
 
 def _ball_share(camera: Camera) -> float:

@@ -47,7 +47,7 @@ MAX_SLANT = 10.0
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """A depth image and where it was taken.
+    """A depth image and its camera pose.
 
     Attributes:
         depth_m: (height, width) float32, metres along z, 0 = none.
@@ -125,7 +125,7 @@ def _integrate_batch(
     posed = list(zip(batch, T_camera_grid, strict=True))
     visible = ahead(lambda at: visible_blocks(volume, at[0].depth_m, camera, at[1], truncation_m), posed)
     seen = np.stack(list(visible))
-    # Pixel coordinates times z, but for the principal point; its half a pixel more, and cutting off the
+    # Pixel coordinates times z, except for the principal point; its half a pixel more, and cutting off the
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
     middle_px = np.array([camera.cx, camera.cy], np.float32) + np.float32(BORDER_PX + 0.5)
@@ -191,7 +191,7 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """Set (3, 512): what lies between a block's corner and the centre of each voxel, projected."""
+    """Set (3, 512): the projected offsets from a block's corner to the centre of each voxel."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
@@ -218,7 +218,7 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Add a frame's weighted distances, weights and votes; whether there were any."""
+    """Add a frame's weighted distances, weights and votes; returns whether there were any."""
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
     half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
@@ -250,7 +250,7 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _merge(tsdf, weight, new_total, new_weight):  # type: ignore[no-untyped-def]
-    """Average what was added up into a block; leaves zeros for the next one."""
+    """Average the sums into a block, and reset them to zero."""
     for n in range(BLOCK_CELLS):
         total = weight[n] + new_weight[n]
         tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))
@@ -277,8 +277,8 @@ def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-unt
     The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
     the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
     axis. 1 / cos is taken from pixels two to either side and is at most 10: its limit next to a depth edge,
-    where pixels mix two surfaces. Beyond `farthest` the weight is negative: what lies well in front of it is
-    free, and nothing more is said.
+    where pixels mix two surfaces. Beyond `farthest` the weight is negative: voxels well in front of it are
+    free, and others are not updated.
 
     Row by row; slices, because indices that may be negative stop the compiler from vectorising.
     """
@@ -288,13 +288,13 @@ def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-unt
     padded = np.empty(width + 2 * SLANT_REACH_PX, np.float32)
     left, right = padded[: -2 * SLANT_REACH_PX], padded[2 * SLANT_REACH_PX :]
     for v in range(height):
-        here = depth_m[v]
+        row_depth_m = depth_m[v]
         above, below = depth_m[max(v - SLANT_REACH_PX, 0)], depth_m[min(v + SLANT_REACH_PX, height - 1)]
-        padded[:SLANT_REACH_PX], padded[-SLANT_REACH_PX:] = here[0], here[-1]
-        padded[SLANT_REACH_PX:-SLANT_REACH_PX] = here
+        padded[:SLANT_REACH_PX], padded[-SLANT_REACH_PX:] = row_depth_m[0], row_depth_m[-1]
+        padded[SLANT_REACH_PX:-SLANT_REACH_PX] = row_depth_m
         out = pixels[v + BORDER_PX, BORDER_PX:-BORDER_PX].reshape(-1)
         for u in range(width):
-            d = here[u]
+            d = row_depth_m[u]
             inverse = f32(1) / max(d, f32(1e-3))
             across = (right[u] - left[u]) * slope[0] * inverse
             down = (below[u] - above[u]) * slope[1] * inverse

@@ -1,4 +1,4 @@
-"""From a TSDF to a triangle mesh: marching cubes where all eight corners were observed; and its colours."""
+"""A triangle mesh of a TSDF, with colours: marching cubes where all eight corners were observed."""
 
 import numba
 import numpy as np
@@ -26,7 +26,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     Args:
         volume: fused blocks.
         min_weight: voxels of less weight (`evident_weight`, 1/mm^2) count as not observed.
-        trust: what part of the votes is believed, `trust_in_votes`.
+        trust: the share of the votes that counts, `trust_in_votes`.
     """
     of_blocks = volume.blocks // BRICK_BLOCKS
     bricks = of_blocks[np.unique(cell_numbers(of_blocks), return_index=True)[1]]
@@ -61,7 +61,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
 
 def _edge_keys(vertices: Float64, first: Int64) -> Int64:
-    """One integer per grid edge (or corner) that a marching-cubes vertex lies on, equal across bricks."""
+    """One integer per grid edge (or corner) of a marching-cubes vertex, equal across bricks."""
     low = np.floor(vertices)
     axis = np.argmax(vertices - low, axis=1)
     axis[np.all(vertices == low, axis=1)] = 3

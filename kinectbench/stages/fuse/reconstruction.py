@@ -50,7 +50,7 @@ FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
 # Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
 # a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
 CLOSE_POSE_SIGMA_M = 0.005
-# How far the cameras are from what they see is the median of so many frames.
+# The typical distance is the median over so many frames.
 DISTANCE_FRAMES = 60
 
 
@@ -143,7 +143,7 @@ def observe(
     settings: FusionSettings,
     progress: Progress | None = None,
 ) -> Observation:
-    """Fuse frames into a dense grid, so that empty space has votes, too.
+    """Fuse frames into a dense grid, including votes for empty space.
 
     Depth makes surface as far as the grid reaches (`grid_range_m`), unless the settings say how far. What
     lies beyond says that all before it is free: under a table's top the cameras look at a floor farther away
@@ -173,7 +173,7 @@ def observe(
 
 
 def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: FusionSettings) -> float:
-    """Median of some frames' median depths, metres; 0 where they have none."""
+    """Median of some frames' median depths, metres; 0 without depth."""
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, DISTANCE_FRAMES).round().astype(int))]
     depths_m = [usable_depth_m(sequence, int(index), settings) for index in chosen]
     medians_m = [np.median(depth_m[depth_m > 0]) for depth_m in depths_m if depth_m.any()]
@@ -181,7 +181,7 @@ def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: F
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
-    """Depth of a frame in metres, 0 outside the range that is fused; `far`: with what lies beyond it."""
+    """Depth of a frame in metres, 0 outside the fused range; `far`: with depth beyond it."""
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
@@ -197,15 +197,15 @@ def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionS
     """Truncation of the TSDF: some voxels, but no less than three times the poses' uncertainty.
 
     Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
-    Poses that nobody could check do not widen it: see `pose_reach_m`.
+    Unchecked poses do not widen it: see `pose_reach_m`.
     """
     return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.median_pose_sigma_m))
 
 
 def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
-    """By how much a frame's pose may be off, for its weight and for the width of its `surface` votes, metres.
+    """Uncertainty of a frame's pose, for its weight and for the width of its `surface` votes, metres.
 
-    A pose that nobody could check weighs as the largest plausible error, which would cancel the votes near
+    An unchecked pose weighs as the largest plausible error, which would cancel the votes near
     the surface: these are as wide as those of a usual checked pose. Where no pose was checked, no frame is
     better than another, and depth alone weighs: next to 20 mm for all, near pixels would count no more than
     far ones; the box around a simulated object of half a metre would be 4 to 11 mm larger on each axis.
@@ -244,7 +244,7 @@ def _integrate_frames(
     integrate(volume, read(), sequence.camera, truncation_m, _max_depth_m(settings))
     beside_m = sequence.beside_m
     if far and beside_m is not None:
-        # Nearer than what was measured beside the object there was nothing; it makes no surface itself.
+        # Depth beside the object votes for free space before it, but makes no surface.
         beside = (
             DepthFrame(beside_m(index), trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
             for index in chosen

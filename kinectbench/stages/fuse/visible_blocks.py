@@ -1,4 +1,4 @@
-"""Which blocks a frame says anything about."""
+"""The blocks that a frame can update."""
 
 import numba
 import numpy as np
@@ -9,10 +9,9 @@ from kinectbench.core.types import Bools, Float32, Float64, Int32
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 
 TILE_PX = 4
-# Voxels behind a surface hear of it as far as the truncation, and so many standard deviations of its depth.
-# By a truncation of 20 mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm)
-# 16 mm; with two deviations both are 1 mm off (normal noise, computed). Nearer than 2.55 m they are less than
-# 20 mm.
+# Surfaces update voxels behind them up to the truncation, plus so many sigmas of depth. By a truncation of 20
+# mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm) 16 mm; with two
+# deviations both are 1 mm off (normal noise, computed). Nearer than 2.55 m they are less than 20 mm.
 BEHIND_SURFACE_SIGMAS = 2.0
 SAMPLES_APART_BLOCKS, MAX_SAMPLE_PX = 0.4, 4
 # How far nine of ten pixels measure at most is found in every sixteenth pixel of every sixteenth row.
@@ -44,8 +43,8 @@ def blocks_near_surface(
     far_m = float(np.percentile(some_m[some_m > 0], FAR_PERCENTILE)) if some_m.any() else 1.0
     step_px = int(SAMPLES_APART_BLOCKS * block_m * min(camera.fx, camera.fy) / far_m)
     step_px = min(max(step_px, 1), MAX_SAMPLE_PX)
-    found = _blocks_on_rays(depth_m, step_px, camera.intrinsics, T_world_camera[:3] / block_m, offsets_m)
-    return unique_blocks(found)
+    blocks = _blocks_on_rays(depth_m, step_px, camera.intrinsics, T_world_camera[:3] / block_m, offsets_m)
+    return unique_blocks(blocks)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -54,7 +53,7 @@ def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-unt
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape
     samples = ((height - 1) // step + 1) * ((width - 1) // step + 1)
-    found, count = np.empty((samples * len(offsets), 3), np.int64), 0
+    blocks, count = np.empty((samples * len(offsets), 3), np.int64), 0
     last_i, last_j, last_k = NOWHERE, NOWHERE, NOWHERE
     for v in range(0, height, step):
         for u in range(0, width, step):
@@ -69,10 +68,10 @@ def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-unt
                     j = np.int64(np.floor(along_y * z + T[1, 3]))
                     k = np.int64(np.floor(along_z * z + T[2, 3]))
                     if i != last_i or j != last_j or k != last_k:
-                        found[count, 0], found[count, 1], found[count, 2] = i, j, k
+                        blocks[count, 0], blocks[count, 1], blocks[count, 2] = i, j, k
                         last_i, last_j, last_k = i, j, k
                         count += 1
-    return found[:count]
+    return blocks[:count]
 
 
 def visible_blocks(
@@ -82,13 +81,13 @@ def visible_blocks(
     T_camera_grid: Float64,
     truncation_m: float,
 ) -> Bools:
-    """Which blocks a frame may say something about.
+    """The blocks that a frame may update.
 
     Left out are blocks that project beside the image, or lie behind all that was measured where they project.
     """
     block_m = BLOCK_VOXELS * volume.voxel_size_m
     farthest_m = _farthest(depth_m)
-    # By how much what hears of it reaches on beyond the truncation.
+    # Distance beyond the truncation that is still updated.
     noisy_m = BEHIND_SURFACE_SIGMAS * depth_sigma_m(farthest_m) - np.float32(truncation_m)
     farthest_m[farthest_m > 0] += np.maximum(noisy_m[farthest_m > 0], np.float32(0))
     seen: Bools = _visible(
@@ -100,7 +99,7 @@ def visible_blocks(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _farthest(depth):  # type: ignore[no-untyped-def]
-    """The greatest depth in each tile of pixels; 0 where nothing was measured."""
+    """The greatest depth in each tile of pixels; 0 without depth."""
     height, width = depth.shape
     tiles = np.zeros(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), np.float32)
     for v in range(height):

@@ -1,4 +1,4 @@
-"""Depth whose 16-bit values are no plain distances along the axis: read as they are meant."""
+"""Decode 16-bit depth whose values are no plain distances along the axis."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,5 +35,5 @@ def float16_m(depth: UInt16) -> NDArray[np.float32]:
 
 
 def ray_lengths(camera: Camera) -> NDArray[np.float64]:
-    """How much longer than along the axis the way along each pixel's ray is: (height, width), at least 1."""
+    """Ratio of ray length to axial depth at each pixel: (height, width), at least 1."""
     return np.asarray(np.linalg.norm(camera.rays(), axis=-1))

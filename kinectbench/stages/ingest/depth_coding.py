@@ -1,4 +1,4 @@
-"""Which code the depth images of a folder are in: what the settings say, or else what the pixels show."""
+"""The encoding of a folder's depth images: by the settings, else by the pixels."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +17,7 @@ MM_SCALE = 1000.0
 
 
 def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording as its depth is coded.
+    """The recording with its depth decoded by the detected code.
 
     Rotated depth is looked for where depth is PNG in mm and the settings give no `depth_scale`. In a layout
     whose depth usually is rotated (`often_rotated`) it is no news, and multiples of eight are enough;

@@ -72,12 +72,12 @@ def _is_array(data: bytes, name: str) -> bool:
 
 
 def kind_of(depth: UInt16 | Float32) -> str:
-    """What a depth image holds, in words: "whole numbers" or "floats"."""
+    """The content of a depth image: "whole numbers" or "floats"."""
     return "whole numbers" if depth.dtype == np.uint16 else "floats"
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
-    """Of a float image: whether its values are metres (1) or millimetres (1000); None for whole numbers."""
+    """Units a metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers."""
     if depth.dtype == np.uint16:
         return None
     measured = depth[np.isfinite(depth) & (depth > 0)]
@@ -85,7 +85,7 @@ def units_a_metre(depth: UInt16 | Float32) -> float | None:
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """Which channels (B, G, R) of a PNG hold the high and the low byte of depth; None: none."""
+    """The channels (B, G, R) of a PNG with the high and the low byte of depth; None if not packed."""
     if not data.startswith(PNG_MAGIC):
         return None
     try:
@@ -139,15 +139,15 @@ def _array(data: bytes, name: str) -> NDArray[np.generic]:
     """The image in a .npy, .npz or HDF5 file, (height, width); nothing is unpickled."""
     kind = Path(name).suffix or "NumPy"
     try:
-        found = _stored(data, name)
+        array = _stored(data, name)
     except UNREADABLE as error:
         raise DamagedImageError(f"{name}: the {kind} file is damaged ({error})") from error
-    sides = _sides(found)
-    if found.dtype.kind not in "fui" or len(sides) != 2:
-        raise OddImageError(f"{name}: depth is {found.dtype} of shape {found.shape}, not (height, width)")
+    sides = _sides(array)
+    if array.dtype.kind not in "fui" or len(sides) != 2:
+        raise OddImageError(f"{name}: depth is {array.dtype} of shape {array.shape}, not (height, width)")
     if is_too_large(*sides):
         raise DamagedImageError(f"{name}: {sides} are more pixels than an image may have")
-    return found.reshape(sides)
+    return array.reshape(sides)
 
 
 def _stored(data: bytes, name: str) -> NDArray[Any]:

@@ -1,6 +1,6 @@
 """Up in the depth camera's axes, by an accelerometer, at frames where the camera was still.
 
-At rest an accelerometer measures the reaction to gravity, which points up (ROS REP 145; librealsense alike).
+At rest an accelerometer measures the reaction to gravity, which points up (ROS REP 145; librealsense, too).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +44,7 @@ def up_at_rest(
         for index in some.tolist():
             with suppress(DamagedImageError):
                 found.append(measured(index))
-        with np.errstate(over="ignore", invalid="ignore"):  # files of strangers may hold any number
+        with np.errstate(over="ignore", invalid="ignore"):  # an untrusted file may hold any number
             mean = np.mean(found, axis=0) if len(found) >= LEAST_SAMPLES else np.full(3, np.nan)
             length = float(np.linalg.norm(mean))
         if abs(length - GRAVITY_MPS2) <= STILL_MPS2:  # which NaN is not

@@ -1,4 +1,4 @@
-"""Arrays of a stranger's HDF5 file: numbers alone, of a size that is known before they are read."""
+"""Arrays of an untrusted HDF5 file: numbers alone, of a size that is known before they are read."""
 
 import io
 from collections.abc import Iterable

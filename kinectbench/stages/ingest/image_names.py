@@ -1,4 +1,4 @@
-"""What names of images say: the order of frames, their numbers, and stamps in seconds, ms, us or ns.
+"""Names of images: order of frames, numbers, and stamps in seconds, ms, us or ns.
 
 A number in a name is a time only where it can be no frame number: it has decimals, counts from 1970, or
 goes in steps of thousands, as micro- and nanoseconds do. Whole milliseconds from 0 look like frame numbers,
@@ -34,7 +34,7 @@ UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
 # smaller then than that of decimals: where it is one, frames of each first tenth of a second are missed
 # there in the other reading, two frames or more from 10 Hz on.
 PART_DIGITS, MORE_REGULAR = 9, 1.5
-# Parts that are nearer to each other count frames (own choice: 333 Hz, as above).
+# Parts that are nearer to each other count frames (333 Hz, as above).
 LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3
 # Steps between frames, if the unit is right: at most 2000 Hz, keyframes of up to 10 s.
 LEAST_STEP_NS, MOST_STEP_NS = NS_PER_S // 2000, 10 * NS_PER_S
@@ -44,13 +44,13 @@ STEPS_OF_UNITS = ((3e6, UNITS_NS[3]), (3e3, UNITS_NS[2]), (3.0, UNITS_NS[1]))
 
 
 def counting_key(stem: str) -> list[tuple[int, str]]:
-    """What sorts names in the order people count: 2 before 10."""
+    """A sort key in numeric order: 2 before 10."""
     # A name may stand in an index, where it can have any length; Python refuses numbers of 4300 digits.
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
 def frame_key(stem: str) -> str:
-    """What must agree for depth and colour to be one frame: the name, without leading zeros of a number."""
+    """The key that pairs depth and colour: the name, without leading zeros of a number."""
     redwood = NUMBER_AND_STAMP.fullmatch(stem)
     if redwood:
         return str(int(redwood[1]))
@@ -58,9 +58,9 @@ def frame_key(stem: str) -> str:
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int] | None:
-    """The number of each name: the last that is not the same in all.
+    """The number of each name: the last one that differs between names.
 
-    None if there is none, or if it does not rise from name to name: one that begins anew, as in each second
+    None if there is none, or if it does not rise from name to name: one that restarts, as in each second
     or scene, is the number of no frame.
 
     Args:
@@ -75,12 +75,12 @@ def frame_numbers(stems: Sequence[str]) -> list[int] | None:
 
 
 def times_of_names(stems: Sequence[str]) -> list[int] | None:
-    """Stamps in nanoseconds, where the names of a stream hold such; None where they hold none.
+    """Stamps in nanoseconds from a stream's names; None if the names hold none.
 
     Read are Redwood's NUMBER-MICROSECONDS; a date and the time of day, with or without a part of a second
     after it, such as 20240115_103045_160407; seconds of today and their part, as a count or as decimals, such
     as 1305031102_160407000; and one number that rises from name to name, with or without others beside it, in
-    the unit that its size and its steps tell. A number that begins anew is a part of a time, and none itself.
+    the unit that its size and its steps tell. A number that restarts is a part of a time, and none itself.
 
     Args:
         stems: names of the images of one stream, without what they end in.
@@ -91,22 +91,22 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
         return None if no_times(recorded_ns) else _if_times(recorded_ns)
     dated = [DATE.search(stem) for stem in stems]
     if stems and all(dated):
-        found = _if_parts(_of_dates([match for match in dated if match]))
-        if found:
-            return found
+        stamps = _if_parts(_of_dates([match for match in dated if match]))
+        if stamps:
+            return stamps
     columns = _columns(stems)
-    for whole, rest in pairwise(columns):
-        if all(len(text) == 10 and text.isdecimal() for text in whole) and _are_parts(rest):
-            return _if_parts(_with_parts([int(text) for text in whole], rest))
+    for whole, fraction in pairwise(columns):
+        if all(len(text) == 10 and text.isdecimal() for text in whole) and _are_parts(fraction):
+            return _if_parts(_with_parts([int(text) for text in whole], fraction))
     for place, column in reversed(list(enumerate(columns))):
-        found = _of_one_number(column)
-        if found and _rises(found, columns[:place]):
-            return found
+        stamps = _of_one_number(column)
+        if stamps and _rises(stamps, columns[:place]):
+            return stamps
     return None
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds by names; where these hold none a number counts seconds, or the order does."""
+    """Stamps in nanoseconds from names, else from frame numbers in seconds, else from the order."""
     times_ns = times_of_names(stems)
     if times_ns is not None:
         return times_ns
@@ -116,7 +116,7 @@ def stamps_of_names(stems: Sequence[str]) -> list[int]:
 
 
 def _columns(stems: Sequence[str]) -> list[list[str]]:
-    """The numbers in names, column by column; none where names are built differently."""
+    """The numbers in names by column; none if names have different forms."""
     if not stems or len({NUMBER.sub("#", stem) for stem in stems}) > 1:
         return []
     rows = [NUMBER.findall(stem) for stem in stems]
@@ -147,8 +147,8 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
     return _with_parts([int(time.timestamp()) for time in times], [m[9] or m[10] or "0" for m in dated])
 
 
-def _with_parts(whole: Sequence[int], rest: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds of whole seconds, each with a part that is a count or decimals.
+def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
+    """Stamps in nanoseconds of whole seconds, each with a fraction that is a count or decimals.
 
     Padded with zeros the part is both. Else it is decimals where one begins with a zero; a count where the
     longest are of nanoseconds and seconds are of today, as floats do not have so many decimals then; or what
@@ -156,14 +156,14 @@ def _with_parts(whole: Sequence[int], rest: Sequence[str]) -> list[int]:
 
     Args:
         whole: seconds.
-        rest: up to 9 digits each.
+        fractions: up to 9 digits each.
     """
-    longest = max(map(len, rest))
+    longest = max(map(len, fractions))
     unit_ns = 10 ** (PART_DIGITS - 3 * -(-longest // 3))
-    pairs = list(zip(whole, rest, strict=True))
+    pairs = list(zip(whole, fractions, strict=True))
     decimals = [s * NS_PER_S + int(text.ljust(PART_DIGITS, "0")) for s, text in pairs]
     counts = [s * NS_PER_S + int(text) * unit_ns for s, text in pairs]
-    if len(set(map(len, rest))) == 1 or any(len(text) > 1 and text[0] == "0" for text in rest):
+    if len(set(map(len, fractions))) == 1 or any(len(text) > 1 and text[0] == "0" for text in fractions):
         return decimals
     today = min(whole) * NS_PER_S >= TODAY_NS[0]
     if (today and longest == PART_DIGITS) or not _if_times(decimals):
@@ -196,14 +196,14 @@ def _if_times(stamps_ns: list[int]) -> list[int] | None:
 
 
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
-    """Stamps, if they are times, and far enough apart for parts of a second."""
-    found = _if_times(stamps_ns)
-    period_ns = typical_period_ns(np.array(sorted(found or []), np.int64))
-    return found if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
+    """Stamps, if they are times and far enough apart for fractions of a second."""
+    stamps = _if_times(stamps_ns)
+    period_ns = typical_period_ns(np.array(sorted(stamps or []), np.int64))
+    return stamps if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
 
 
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
-    """The unit of numbers if they are times, nanoseconds; else None."""
+    """The unit of numbers that are times, nanoseconds; else None."""
     step = _step(values)
     for unit_ns in UNITS_NS:
         today = min(values) * unit_ns >= TODAY_NS[0] and max(values) * unit_ns < TODAY_NS[1]
@@ -216,7 +216,7 @@ def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
 
 
 def _step(values: list[Decimal]) -> float:
-    """The usual step from one number to the next larger one; 0 if there is one number only."""
+    """The typical increase between numbers; 0 for a single number."""
     # In thousandths, and from the first: numbers of 19 digits are more than integers of 64 bits can hold.
     first = min(values)
     thousandths = np.array(sorted(int((value - first) * 1000) for value in values), object)

@@ -12,13 +12,13 @@ FLOAT_SCALE = 5000.0
 
 
 class DamagedImageError(RecordingError):
-    """One image is missing or damaged; a few of those among many frames can be left out."""
+    """One image is missing or damaged; a few such frames of many can be left out."""
 
     what = "damaged-image"
 
 
 class OddImageError(DamagedImageError):
-    """One image is whole, but of another kind or size than depth of this recording has."""
+    """One image is whole, but of another kind or size than the recording's depth."""
 
     what = "other-image"
 
@@ -66,7 +66,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Depth in metres (height, width) in steps of 1 / FLOAT_SCALE m: uint16; what does not fit becomes 0."""
+    """Depth in metres (height, width) in steps of 1 / FLOAT_SCALE m: uint16; out of range becomes 0."""
     native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
     fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
     return np.where(fits, native, 0).astype(np.uint16)

@@ -1,4 +1,4 @@
-"""A recording as a `Sequence` that is not written: frames are read again whenever they are asked for."""
+"""A recording as an unwritten `Sequence`: frames are read again at each access."""
 
 from collections.abc import Callable
 from collections.abc import Sequence as Items
@@ -36,7 +36,7 @@ def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
 
 
 class _RecordedFrames:
-    """Frames where they were recorded; the last one read is kept, for its colour is asked for next."""
+    """Frames of an open recording; caches the last one, whose colour is read next."""
 
     def __init__(
         self, recording: Recording, indices: Items[int], register: Callable[[RawFrame], RawFrame] | None
@@ -49,7 +49,7 @@ class _RecordedFrames:
         return self._frame(index).depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame as it was encoded: (suffix, bytes); None where it does not lie on depth."""
+        """Encoded colour of one frame: (suffix, bytes); None if it is not registered to depth."""
         if self._register is not None:
             return self._register(self._frame(index)).color
         return self._frame(index).color if self._recording.color_registered else None

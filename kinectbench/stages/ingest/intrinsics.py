@@ -1,4 +1,4 @@
-"""Intrinsics: what a recording says, what the settings say instead, and whether that fits the images."""
+"""Intrinsics: of the recording and of the settings, and their check against the images."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What is known about a depth camera; None = not said. Pixels; depth_scale in native units per metre.
+    """Known values of a depth camera; None = unknown. Pixels; depth_scale in native units per metre.
 
     `notes` say how it was read, where that is not as it stands, a line each.
     """
@@ -58,12 +58,12 @@ class Intrinsics:
 
     @classmethod
     def of_matrix(cls, K: Float64, depth_scale: float | None = None) -> "Intrinsics":
-        """What a pinhole matrix (3, 3) or larger says, pixels; and maybe the depth scale."""
+        """Intrinsics from a pinhole matrix (3, 3) or larger, pixels; with a depth scale if given."""
         fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return cls(fx=fx, fy=fy, cx=cx, cy=cy, depth_scale=depth_scale)
 
     def overridden_by(self, settings: CameraSettings) -> "Intrinsics":
-        """The same with every value that the settings give in place of its own.
+        """A copy in which values of the settings replace its own.
 
         Where they give all of fx, fy, cx and cy, the recording's image size no longer counts: it belongs to
         the intrinsics that are replaced.
@@ -80,7 +80,7 @@ class Intrinsics:
         Args:
             size_px: width and height of the depth images.
             path: the recording, for messages.
-            beside: what a message adds of files of the recording that may say what is missing.
+            beside: a hint for messages about files that may hold missing values.
 
         Raises:
             RecordingError: a value is missing, or another image size is declared or implied.
@@ -88,10 +88,10 @@ class Intrinsics:
         width, height = size_px
         missing = [name for name in NEEDED if getattr(self, name) is None]
         if missing:
-            said = beside(path) if beside else ""
+            hint = beside(path) if beside else ""
             raise RecordingError(
                 f"{path}: the recording does not say its intrinsics ({', '.join(missing)}): give them in "
-                f"benchmark.yaml as `camera: {{fx: ..., fy: ..., cx: ..., cy: ...}}` (pixels){said}",
+                f"benchmark.yaml as `camera: {{fx: ..., fy: ..., cx: ..., cy: ...}}` (pixels){hint}",
                 what="no-intrinsics",
             )
         declared = (self.width or width, self.height or height)
@@ -116,13 +116,13 @@ class Intrinsics:
         return Camera(width, height, fx, fy, cx, cy)
 
 
-def said_warnings(path: Path, said: Intrinsics, settings: CameraSettings) -> list[str]:
-    """How intrinsics were read; and `scale_warnings`."""
-    return [*said.notes, *scale_warnings(path, said.depth_scale, settings)]
+def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
+    """Warnings on how intrinsics were read, and `scale_warnings`."""
+    return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
 def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings) -> list[str]:
-    """A warning where the settings give another depth scale than the recording itself."""
+    """A warning if the settings and the recording have different depth scales."""
     given = settings.depth_scale
     if said_scale is None or given is None or math.isclose(said_scale, given, rel_tol=1e-6):
         return []
@@ -173,20 +173,20 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     return Intrinsics(**values)
 
 
-def _units_a_metre(said: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
-    """The depth scale in units a metre that a file means, and a note where it says another figure."""
-    if of_bop and said < MOST_MM_A_UNIT:
-        scale, how = MM_PER_M / said, "mm a unit, as BOP has it beside cam_K"
-    elif said < 1:
-        scale, how = 1 / said, "metres a unit, as librealsense has it"
+def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
+    """A file's depth scale in units a metre, and a note if it is stated otherwise."""
+    if of_bop and stated < MOST_MM_A_UNIT:
+        scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
+    elif stated < 1:
+        scale, how = 1 / stated, "metres a unit, as librealsense has it"
     else:
-        return {"depth_scale": said}
-    note = f"{path}: its depth_scale {said:g} is taken for {how}: 1 m is {scale:g} units"
+        return {"depth_scale": stated}
+    note = f"{path}: its depth_scale {stated:g} is taken for {how}: 1 m is {scale:g} units"
     return {"depth_scale": scale, "notes": (note,)}
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:
-    """Read how colour lies to depth from camera.json: `color_camera` and `T_color_depth`.
+    """Read the relation of colour to depth from camera.json: `color_camera` and `T_color_depth`.
 
     `color_camera` holds width, height, fx, fy, cx, cy and maybe `distortion` (Brown's coefficients);
     `T_color_depth` four rows, metres, depth camera to colour camera.
@@ -195,21 +195,21 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
         None if the file does not hold both.
 
     Raises:
-        RecordingError: one of them is not what it should be.
+        RecordingError: a value is invalid.
     """
     raw = read_object(path, HELD)
     if raw.get("color_camera") is None or raw.get("T_color_depth") is None:
         return None
     where = f"{path}: 'color_camera'"
-    said = raw["color_camera"]
-    if not isinstance(said, dict):
+    color_camera = raw["color_camera"]
+    if not isinstance(color_camera, dict):
         raise RecordingError(f"{where} must hold an object with {HELD}")
     values: dict[str, Any] = {
-        key: number_of(said.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)
+        key: number_of(color_camera.get(key), f"{where}: '{key}'") for key in ("width", "height", *NEEDED)
     }
     size_px = (int(values["width"]), int(values["height"]))
     camera = Intrinsics(**{key: values[key] for key in NEEDED}).camera(size_px, path)
-    distortion = said.get("distortion") or []
+    distortion = color_camera.get("distortion") or []
     if not isinstance(distortion, list) or len(distortion) not in (0, 4, 5, 8):
         raise RecordingError(f"{where}: 'distortion' must hold 4, 5 or 8 numbers (Brown's model)")
     matrix = numbers_of(raw["T_color_depth"])
@@ -220,7 +220,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
 
 
 def numbers_of(value: object) -> Float64:
-    """The numbers in a list of a JSON file, or in lists of it; (0,) where it holds anything else."""
+    """The numbers in a (nested) JSON list; (0,) for other values."""
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):  # an integer may have a thousand digits
@@ -246,18 +246,18 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
 
 
-def check_focal_lengths(said: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
+def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
     """Refuse focal lengths that no camera with images of this size has (own bounds: 136 and 6 degrees).
 
     Args:
-        said: what the file says.
+        intrinsics: of the file.
         size_px: width and height of the depth images.
-        file: where it says so, for the message.
+        file: for the message.
 
     Raises:
         RecordingError: the field of view is wider or narrower.
     """
-    for focal, side in ((said.fx, size_px[0]), (said.fy, size_px[1])):
+    for focal, side in ((intrinsics.fx, size_px[0]), (intrinsics.fy, size_px[1])):
         if focal is None or focal <= 0 or LEAST_FOCAL * side <= focal <= MOST_FOCAL * side:
             continue
         view_deg = math.degrees(2 * math.atan(side / (2 * focal)))
@@ -275,7 +275,7 @@ def rig_calibration(
     depth_extrinsic: Float64,
     path: Path,
 ) -> ColorCalibration | None:
-    """How colour lies to depth by ScanNet's matrices, where extrinsics are each camera's place in the rig.
+    """Relation of colour to depth from ScanNet's matrices, which place each camera in the rig.
 
     Args:
         K_color: (3, 3) or larger, pixels.
@@ -301,7 +301,7 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     """Read a JSON object with a pinhole matrix, column by column, and the size of its images in pixels.
 
     Raises:
-        RecordingError: not JSON, or one of them is missing or not what it should be.
+        RecordingError: not JSON, or a value is missing or invalid.
     """
     raw = read_object(path, ", ".join((key, *size_keys)))
     width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
@@ -324,7 +324,7 @@ def read_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, Any] | None:
-    """The JSON object of one frame among many: its `keys` and "file", its own name; None if there is none.
+    """One frame's camera in a JSON object: its `keys` and "file", its name; None if there is none.
 
     Each value is a number, None, a text, or an array of numbers: a list of anything takes many times the
     memory of its text, and all frames are kept.
@@ -334,14 +334,14 @@ def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str
     """
     if not file.is_file():
         return None
-    said = read_object(file, what, FRAME_JSON_BYTES)
-    kept = {key: said[key] for key in keys if key in said}
+    content = read_object(file, what, FRAME_JSON_BYTES)
+    kept = {key: content[key] for key in keys if key in content}
     lean = {key: numbers_of(v) if isinstance(v, list | dict) else v for key, v in kept.items()}
     return lean | {"file": str(file)}
 
 
 def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
-    """The JSON object of a text; `where` it stands and `what` it must hold, for messages.
+    """Parse a JSON object; `where` it is and `what` it must hold, for messages.
 
     Raises:
         RecordingError: it is not valid JSON, or no object.
@@ -359,7 +359,7 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
 
 
 def number_of(value: object, where: str) -> float:
-    """A number of a JSON file; `where` it stands, for the message.
+    """A number of a JSON file; `where` it is, for the message.
 
     Raises:
         RecordingError: it is not a finite number.
@@ -386,10 +386,10 @@ def _is_matrix(value: object) -> bool:
 
 
 def pinhole(K: Float64, path: Path) -> Intrinsics:
-    """What a matrix (3, 3) says, pixels.
+    """Intrinsics from a matrix (3, 3), pixels.
 
     Raises:
-        RecordingError: it is no pinhole matrix.
+        RecordingError: it is not a pinhole matrix.
     """
     if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
         raise IntrinsicsError(

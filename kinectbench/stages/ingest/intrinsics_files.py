@@ -26,7 +26,7 @@ from kinectbench.stages.ingest.recording import first_file, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
-# These may hold something else by other programs, and then say nothing. ETH3D's calibration.txt: fx fy cx cy.
+# Files with other content under these names are ignored. ETH3D's calibration.txt: fx fy cx cy.
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
 # As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
@@ -57,7 +57,7 @@ MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
 def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
-    """What the files of a recording's folder say of its depth camera; and the JSON file among them, or None.
+    """The intrinsics in a recording's folder, and the JSON file among them, or None.
 
     Where a person gives all that they would say, the others are not read: they may be of other cameras.
 
@@ -67,9 +67,9 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
         by_json = file.name in JSON_FILES
-        said = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
+        intrinsics = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
         others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
-        return replace(said, notes=(*said.notes, *others)), file if by_json else None
+        return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
     if all(getattr(settings, key) is not None for key in NEEDED):
         return Intrinsics(), None
     for file in (path / name for name in LOOSE_FILES):
@@ -81,16 +81,16 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """What a message says of files in a folder that look like intrinsics; "" if there are none."""
+    """A message part on files that look like intrinsics; "" if there are none."""
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
-    """What a message says of files in a folder and those in it whose names are `wanted`; "" if none are.
+    """A message part on a folder's files with names like `wanted`; "" if there are none.
 
     Args:
         path: the recording; a file has none.
-        wanted: says of a name whether it may be one.
+        wanted: a predicate on names.
         how: words before the names.
     """
     if not path.is_dir():
@@ -98,13 +98,13 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
     children = sorted(islice(listed(path), LOOKED_AT))
     folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
     below = (file for folder in folders for file in islice(listed(folder), LOOKED_AT))
-    found = (file for file in (*children, *below) if file.is_file() and wanted(file.name))
-    names = [str(file.relative_to(path)) for file in islice(found, MOST_NAMED)]
+    matches = (file for file in (*children, *below) if file.is_file() and wanted(file.name))
+    names = [str(file.relative_to(path)) for file in islice(matches, MOST_NAMED)]
     return f"; {how} {printable(', '.join(names))}" if names else ""
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A line that names files beside one that is read, which would be if it were not there; none: no line."""
+    """A line on files that were ignored because another one was read; none without such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()
@@ -112,19 +112,19 @@ def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
 
 
 def _of_yaml(files: list[Path]) -> Intrinsics:
-    """The camera that all of some YAML files say, of very many the first."""
-    found: tuple[Path, Intrinsics] | None = None
+    """The common camera of some YAML files; only the first of very many are read."""
+    first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
-        said = _read_yaml(file)
-        if said is None:
+        intrinsics = _read_yaml(file)
+        if intrinsics is None:
             continue
-        if found is not None and said != found[1]:
+        if first is not None and intrinsics != first[1]:
             raise IntrinsicsError(
-                f"{file}: has another camera than {found[0]}; a recording must keep one: correct them, or "
+                f"{file}: has another camera than {first[0]}; a recording must keep one: correct them, or "
                 "give fx, fy, cx, cy under `camera:`"
             )
-        found = found or (file, said)
-    return Intrinsics() if found is None else found[1]
+        first = first or (file, intrinsics)
+    return Intrinsics() if first is None else first[1]
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
@@ -157,12 +157,12 @@ def _read_yaml(file: Path) -> Intrinsics | None:
                 f"{file}: '{key}' holds {len(numbers)} numbers, not the nine of a pinhole matrix (or fx, fy, "
                 "cx, cy): correct it, or give fx, fy, cx, cy under `camera:`"
             )
-    said: dict[str, Any] = {}
+    by_key: dict[str, Any] = {}
     for key, word in YAML_FOCAL.findall(text):
         number = _number(word)
-        if number is not None and said.setdefault(key, number) != number:
+        if number is not None and by_key.setdefault(key, number) != number:
             raise _two_cameras(file, key)
-    return Intrinsics(**said, **sizes) if all(key in said for key in NEEDED) else None
+    return Intrinsics(**by_key, **sizes) if all(key in by_key for key in NEEDED) else None
 
 
 def _number(word: str) -> float | None:
@@ -186,7 +186,7 @@ def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, l
     Raises:
         RecordingError: a key of a matrix is there twice, with other numbers.
     """
-    lines, found = text.splitlines(), dict[str, list[float] | None]()
+    lines, by_key = text.splitlines(), dict[str, list[float] | None]()
     for at, line in enumerate(lines):
         match = YAML_KEY.fullmatch(line)
         if match is None or match[1] not in wanted:
@@ -205,7 +205,7 @@ def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, l
             numbers: list[float] | None = parse_floats(words, "")
         except RecordingError:
             numbers = None
-        before = found.setdefault(match[1], numbers)
+        before = by_key.setdefault(match[1], numbers)
         if None not in (before, numbers) and before != numbers and match[1] in YAML_MATRICES:
             raise _two_cameras(file, match[1])
-    return found
+    return by_key

@@ -1,4 +1,4 @@
-"""The colour image of each depth image: the nearest in time where there are stamps, else that of its name.
+"""Pair colour with depth images: by nearest time if there are stamps, else by name.
 
 All readers of two streams pair them here. What has no partner stays alone, and is counted in a warning.
 """
@@ -14,11 +14,11 @@ from kinectbench.stages.ingest.image_names import frame_key, frame_numbers, time
 
 @dataclass(frozen=True)
 class Partners:
-    """Which colour image belongs to which depth image.
+    """The colour image of each depth image.
 
     Attributes:
         of_depth: for each depth image the index of its colour image, or None; none has two partners.
-        warnings: what is missing, and how it was paired where that is not by time or by equal names.
+        warnings: missing images, and the pairing if not by time or by equal names.
     """
 
     of_depth: tuple[int | None, ...]
@@ -69,24 +69,24 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning where depth frames have no partner; nothing where there is no colour at all."""
+    """A warning if depth frames have no partner; nothing without colour."""
     alone = sum(partner is None for partner in partners)
-    said = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
-    return (said,) if colors and alone else ()
+    line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
+    return (line,) if colors and alone else ()
 
 
 def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, where: str) -> Partners:
-    """As `pair_by_time`, of stamps in any order."""
+    """Like `pair_by_time`, for stamps in any order."""
     depth_order, color_order = (
         sorted(range(len(stamps_ns)), key=stamps_ns.__getitem__) for stamps_ns in (depth_ns, color_ns)
     )
-    found = pair_by_time(
+    pairs = pair_by_time(
         [depth_ns[i] for i in depth_order], [color_ns[j] for j in color_order], delay_s=delay_s, where=where
     )
     partners: list[int | None] = [None] * len(depth_ns)
-    for i, j in zip(depth_order, found.of_depth, strict=True):
+    for i, j in zip(depth_order, pairs.of_depth, strict=True):
         partners[i] = None if j is None else color_order[j]
-    return Partners(tuple(partners), found.warnings)
+    return Partners(tuple(partners), pairs.warnings)
 
 
 def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partners:
@@ -106,11 +106,11 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
             "one frame the same name, or name all by their time stamps in seconds, such as 12.033367.png",
             what="unpaired",
         )
-    said = (
+    message = (
         f"{where}: no names of depth and colour agree: their {len(depth)} images each are paired in their "
         "order; give images of one frame the same name, or name all by their time stamps in seconds"
     )
-    return Partners(tuple(range(len(color))), (said,))
+    return Partners(tuple(range(len(color))), (message,))
 
 
 def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
@@ -120,7 +120,7 @@ def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None,
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:
-    """What numbers that differ may mean; "" where images have none, or both begin and end with the same."""
+    """An explanation of numbers that differ; "" without images, or if both have the same range."""
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is None or color_numbers is None:
         return ""

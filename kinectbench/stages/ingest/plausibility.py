@@ -1,4 +1,4 @@
-"""What every recording must satisfy, checked frame by frame while it is written."""
+"""Plausibility of a recording, checked frame by frame while it is written."""
 
 import math
 
@@ -20,7 +20,7 @@ SAMPLED_EVERY_PX = 4
 
 
 class FrameChecks:
-    """Checks each frame against the recording's camera and gathers what can be judged at the end only.
+    """Checks each frame against the recording's camera and gathers data for checks at the end.
 
     Damaged frames are left out, and counted.
     """
@@ -111,7 +111,7 @@ class FrameChecks:
 
 
 def scale_problem(median: float, depth_scale: float) -> str:
-    """What is said of depth whose median, native units, is no room's at this scale; "" if it is one's."""
+    """A message if the median depth, native units, is no room's at this scale; "" if it is plausible."""
     if NEAREST_M <= median / depth_scale <= FARTHEST_M:
         return ""
     return (
@@ -159,7 +159,7 @@ def check_color(frame: RawFrame, recording: Recording) -> str | None:
 
 
 def trajectory_problem(recording: Recording) -> str:
-    """Why the trajectory that came with a recording cannot be used, one line; "" where it can, or is none."""
+    """Why a recording's trajectory cannot be used, one line; "" if it can, or there is none."""
     trajectory, stamps_ns = recording.given_trajectory, recording.stamps_ns
     if trajectory is None or not len(stamps_ns):
         return recording.trajectory_error

@@ -1,4 +1,4 @@
-"""What every reader of recordings offers: frames one after another, a camera, maybe a trajectory."""
+"""The interface of recordings: frames one by one, a camera, an optional trajectory."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -40,7 +40,7 @@ Evidence = Literal["recording", "copy", "writer"]
 
 @dataclass(frozen=True)
 class RawFrame:
-    """One frame as it was recorded.
+    """One recorded frame.
 
     Attributes:
         name: where it comes from, for messages.
@@ -59,7 +59,7 @@ class RawFrame:
 
 @dataclass(frozen=True)
 class ColorCalibration:
-    """How colour that does not lie on depth pixels can be brought there.
+    """The calibration that maps unregistered colour onto depth pixels.
 
     Attributes:
         camera: intrinsics of the colour images, pixels.
@@ -72,7 +72,7 @@ class ColorCalibration:
     T_color_depth: Float64
 
     def lies_on(self, depth: Camera) -> bool:
-        """Whether colour has the depth camera's pixels: it is registered as it stands."""
+        """Whether colour has the depth camera's pixels, so that it is already registered."""
         return (
             self.camera == depth
             and not self.distortion
@@ -81,7 +81,7 @@ class ColorCalibration:
 
 
 class Listed(Protocol):
-    """A frame that is listed: where it lies is the reader's own affair."""
+    """An entry of the frame list, in a form private to the reader."""
 
     @property
     def stamp_ns(self) -> int:
@@ -101,7 +101,7 @@ class Recording(ABC):
         evidence: the best kind of thing that the reader was tried on.
         verified: what that was, files of other programs too; "" if it was only files that were written here.
         up_world: (3,) unit: up in the frame of the given trajectory, where the format's is aligned with
-            gravity; None: it says nothing of gravity.
+            gravity; None: gravity is unknown.
         places: where each frame lies, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
@@ -149,7 +149,7 @@ class Recording(ABC):
     @classmethod
     @abstractmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Open the recording; what the settings give wins over what it says.
+        """Open the recording; settings override its own values.
 
         Raises:
             RecordingError: it cannot be used; the message says what is wrong and where.
@@ -166,7 +166,7 @@ class Recording(ABC):
 
     @property
     def recorded_stamps_ns(self) -> tuple[Int64, Int64]:
-        """Stamps of every depth and of every colour image, in the order in which they were recorded.
+        """Stamps of every depth and every colour image, in recorded order.
 
         They can repeat or go back, and colour need not have a partner; a format without stamps of its own for
         colour gives none.
@@ -255,10 +255,10 @@ class FileRecording(Recording):
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning where some frames have no colour image of their name, though others have one."""
+    """A warning if only some frames have a colour image of their name."""
     alone = sum(frame.color is None for frame in files)
-    said = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
-    return (said,) if 0 < alone < len(files) else ()
+    line = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
+    return (line,) if 0 < alone < len(files) else ()
 
 
 def read_image_file(path: Path) -> bytes:
@@ -288,7 +288,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 
 def unused_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A line that counts the masks in a recording's masks/ that are of no frame, if there are any."""
+    """A line with the number of masks in a recording's masks/ that match no frame, if any."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / "masks", "*.png") if mask not in used)
     if not others:
@@ -308,12 +308,12 @@ def visible(folder: Path, pattern: str) -> list[Path]:
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:
-    """The first of several places where there is a file, or None."""
+    """The first existing file of several paths, or None."""
     return next((file for file in candidates if file.is_file()), None)
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
-    """What `read` makes of the first image or message that is not damaged; of very many the first are tried.
+    """The result of `read` for the first undamaged image or message; tries only the first of very many.
 
     Raises:
         DamagedImageError: all are damaged; the message is about the first.
@@ -328,7 +328,7 @@ def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result
 
 
 def tried(count: int) -> str:
-    """How many images `first_whole` tried of so many, in words."""
+    """The number of images that `first_whole` tried, as text."""
     return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 

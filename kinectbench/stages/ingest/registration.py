@@ -1,4 +1,4 @@
-"""Bringing colour onto the pixels of depth, by where the colour camera sees each point."""
+"""Register colour to depth pixels by projecting each point into the colour camera."""
 
 import numba
 import numpy as np
@@ -61,7 +61,7 @@ class ColorRegistration:
         return np.where(seen[..., None], sampled, np.uint8(0)).astype(np.uint8)
 
     def _project(self, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
-        """Where each pixel's point is in the colour image (pixels), and its depth there (metres)."""
+        """Each pixel's point in the colour image (pixels), and its depth there (metres)."""
         points = self._rays * depth_m[..., None] @ self._T[:3, :3].T + self._T[:3, 3]
         z = np.ascontiguousarray(points[..., 2], np.float32)
         near = np.maximum(z, 1e-3)
@@ -71,7 +71,7 @@ class ColorRegistration:
 
 
 def _filled(depth_m: Float32) -> Float32:
-    """Depth where every pixel without one has that of its nearest neighbour."""
+    """Depth with holes filled from the nearest pixel."""
     import cv2
 
     holes = (depth_m <= 0).astype(np.uint8)
@@ -117,7 +117,7 @@ def _find_seen(
     size: Float32,
     seen: Bools,
 ) -> None:
-    """Whether each point is in the colour image and not behind the nearest surface there."""
+    """Whether each point is in the colour image and unoccluded there."""
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
             x, y, depth = u[row, column], v[row, column], z[row, column]

@@ -28,7 +28,7 @@ SAMPLED_IMAGES, SAMPLED_EVERY_PX = 5, 3
 
 
 class Pattern(NamedTuple):
-    """What rotated depth would look like.
+    """The expected pattern of rotated depth.
 
     Attributes:
         possible: nearly all values are multiples of eight; where a layout has such bits, it has them here.
@@ -65,21 +65,21 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     low = values & np.uint16((1 << BITS) - 1)
     near = values[low == 0]
     possible = len(near) >= NEAR_SHARE * len(values)
-    found = (
+    patterns = (
         possible
         and bool(np.isin(low, (0, FARTHER_BITS)).all())
         and bool((near & np.uint16(1 << BITS)).any())
         and int(near.max()) > BRIGHTEST
         and len(np.unique(near)) >= LEAST_LEVELS
     )
-    return Pattern(possible, found, found and float(np.median(near)) > EVEN_MEDIAN_MM)
+    return Pattern(possible, patterns, patterns and float(np.median(near)) > EVEN_MEDIAN_MM)
 
 
 def _sampled(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.uint16]:
     """The measured values of every third pixel of every third row of those images that are whole."""
-    found = [np.zeros(0, np.uint16)]
+    samples = [np.zeros(0, np.uint16)]
     with suppress(RecordingError):
         for image in images:
             sample = image[::SAMPLED_EVERY_PX, ::SAMPLED_EVERY_PX]
-            found.append(sample[sample > 0])
-    return np.concatenate(found)
+            samples.append(sample[sample > 0])
+    return np.concatenate(samples)

@@ -1,6 +1,6 @@
 """A Sequence on disk: written from a recording frame by frame, read at random.
 
-camera.json           `CameraFile`: the camera, and what is to be known of the recording as a whole
+camera.json           `CameraFile`: the camera, and facts about the whole recording
 frames.json           `FramesFile`: where each frame lies
 depth/000000.kbd      uint16 in native units, 0 = no measurement, as `depth_code` packs it; PNG in version 1
 color/000000.jpg|png  as it was encoded; a PNG where it was brought onto the pixels of depth
@@ -42,18 +42,18 @@ DEPTH_SUFFIX = ".kbd"
 
 
 class Watch(Protocol):
-    """Looks on while frames are written."""
+    """Observes frames while they are written."""
 
     def see(self, index: int, frame: RawFrame) -> None:
-        """Look at a frame of the recording."""
+        """Check a frame of the recording."""
         ...
 
     def warnings(self) -> list[str]:
-        """What there is to say after the last one, one line each."""
+        """Warnings after the last frame, one line each."""
         ...
 
-    def doubts(self) -> list[str]:
-        """What speaks against depth_scale and intrinsics, one line each."""
+    def scale_warnings(self) -> list[str]:
+        """Evidence against depth_scale and intrinsics, one line each."""
         ...
 
 
@@ -95,7 +95,7 @@ def write_sequence(
         warnings.append(f"{problem}; it is ignored")
     if watch:
         warnings += watch.warnings()
-    head = _head(recording, len(rows), warnings, watch.doubts() if watch else [], problem)
+    head = _head(recording, len(rows), warnings, watch.scale_warnings() if watch else [], problem)
     with storage_errors(folder):
         head.write(folder)
         FramesFile(rows=tuple(rows)).write(folder)
@@ -105,13 +105,13 @@ def write_sequence(
 
 
 def _head(
-    recording: Recording, frames: int, warnings: list[str], doubts: list[str], trajectory_error: str
+    recording: Recording, frames: int, warnings: list[str], scale_warnings: list[str], trajectory_error: str
 ) -> CameraFile:
-    """What is known of the recording as a whole; keys that it has nothing for are left out."""
+    """Facts about the whole recording; empty keys are left out."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
-    if doubts:
-        others["doubts"] = tuple(doubts)
+    if scale_warnings:
+        others["doubts"] = tuple(scale_warnings)
     if recording.up_cameras:
         others["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
     return CameraFile(
@@ -211,7 +211,7 @@ class FolderFrames:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """What brings the colour of a frame onto its depth; None where it lies there, or that is not known."""
+    """The registration of a frame's colour onto depth; None if already registered or unknown."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)
@@ -239,10 +239,10 @@ def _write_frames(
     progress: Progress | None,
     watch: Watch | None,
 ) -> list[FrameRow]:
-    """Write every frame that is whole; the rows of frames.json."""
+    """Write every whole frame; returns the rows of frames.json."""
     register = onto_depth(recording)
     rows: list[FrameRow] = []
-    # Readers are no affair of threads: a video or a database knows where it is.
+    # Readers are not thread-safe: a video or a database has a position.
     # Damage is noted here alone, in the order of the frames: those after them are checked ahead.
     for packed in ahead(partial(_packed, register), _checked_frames(recording, checks, progress)):
         if isinstance(packed, _Damaged):

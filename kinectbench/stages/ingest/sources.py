@@ -1,4 +1,4 @@
-"""The files that a recording is made of: plain ones, not too many, and links only where they are wanted."""
+"""The files of a recording: plain ones, a bounded number, links only if allowed."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,29 +14,29 @@ MOST_DEPTH = 32
 # Links to folders that are followed: a few that link to each other are a tree without end.
 MOST_LINKED = 1000
 MISSING = "there is no such file or folder; correct the recording's `path:`"
-# Some of the way to a file, as a line for people may quote it.
+# Characters of a path that a message quotes.
 QUOTED = 300
 
 
 def check_there(path: Path, missing: str = MISSING) -> None:
-    """Refuse a recording, or what belongs to one, that is not there.
+    """Refuse a missing recording, or a missing file of it.
 
     Args:
         path: the file or folder.
-        missing: what is said if there is none.
+        missing: the message if there is none.
 
     Raises:
         RecordingError: there is none, or no such name can be.
     """
-    said = printable(str(path), QUOTED)
+    shown = printable(str(path), QUOTED)
     try:
-        there = path.exists()
+        exists = path.exists()
     except OSError as error:  # a name that is too long, a link to itself
         raise RecordingError(
-            f"{said}: cannot be read ({error.strerror}); correct its path", what="unreadable"
+            f"{shown}: cannot be read ({error.strerror}); correct its path", what="unreadable"
         ) from error
-    if not there:
-        raise RecordingError(f"{said}: {missing}", what="not-found")
+    if not exists:
+        raise RecordingError(f"{shown}: {missing}", what="not-found")
 
 
 def check_count(path: Path, frames: int) -> None:
@@ -65,7 +65,7 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
         RecordingError: one is a link that is not to be followed, or no plain file; or there are too many.
         OSError: a folder cannot be read.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for number, (path, plain) in enumerate(
         _entries(folder, frozenset(), follow_links, iter(range(MOST_LINKED)))
     ):
@@ -75,8 +75,8 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
                 what="too-large",
             )
         if plain:
-            found.append(path)
-    return found
+            files.append(path)
+    return files
 
 
 def check_link(path: Path, *, follow_links: bool) -> None:
@@ -102,7 +102,7 @@ def _entries(
     Args:
         folder: listed with all below.
         above: the folders on the way to it.
-        follow_links: links are taken for what they lead to.
+        follow_links: links are resolved.
         links: one for each link to a folder that may still be followed.
     """
     status = folder.stat()

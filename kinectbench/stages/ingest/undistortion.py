@@ -29,13 +29,13 @@ class Undistortion:
         self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
 
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
-        """(height, width): the depth of the nearest pixel; 0 where the distorted image has none."""
+        """(height, width): the depth of the nearest pixel; 0 outside the distorted image."""
         import cv2
 
         return self._map(image, cv2.INTER_NEAREST)
 
     def color(self, bgr: NDArray[Pixel]) -> NDArray[Pixel]:
-        """(height, width, 3): colour between its four pixels; black where the distorted image has none."""
+        """(height, width, 3): interpolated colour; black outside the distorted image."""
         import cv2
 
         return self._map(bgr, cv2.INTER_LINEAR)

@@ -152,11 +152,10 @@ def align_view(
 ) -> Alignment:
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 
-    Half of the view's points on the object are fitted; the correction is kept only if the mean residual
-    of those of the other half that meet the object before and after falls below 90 %: a right pose stays as
-    it is. The trajectory's pose is a prior
-    as strong as it was found to agree with the other frames, so motion that the object does not
-    constrain stays near zero, and more than 2.5 times its uncertainty is refused.
+    Half of the view's points on the object are fitted; the correction is kept only if the mean residual of
+    those of the other half that meet the object before and after falls below 90 %: a right pose stays as it
+    is. The trajectory's pose is a prior as strong as it was found to agree with the other frames, so motion
+    that the object does not constrain stays near zero, and more than 2.5 times its uncertainty is refused.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -186,7 +185,7 @@ def align_view(
 
 
 def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, prior: Float64) -> Float64:
-    """The motion (4, 4) of the points that agrees best with a depth image and with staying where they are.
+    """The motion (4, 4) of points that fits a depth image best, with a prior towards no motion.
 
     Gauss-Newton on the residuals of `normal_equations` and on the motion's twist, of which the prior says how
     sure it is to be 0.
@@ -206,7 +205,7 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
-    """Whether a motion brings points that were not fitted clearly nearer; both means are of the same ones."""
+    """Whether a motion brings held-out points clearly nearer; both means are over the same points."""
     before_m, after_m = (
         np.abs(normal_equations(points, rendered_m, T, camera)[2]) for T in (np.eye(4), motion)
     )

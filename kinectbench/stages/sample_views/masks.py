@@ -1,4 +1,4 @@
-"""Masks of a view: the rendered object where the measured depth agrees, the recording's own, a person's."""
+"""Masks of a view: rendered object with agreeing depth, the recording's own, or a person's."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -30,11 +30,11 @@ MASK_NAME = re.compile(r"(frame_)?([0-9]{1,9})(|\.include|\.exclude)\.(?i:png)")
 # A view's number has so many or more, a frame's any.
 VIEW_DIGITS = 3
 # Names in one line.
-MOST_TOLD = 5
+MOST_NAMED = 5
 
 
 def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
-    """Pixels whose depth agrees with the rendered object there, or so near, within max(5 sigma, tolerance).
+    """Pixels whose depth agrees with the object rendered at or near them, within max(5 sigma, tolerance).
 
     Generous on purpose: a tight mask would delete the sensor's noise from the input and leak the truth
     into it.
@@ -76,11 +76,11 @@ def object_mask(
     tolerance_m: float,
     clear_m: float,
 ) -> Bools:
-    """The object in a view: where depth agrees with it rendered, and its fringe.
+    """The object in a view: pixels whose depth agrees with the rendering, and the edge pixels.
 
     The sensor's depth wanders along edges, and a solid made of noisy depth is often a pixel too narrow in the
     image. So a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it
-    may do so one pixel away, if it lies above the floor beyond doubt. What was measured at the floor's height
+    may do so one pixel away, if it certainly lies above the floor. What was measured at the floor's height
     belongs to the floor.
 
     Args:
@@ -88,7 +88,7 @@ def object_mask(
         rendered_m: (height, width) metres, 0 = not on the object.
         heights_m: (height, width) metres, of the measured points above the floor.
         tolerance_m: least difference allowed, metres.
-        clear_m: what lies lower may be the floor, metres.
+        clear_m: lower pixels may be the floor, metres.
     """
     on_object = rendered_m > 0
     within = agreement_mask(measured_m, rendered_m, tolerance_m, WITHIN_PX) & on_object
@@ -121,7 +121,7 @@ def recorded_mask(
 
 
 def inner_silhouette(rendered_m: Float32) -> Bools:
-    """The rendered silhouette, eroded by 2 pixels: where depth should be the object's."""
+    """The rendered silhouette, eroded by 2 pixels, within which depth should be the object's."""
     import cv2
 
     silhouette = (rendered_m > 0).astype(np.uint8)
@@ -130,7 +130,7 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """What the name of a person's mask says.
+    """The parts of a person's mask's name.
 
     Attributes:
         number: of the frame in the sequence, or of the view.
@@ -144,7 +144,7 @@ class MaskName(NamedTuple):
 
 
 def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
-    """What a file's name says, such as frame_000024.exclude.png; None: it is no mask's.
+    """The parts of a name such as frame_000024.exclude.png; None if it is no mask.
 
     Args:
         file: the name.
@@ -172,11 +172,11 @@ class GivenMasks:
 
     @cached_property
     def _of(self) -> Mapping[MaskName, list[str]]:
-        found: dict[MaskName, list[str]] = {}
+        by_mask: dict[MaskName, list[str]] = {}
         for file in self.names:
             if name := mask_name(file):
-                found.setdefault(name, []).append(file)
-        return found
+                by_mask.setdefault(name, []).append(file)
+        return by_mask
 
     def of_image(self, view: str, frame: int, kind: str) -> str | None:
         """The name of an image's mask of one kind, or None.
@@ -197,7 +197,7 @@ class GivenMasks:
 
 
 def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bools:
-    """Apply a person's masks, if there are any, to the automatic mask of a view.
+    """Apply a person's masks, if any, to the automatic mask of a view.
 
     `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` takes them away.
 
@@ -250,6 +250,6 @@ def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """Some names in one line, and how many more there are."""
-    more = len(names) - MOST_TOLD
-    return ", ".join(names[:MOST_TOLD]) + (f" and {more} more" if more > 0 else "")
+    """Some names in one line, and the number of others."""
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,4 +1,4 @@
-"""How well a view's depth fits the object, and whether that is enough for a view."""
+"""The fit of a view's depth to the object, and its sufficiency for a view."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ OUTLINE_STRIDE_PX = 8
 
 @dataclass(frozen=True)
 class ViewFit:
-    """How well a view's depth fits the object. Shares are in [0, 1].
+    """The fit of a view's depth to the object. Shares are in [0, 1].
 
     Attributes:
         pixels: valid depth pixels on the object.
@@ -33,7 +33,7 @@ class ViewFit:
         containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie
             in the full shape, dilated once.
         residual_m: median absolute difference of measured and rendered depth there, metres.
-        truncated_share: of the object's outline, what lies beyond the image.
+        truncated_share: share of the object's outline beyond the image.
     """
 
     pixels: int
@@ -54,7 +54,7 @@ def fit_of_view(
     model: ObjectModel,
     renderer: DepthRenderer,
 ) -> ViewFit:
-    """How well a view's depth fits the object.
+    """The fit of a view's depth to the object.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.

@@ -1,4 +1,4 @@
-"""In which order the good frames are tried as views."""
+"""The order in which good frames are tried as views."""
 
 from collections.abc import Sequence as Rows
 from itertools import zip_longest
@@ -30,7 +30,7 @@ def frame_order(
     settings: ViewSettings,
     segmentation: MaskCuts,
 ) -> list[tuple[int, str]]:
-    """All good frames in the order in which they are tried, each with the reason.
+    """All good frames in the order of trial, each with the reason.
 
     `random` (paper, Sec. 4.1): a seeded permutation. `coverage`: the frames are sorted into
     sectors of 30 degrees about the object, those into heights of 15 degrees, and those into thirds of the
@@ -89,7 +89,7 @@ def stratum_text(stratum: Stratum) -> str:
 
 
 def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
-    """Frames so that the sectors take turns, in each sector the heights, and so on; else in their order."""
+    """Frames that alternate between sectors, within sectors between heights, and so on; else in order."""
     if depth == 3:
         return list(frames)
     groups: dict[int, list[int]] = {}

@@ -153,14 +153,14 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> tuple[int, str, Alignment, Bools, ViewFit, float]:
-    """A chosen frame, why, its corrected pose, the object's mask, how its depth fits, how much is too far."""
+    """A chosen frame: reason, corrected pose, mask, fit of depth, and ratio of depth beyond the range."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
     too_far_share = too_far_for_mm(depth_m)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:
-        # What stands before the object or touches it says nothing of how well it fits.
+        # Things before the object or touching it do not affect its fit.
         depth_m = np.where(recorded, depth_m, np.float32(0))
     pose_sigma_m = trajectory.assumed_pose_sigma_m(frame)
     alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m)
@@ -215,7 +215,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
 
 def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
-    """What a view shows of a frame, by the ends of its files: depth (uint16 mm), colour if there is one."""
+    """The images of a view by file suffix: depth (uint16 mm), colour if available."""
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
     return {"depth.png": png(depth_in_mm(sequence.depth_m(frame))), **color}
@@ -272,7 +272,7 @@ def _view(row: ViewRow, folder: Path) -> View:
 
 
 def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
-    """What `pictures_of` gave of a view, as it lies in the folder of views.
+    """The images of `pictures_of`, read from the folder of views.
 
     Raises:
         StorageError: a picture is missing or cannot be read.
@@ -288,7 +288,7 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
 
 
 def picture_digest(pictures: Mapping[str, bytes]) -> str:
-    """SHA-256 of what a view shows: every pixel of its depth image, in mm, and its colour file if it has one.
+    """SHA-256 of a view's images: every pixel of its depth in mm, and its colour file if available.
 
     Another zlib packs the same depth into other bytes; colour is kept as it was recorded where it can be.
 
@@ -310,7 +310,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
 
 
 def read_masks(folder: Path) -> GivenMasks:
-    """The masks that a person drew: PNGs in which every pixel but 0 counts, each read when asked for."""
+    """The masks that a person drew: PNGs with nonzero pixels inside, each read on request."""
 
     def read(name: str) -> Bools:
         mask = _read_mask(folder / name)
@@ -325,7 +325,7 @@ def read_masks(folder: Path) -> GivenMasks:
 
 
 def _read_mask(path: Path) -> Bools | None:
-    """The pixels of a picture that are not 0; None if there is no such picture or it is damaged."""
+    """The nonzero pixels of a picture; None if it is missing or damaged."""
     import cv2
 
     try:
@@ -337,7 +337,7 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as JPEG: as it was recorded if it is one, else encoded once."""
+    """Colour as JPEG: as recorded if it is one, else encoded once."""
     import cv2
 
     if suffix in (".jpg", ".jpeg"):

@@ -61,8 +61,8 @@ def segment(
         fusion: voxel size and range of depth, where a person gives them.
         progress: called with (done, total).
         floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
-        underside: what a person says of the object's underside.
-        limits: what a camera can see.
+        underside: a person's statement on the underside.
+        limits: of the sensor.
 
     Raises:
         SegmentationError: no floor, no object, or a box with nothing in it.
@@ -80,7 +80,7 @@ def segment(
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
     fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
     chosen = _with_warnings_of_frames(chosen, sequence, trajectory, hint, max_depth_m)
-    # Fuse the frames into that grid, and decide what is solid.
+    # Fuse the frames into that grid, and label the solid.
     support = None if chosen.hangs else chosen.floor
     layers = floor_layers(support, segmentation, grid.voxel_size_m)
     ray_width_m = grid_ray_width_m(sequence.camera, trajectory, grid)
@@ -101,7 +101,7 @@ def segment(
 def _with_warnings_of_frames(
     chosen: Segmentation, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
 ) -> Segmentation:
-    """Add a warning where the frames by themselves show another floor than the fused scene."""
+    """Add a warning if single frames show another floor than the fused scene."""
     if chosen.how == "masks":
         return chosen
     lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
@@ -123,7 +123,7 @@ class _Frames:
         return observe(self.sequence, self.trajectory, frames, grid, self.fusion, self.progress)
 
     def fused_around(self, grid: Grid, chosen: Segmentation) -> Observation:
-        """Fuse some of the frames into the coarse grid around that of the object."""
+        """Fuse some frames into the coarse grid around the object's."""
         frames = some_frames(self.trajectory.good_frames)
         around = surround_grid(grid, chosen.floor)
         return observe(self.sequence, self.trajectory, frames, around, self.fusion)

@@ -1,4 +1,4 @@
-"""From frames to a Trajectory: one pose per frame, or the reason why there is none."""
+"""Estimate a Trajectory from frames: one pose per frame, or the reason for none."""
 
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.stages.track.track import track

@@ -143,7 +143,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
 
 
 def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
-    """Warnings about a given trajectory: jumps, implausible drift, frames that nothing checks."""
+    """Warnings about a given trajectory: jumps, implausible drift, unchecked frames."""
     jumps = checked.frames.jumps
     # Stamps that only count frames add no information.
     counted = counts_frames(sequence.stamps_ns)

@@ -76,15 +76,15 @@ def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list
         apart = np.linalg.norm(centres[near] - centres[row], axis=1)
         for j in np.array(near, int)[np.argsort(apart, kind="stable")][:MAX_NEIGHBOURS]:
             pairs.add((min(i, known[j]), max(i, known[j])))
-    found = []
+    result = []
     for i, j in sorted(pairs):
         T_i_j = invert_rigid(T_world[i]) @ T_world[j]
         share = min(
             shared_view(thumbnails[i], thumbnails[j], T_i_j),
             shared_view(thumbnails[j], thumbnails[i], invert_rigid(T_i_j)),
         )
-        found.append((share, i, j))
-    return found
+        result.append((share, i, j))
+    return result
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)

@@ -92,12 +92,12 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     """
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
-    found = _all_sums(
+    all_sums = _all_sums(
         View(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
         for a, b in evenly_chosen(pairs)
     )
-    sums = [unexplained for _, unexplained in found]
-    helps = len(sums) >= MIN_PAIRS and _left(sums, [posed for posed, _ in found]) < POSED_FALLS_TO
+    sums = [unexplained for _, unexplained in all_sums]
+    helps = len(sums) >= MIN_PAIRS and _left(sums, [posed for posed, _ in all_sums]) < POSED_FALLS_TO
     return _accepted(sums) if helps else NO_CALIBRATION
 
 

@@ -1,4 +1,4 @@
-"""By how much the depth of frames disagrees with their given poses.
+"""Disagreement between the depth of frames and their given poses.
 
 Drift of a given trajectory shows between distant frames that see the same place.
 """
@@ -26,7 +26,7 @@ MIN_OVERLAP = 0.05
 # A given pose counts as good as the registered one if as many points agree, as closely, and with colours as
 # similar. Along a flat face a registration may slide by a metre and fit as well. The margins are checked by
 # correct poses of box-like objects in no order of time, and by poses with known errors.
-AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_ALIKE = 0.03, 1.1, 0.5, 0.1
+AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_SIMILAR = 0.03, 1.1, 0.5, 0.1
 # Points used to measure how far a motion moves the visible surface.
 MOVED_POINTS = 1000
 # Residuals: largest distance along the ray between a point and its measurement, and the least cosine between
@@ -49,7 +49,7 @@ MIN_RESIDUALS = 100
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How a frame would move to agree with others.
+    """The motion of a frame that would make it agree with others.
 
     Attributes:
         registration: of the frame to the first of the others, started at its given pose.
@@ -84,53 +84,53 @@ def check_pose(
         every: only every n-th point is used.
         recheck_above_m: above this shift the fit at the given pose is measured as well.
     """
-    found = register(source, targets, T_targets_source, coarsest, PLACED, every)
-    if found.overlap < MIN_OVERLAP or found.signal_to_noise == 0:
+    registration = register(source, targets, T_targets_source, coarsest, PLACED, every)
+    if registration.overlap < MIN_OVERLAP or registration.signal_to_noise == 0:
         return None
-    moved = disagreement(source, T_targets_source[0], found)
+    moved = disagreement(source, T_targets_source[0], registration)
     if moved.shift_m > recheck_above_m:
         as_given = measure(source, targets, T_targets_source, every)
-        if agrees_as_well(as_given, found):
+        if agrees_as_well(as_given, registration):
             return Disagreement(as_given, 0.0, 0.0, 0.0)
     return moved
 
 
-def agrees_as_well(as_given: Registration, found: Registration) -> bool:
+def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
     """Whether a frame fits others at its given pose as well as at the registered one.
 
     The overlap does not count: frames of two sides of an object share little, and still fit.
 
     Args:
         as_given: the figures at the given pose.
-        found: the registration.
+        registration: the registration.
     """
-    close_m = max(AS_CLOSE * found.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
+    close_m = max(AS_CLOSE * registration.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (
         as_given.overlap >= MIN_OVERLAP
-        and as_given.inlier_share >= max(ENOUGH_INLIERS, found.inlier_share - AS_MANY)
+        and as_given.inlier_share >= max(ENOUGH_INLIERS, registration.inlier_share - AS_MANY)
         and as_given.residual_m <= close_m
-        and not as_given.intensity_correlation < found.intensity_correlation - AS_ALIKE
+        and not as_given.intensity_correlation < registration.intensity_correlation - AS_SIMILAR
     )
 
 
-def disagreement(source: FrameMaps, T_target_source: Float64, found: Registration) -> Disagreement:
-    """How far a registration is from the given pose of the frame.
+def disagreement(source: FrameMaps, T_target_source: Float64, registration: Registration) -> Disagreement:
+    """The difference between a registration and the frame's given pose.
 
     The information matrix gives the certainty of a shift. Along an unobservable direction it is zero.
 
     Args:
         source: the frame.
         T_target_source: (4, 4), by the given poses.
-        found: its registration to the same target.
+        registration: its registration to the same target.
     """
-    off = invert_rigid(T_target_source) @ found.T_target_source
+    off = invert_rigid(T_target_source) @ registration.T_target_source
     points = source[0].points[:, :3].astype(np.float64)
     points = points[:: max(1, len(points) // MOVED_POINTS)]
     shift_m = float(np.median(np.linalg.norm(transform_points(off, points) - points, axis=1)))
     twist = twist_from_rigid(off)
-    over_sigma = np.sqrt(max(float(twist @ found.information @ twist), 1e-12))
+    over_sigma = np.sqrt(max(float(twist @ registration.information @ twist), 1e-12))
     certain_shift_m = shift_m * max(0.0, 1 - SIGMAS / float(over_sigma))
-    return Disagreement(found, shift_m, certain_shift_m, float(rotation_angle_rad(off[:3, :3])))
+    return Disagreement(registration, shift_m, certain_shift_m, float(rotation_angle_rad(off[:3, :3])))
 
 
 def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
@@ -159,7 +159,7 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
 def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
-    found = np.empty(len(points))
+    residuals = np.empty(len(points))
     count = 0
     for i in range(len(points)):
         p = points[i]
@@ -181,9 +181,9 @@ def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untype
         if nx * m[0] + ny * m[1] + nz * m[2] < MIN_FACING:
             continue
         dx, dy = (column - cx) / fx * d - x, (row - cy) / fy * d - y
-        found[count] = abs(nx * dx + ny * dy + nz * (d - z))
+        residuals[count] = abs(nx * dx + ny * dy + nz * (d - z))
         count += 1
-    return found[:count].copy()
+    return residuals[:count].copy()
 
 
 def distant_constraints(
@@ -212,10 +212,10 @@ def distant_constraints(
         checks = (
             check_pose(maps[b], [maps[a]], [T_a_b], coarsest, every, RECHECKED_SHIFT_M) for coarsest in (1, 2)
         )
-        found = next((each for each in checks if each and is_accepted(each.registration)), None)
-        if found is not None:
-            constraints.append(Constraint(a, b, found.registration, "loop"))
-            shifts_m.append(found.shift_m)
+        accepted = next((each for each in checks if each and is_accepted(each.registration)), None)
+        if accepted is not None:
+            constraints.append(Constraint(a, b, accepted.registration, "loop"))
+            shifts_m.append(accepted.shift_m)
         elif not _fits(measure(maps[b], [maps[a]], [T_a_b], every)):
             unfit += 1
     unmatched = unfit / len(tried) if len(tried) >= MIN_TRIED else np.nan
@@ -223,7 +223,7 @@ def distant_constraints(
 
 
 def _fits(as_given: Registration) -> bool:
-    """Whether depth agrees at the given pose, although no registration there is accepted."""
+    """Whether depth agrees at the given pose although no registration is accepted."""
     return (
         as_given.overlap >= MIN_OVERLAP
         and as_given.inlier_share >= ENOUGH_INLIERS
@@ -248,6 +248,6 @@ def distant_residual_m(
         if T_world_camera is not None:
             T_a_b = invert_rigid(T_world_camera[each.a]) @ T_world_camera[each.b]
         if np.isfinite(T_a_b).all():
-            found = residuals_m(maps[each.b], maps[each.a][0], T_a_b, every)
-            medians += [float(np.median(found))] if len(found) >= MIN_RESIDUALS else []
+            distances_m = residuals_m(maps[each.b], maps[each.a][0], T_a_b, every)
+            medians += [float(np.median(distances_m))] if len(distances_m) >= MIN_RESIDUALS else []
     return float(np.median(medians)) if medians else np.nan

@@ -91,12 +91,12 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
     if len(source.descriptors) < 2 or len(target.descriptors) < 2:
         return np.zeros((0, 2), np.int64)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    there = matcher.knnMatch(source.descriptors, target.descriptors, k=2)
+    matches = matcher.knnMatch(source.descriptors, target.descriptors, k=2)
     back = {m.queryIdx: m.trainIdx for m in matcher.match(target.descriptors, source.descriptors)}
     return np.array(
         [
             (best.queryIdx, best.trainIdx)
-            for best, second in there
+            for best, second in matches
             if best.distance < RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
         ],
         np.int64,
@@ -116,7 +116,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
     pairs = match(source, target)
     if len(pairs) < MIN_MATCHES:
         return None
-    found, turn, shift, inliers = cv2.solvePnPRansac(
+    is_solved, turn, shift, inliers = cv2.solvePnPRansac(
         target.points_m[pairs[:, 1]],
         source.pixels[pairs[:, 0]],
         camera.K,
@@ -126,7 +126,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
         confidence=0.999,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None or len(inliers) < MIN_INLIERS:
+    if not is_solved or inliers is None or len(inliers) < MIN_INLIERS:
         return None
     T_source_target = rigid(cv2.Rodrigues(turn)[0], shift.ravel())
     return invert_rigid(T_source_target), len(inliers)

@@ -42,7 +42,7 @@ CLEARLY_BETTER = 0.05
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """How the frames of a recording agree under given poses; NaN where it is unknown.
+    """The agreement of a recording's frames under given poses; NaN if unknown.
 
     Attributes:
         compared: (k,) the frames that others were compared with.
@@ -124,24 +124,24 @@ class _Checker:
         """Compare a frame with the frames of the most similar views."""
         self.blind[frame] = len(self.maps[frame][0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
-        found = self._check(frame, near, coarsest=0) if near else None
-        if found is None:
+        checked = self._check(frame, near, coarsest=0) if near else None
+        if checked is None:
             return
-        self.found[frame] = found
+        self.found[frame] = checked
         self.residual_m[frame] = self._residual_m(frame, near)
         # A residual is the difference of two measurements.
         self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
         """Compare a frame with the frame before it."""
-        found = self._across(before, frame, coarsest=1)
-        if found is not None:
-            self.step_m[frame] = found.certain_shift_m
+        checked = self._across(before, frame, coarsest=1)
+        if checked is not None:
+            self.step_m[frame] = checked.certain_shift_m
 
     def recheck(self, posed: Int64) -> None:
         """Check again the frames that disagree, or that agree less than is typical."""
         # The first check runs at the finest level, which recovers only part of a large shift.
-        median_m = np.median([found.shift_m for found in self.found.values()] or [0.0])
+        median_m = np.median([checked.shift_m for checked in self.found.values()] or [0.0])
         recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
         wrong = [
             f for f, each in self.found.items() if self._disagrees(each) or each.shift_m > recheck_above_m
@@ -150,9 +150,9 @@ class _Checker:
         if len(sound) < 2:
             return
         typical = _TypicalQuality.of(
-            found.registration for f, found in self.found.items() if f not in set(wrong)
+            checked.registration for f, checked in self.found.items() if f not in set(wrong)
         )
-        atypical = [f for f, found in self.found.items() if not typical.includes(found.registration)]
+        atypical = [f for f, checked in self.found.items() if not typical.includes(checked.registration)]
         missing = np.setdiff1d(posed, list(self.found)).tolist()
         # If most frames are wrong, a search for other poses is of no use.
         few = len(wrong) + len(missing) < 0.5 * len(posed)
@@ -178,7 +178,7 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The nearest agreeing frames before it and after it; or those of the most similar views."""
+        """The nearest agreeing frames before and after it, or those of the most similar views."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
@@ -213,21 +213,21 @@ class _Checker:
             near = int(nearest_views(self.T, frame, sound)[0])
         source, T_given = self.maps[frame], self._starts(frame, [near])[0]
         starts = (T_given, np.eye(4)) if self.ordered else (T_given,)
-        found = max((search(source, self.maps[near], T) for T in starts), key=score)
-        if agrees_as_well(measure(source, [self.maps[near]], [T_given], self.every), found):
+        best_fit = max((search(source, self.maps[near], T) for T in starts), key=score)
+        if agrees_as_well(measure(source, [self.maps[near]], [T_given], self.every), best_fit):
             return best
         as_given = self._check(frame, [near], coarsest=1)
         known = 0.0 if as_given is None else score(as_given.registration)
-        return disagreement(source, T_given, found) if score(found) > known + CLEARLY_BETTER else best
+        return disagreement(source, T_given, best_fit) if score(best_fit) > known + CLEARLY_BETTER else best
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
         """Compare with an earlier frame; if that is not accepted, start from zero motion."""
-        found = self._check(frame, [before], coarsest)
-        if found is not None and is_accepted(found.registration):
-            return found
+        checked = self._check(frame, [before], coarsest)
+        if checked is not None and is_accepted(checked.registration):
+            return checked
         source, T_given = self.maps[frame], self._starts(frame, [before])[0]
         still = register(source, [self.maps[before]], [np.eye(4)], 2, every=self.every)
-        return disagreement(source, T_given, still) if is_accepted(still) else found
+        return disagreement(source, T_given, still) if is_accepted(still) else checked
 
     def _check(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
         targets = [self.maps[k] for k in others]
@@ -239,14 +239,14 @@ class _Checker:
     def _starts(self, frame: int, others: list[int]) -> list[Float64]:
         return [invert_rigid(self.T[k]) @ self.T[frame] for k in others]
 
-    def _disagrees(self, found: Disagreement) -> bool:
-        return found.certain_shift_m > self.max_shift_m or found.registration.inlier_share < MIN_INLIERS
+    def _disagrees(self, checked: Disagreement) -> bool:
+        return checked.certain_shift_m > self.max_shift_m or checked.registration.inlier_share < MIN_INLIERS
 
     def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
         """Isolated wrong steps, confirmed by the frames on both sides; a wrong frame makes two steps."""
         rows = np.arange(1, len(kept))
         off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
-        found = []
+        steps = []
         for row in rows[off[1:-1] & ~off[:-2] & ~off[2:]].tolist():
             across = [
                 (a, b)
@@ -256,18 +256,18 @@ class _Checker:
             checks = [self._across(int(kept[a]), int(kept[b]), coarsest=2) for a, b in across]
             shifts_m = [0.0 if each is None else each.certain_shift_m for each in checks]
             if min(shifts_m) > self.max_shift_m:
-                found.append((int(kept[row]), float(np.median(shifts_m))))
-        return tuple(found)
+                steps.append((int(kept[row]), float(np.median(shifts_m))))
+        return tuple(steps)
 
     def result(self, posed: Int64) -> FrameCheck:
         """The result for the frames (k,) that have a pose."""
         n = len(self.T)
         shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
         degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)
-        for frame, found in self.found.items():
-            shift_m[frame], turn_rad[frame] = found.shift_m, found.turn_rad
-            inlier_share[frame] = found.registration.inlier_share
-            degenerate[frame], disagrees[frame] = found.registration.degenerate, self._disagrees(found)
+        for frame, checked in self.found.items():
+            shift_m[frame], turn_rad[frame] = checked.shift_m, checked.turn_rad
+            inlier_share[frame] = checked.registration.inlier_share
+            degenerate[frame], disagrees[frame] = checked.registration.degenerate, self._disagrees(checked)
         outlier = self.outlier(disagrees)
         return FrameCheck(
             compared=self.compared,

@@ -174,7 +174,7 @@ class MapCache:
         return FrameMaps(camera, depth_m, intensity)
 
     def _reduced(self, index: int) -> ReducedFrame:
-        """Read one frame of the recording; gray only where colour is registered to depth."""
+        """Read one frame of the recording; grey only if colour is registered to depth."""
         sequence, reduction = self.sequence, _reduction(self.sequence.camera)
         native = sequence.frames.depth_native(index)
         depth = reduced_depth(native, sequence.depth_scale, reduction, np.float32(STORED_PER_M))
@@ -264,7 +264,7 @@ def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) 
 
 
 def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
-    """Estimate the normal noise from normals nine pixels apart, most of which lie on one plane.
+    """Estimate the normal noise from normals nine pixels apart, mostly on one plane.
 
     With this noise along both tangents, the squared difference of two normals is exponentially distributed
     with mean 4 sigma^2. The median is used.

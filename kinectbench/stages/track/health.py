@@ -156,7 +156,7 @@ class _Case:
 
     @property
     def trusted(self) -> GivenCheck | None:
-        """The check of the given poses, if these are the poses of the trajectory; else None."""
+        """The check of the given poses if they are the trajectory's; else None."""
         return self.given if self.source == "trust" else None
 
     @cached_property
@@ -189,14 +189,14 @@ def _indices(frames: Bools) -> tuple[int, ...]:
 def _rejected(case: _Case, frame: int) -> RejectedFrame:
     assert case.given is not None
     shift_m, agreeing = case.given.frames.shift_m[frame], case.tracked.inlier_share[frame]
-    there = f", where {100 * agreeing:.0f} % of it fits" if np.isfinite(agreeing) else ""
+    fit_elsewhere = f", where {100 * agreeing:.0f} % of it fits" if np.isfinite(agreeing) else ""
     return RejectedFrame(
         frame=frame,
         stamp_ns=int(case.sequence.stamps_ns[frame]),
         residual_m=known(case.given.frames.residual_m[frame]),
         shift_m=known(shift_m),
         turn_rad=known(case.given.frames.turn_rad[frame]),
-        reason=f"its depth disagrees with its pose by {known(1000 * shift_m, 2)} mm{there}",
+        reason=f"its depth disagrees with its pose by {known(1000 * shift_m, 2)} mm{fit_elsewhere}",
     )
 
 
@@ -237,7 +237,7 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc of directions from which the frames with a pose see the point they look at."""
+    """The arc of directions from which frames with a pose see their common focus."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)

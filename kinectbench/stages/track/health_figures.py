@@ -170,7 +170,7 @@ def lost_stretches(
 
 
 def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
-    """Sharpness of the colour of each frame (`image_sharpness`): (n,); NaN where there is none.
+    """Sharpness of each frame's colour (`image_sharpness`): (n,); NaN without colour.
 
     Args:
         sequence: the recording.

@@ -122,8 +122,8 @@ class _Builder:
     def _again(self, each: Constraint) -> Constraint:
         """Register a constraint again, with the averaged depth of the keyframes."""
         source, target = self.maps[each.b], self.maps[each.a]
-        found = register(source, [target], [each.T_a_b], 0, PLACED, point_stride(source))
-        return Constraint(each.a, each.b, found, each.kind) if is_accepted(found) else each
+        registration = register(source, [target], [each.T_a_b], 0, PLACED, point_stride(source))
+        return Constraint(each.a, each.b, registration, each.kind) if is_accepted(registration) else each
 
     def add_loop_candidates(self) -> None:
         """Try keyframes of similar appearance that are no neighbours, and those on both sides of a gap."""
@@ -162,8 +162,8 @@ class _Builder:
         pairs = []
         for group in np.unique(self.group):
             rows = np.flatnonzero(self.group == group)
-            found = covisible([self.thumbnails[row] for row in rows], self.T_world[rows])
-            pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in found]
+            result = covisible([self.thumbnails[row] for row in rows], self.T_world[rows])
+            pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in result]
         return pairs
 
     def _try(self, a: int, b: int, T_a_b: Float64 | None) -> None:
@@ -282,8 +282,8 @@ class _Builder:
         """Join two groups if two constraints agree on their relative pose, or one spans a gap in time."""
         while True:
             between = self._joining_constraints()
-            found = [(self._agreed(constraints), groups) for groups, constraints in sorted(between.items())]
-            candidates = [(agreed, groups) for agreed, groups in found if agreed is not None]
+            ranked = [(self._agreed(constraints), groups) for groups, constraints in sorted(between.items())]
+            candidates = [(agreed, groups) for agreed, groups in ranked if agreed is not None]
             if not candidates:
                 return
             (_, each), groups = max(candidates, key=lambda candidate: candidate[0][0])

@@ -96,7 +96,7 @@ def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals by central differences over two pixels each way, where these lie on one surface."""
+    """Normals by central differences over two pixels each way, if these lie on one surface."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     over_fx, over_fy = 1 / fx, 1 / fy
@@ -210,7 +210,7 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
-    """The cell of the half sphere that a normal belongs to: its x and y, evenly divided."""
+    """The cell of the half sphere for a normal: its x and y, evenly divided."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
     j = min(NORMAL_CELLS - 1, int((ny + 1) * 0.5 * NORMAL_CELLS))
     return i * NORMAL_CELLS + j

@@ -170,7 +170,7 @@ class _Follower:
         self.frames.append(frame)
 
     def odometry(self) -> Odometry:
-        """The odometry, once all frames were taken."""
+        """The odometry after all frames."""
         self._end_average()
         return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.constraints))
 
@@ -180,7 +180,7 @@ class _Follower:
         return Followed(segment, index, np.eye(4), None)
 
     def _accepted(self, index: int, followed: Followed) -> Followed:
-        """Accept a registered frame; it becomes the next keyframe if it moved far from its keyframe."""
+        """Accept a registered frame; after a large motion it becomes the next keyframe."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
         if not _is_keyframe(followed.registration, self.maps[index]):
@@ -291,7 +291,7 @@ def is_accepted(registration: Registration) -> bool:
 
 
 def _is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
-    """Whether a frame has moved so far from its keyframe that it becomes the next one."""
+    """Whether a frame has moved far enough from its keyframe to become the next one."""
     T = registration.T_target_source
     depth_m = float(np.median(maps[0].points[:, 2]))
     return bool(

@@ -21,7 +21,7 @@ MODIFIED_Z, Z_OF_MEDIAN, OUTLIER_RATIO = 3.5, 0.6745, 2.0
 
 
 def find_outliers(residual: Float64, judged: Bools) -> Bools:
-    """Which frames agree far worse with the others than nearly all do: (n,).
+    """Frames that agree far worse with the others than nearly all do: (n,).
 
     A frame of a fast turn may pass registration although it is centimetres off. Residuals within the noise do
     not count.
@@ -41,7 +41,7 @@ def find_outliers(residual: Float64, judged: Bools) -> Bools:
 
 
 def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
-    """A warning about the frames that were left out as outliers, if there are any.
+    """A warning about frames left out as outliers, if any.
 
     Args:
         reasons: by lost frame, why it has no pose.

@@ -60,7 +60,7 @@ def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
 
 
 def path_picture(trajectory: Trajectory) -> bytes:
-    """The cameras from above, up in the picture where the first one looks: a PNG file.
+    """The cameras from above as a PNG file, with the first one's direction upwards.
 
     It shows time (colour), keyframes (150 at most, the viewing direction of 24), loops and lost stretches. If
     the health has an arc, it also shows the point where the optical axes meet. Axes are in metres from the
@@ -230,7 +230,7 @@ def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: T
 def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None:
     for wanted, color, style, label in (
         (True, BLUE, "-", "loops"),
-        (False, ORANGE, "--", "loops in doubt"),
+        (False, ORANGE, "--", "uncertain loops"),
     ):
         rows = [row for row in health.loops if row.believed is wanted]
         every = -(-len(rows) // MAX_LOOPS_DRAWN) or 1
@@ -241,7 +241,7 @@ def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None
 
 
 def _mark_states(axes: "Axes", moments: Float64, states: Sequence[str]) -> None:
-    """Shade the frames without a pose, half-way to their neighbours; mark where it was found again."""
+    """Shade frames without a pose, half-way to their neighbours; mark relocalisations."""
     edges = np.concatenate([moments[:1], (moments[:-1] + moments[1:]) / 2, moments[-1:]])
     for state, color, label in (("lost", RED, "lost"), ("rejected", ORANGE, "left out")):
         for first, last in _runs(states, state):

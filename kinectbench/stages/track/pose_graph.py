@@ -71,9 +71,9 @@ def softened(constraint: Constraint) -> Float64:
 
     The growth of the systematic errors was fitted to simulated orbits. A may be singular.
     """
-    found = constraint.registration
-    A = found.information
-    growth = (1 + PER_DISAGREEING_SHARE * (1 - found.inlier_share)) / max(found.overlap, 0.1) ** 2
+    edge = constraint.registration
+    A = edge.information
+    growth = (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
     systematic = np.diag((SYSTEMATIC * growth) ** 2)
     return np.asarray(A - A @ np.linalg.solve(A + np.linalg.inv(systematic), A))
 

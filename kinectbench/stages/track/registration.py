@@ -104,26 +104,26 @@ def register(
     motion = np.eye(4)
     starts = [np.asarray(T) for T in T_targets_source]
     exposures = [NO_EXPOSURE_CHANGE] * len(starts)
-    found: list[LinearTerms] = []
+    linear_terms: list[LinearTerms] = []
     converged = False
     for level in range(coarsest, -1, -1):
         for _ in range(ITERATIONS[level]):
             T_now = [start @ motion for start in starts]
-            found = _linearised(source, targets, T_now, exposures, level, every)
+            linear_terms = _linearised(source, targets, T_now, exposures, level, every)
             normal_matrix, gradient = DAMPING + prior, -prior @ twist_from_rigid(motion)
-            for terms in found:
+            for terms in linear_terms:
                 normal_matrix = normal_matrix + terms.geometric + terms.photometric
                 gradient = gradient + terms.gradient
             step = np.linalg.solve(normal_matrix, gradient)
             motion = motion @ rigid_from_twist(step)
-            exposures = [terms.exposure_after(step) for terms in found]
+            exposures = [terms.exposure_after(step) for terms in linear_terms]
             converged = bool(np.abs(step).max() < STEP_ENOUGH[level])
             if converged:
                 break
     T_now = [start @ motion for start in starts]
     if not converged:
-        found = _linearised(source, targets, T_now, exposures, 0, every)
-    registration, free = _figures(source, targets, T_now[0], found, every)
+        linear_terms = _linearised(source, targets, T_now, exposures, 0, every)
+    registration, free = _figures(source, targets, T_now[0], linear_terms, every)
     textured = source.has_intensity and all(target.has_intensity for target in targets)
     if textured or not free.shape[1]:
         return registration
@@ -145,8 +145,8 @@ def measure(
         every: only every n-th point is used.
     """
     exposures = [NO_EXPOSURE_CHANGE] * len(targets)
-    found = _linearised(source, targets, T_targets_source, exposures, 0, every)
-    return _figures(source, targets, np.asarray(T_targets_source[0]), found, every)[0]
+    terms = _linearised(source, targets, T_targets_source, exposures, 0, every)
+    return _figures(source, targets, np.asarray(T_targets_source[0]), terms, every)[0]
 
 
 def _linearised(
@@ -177,17 +177,17 @@ def _figures(
     source: FrameMaps,
     targets: Sequence[FrameMaps],
     T_target_source: Float64,
-    found: Sequence[LinearTerms],
+    linear_terms: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
     """The figures, and the unobservable directions (6, k), as in `Observability.motions`."""
-    inliers = sum(terms.inliers for terms in found)
-    compared = inliers + sum(terms.violations for terms in found)
-    squares = sum(terms.inliers * terms.residual_m**2 for terms in found)
-    variances = sum(terms.inliers * terms.noise_m**2 for terms in found)
-    held = observability(found, source[0], [target[0] for target in targets])
-    geometric = held.without_noise(np.sum([terms.geometric for terms in found], axis=0))
-    photometric = np.sum([terms.photometric for terms in found], axis=0)
+    inliers = sum(terms.inliers for terms in linear_terms)
+    compared = inliers + sum(terms.violations for terms in linear_terms)
+    squares = sum(terms.inliers * terms.residual_m**2 for terms in linear_terms)
+    variances = sum(terms.inliers * terms.noise_m**2 for terms in linear_terms)
+    held = observability(linear_terms, source[0], [target[0] for target in targets])
+    geometric = held.without_noise(np.sum([terms.geometric for terms in linear_terms], axis=0))
+    photometric = np.sum([terms.photometric for terms in linear_terms], axis=0)
     information = (geometric + photometric) * (every / CORRELATED_POINTS)
     known = np.einsum("ik,ij,jk->k", held.motions, information, held.motions)
     enough = inliers * every >= MIN_POINTS
@@ -201,7 +201,7 @@ def _figures(
         noise_m=float(np.sqrt(variances / max(1, inliers))),
         signal_to_noise=float(held.signal_to_noise[0]) if enough else 0.0,
         sigma_m=float(weakest**-0.5) if weakest > 1e-3 else np.inf,
-        intensity_correlation=float(np.mean([terms.intensity_correlation for terms in found])),
+        intensity_correlation=float(np.mean([terms.intensity_correlation for terms in linear_terms])),
     )
     return registration, held.motions[:, known < MAX_SIGMA_M**-2]
 
@@ -228,26 +228,26 @@ class Observability:
         return np.asarray(back @ (self.motions.T @ information @ self.motions) @ back.T)
 
 
-def observability(found: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
-    """How well the normals constrain each direction, compared with their noise alone.
+def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
+    """Constraint of each direction by the normals, relative to the noise of normals.
 
     Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: the sum of [[p]x; 1] [[p]x; 1]^T.
     In this metric the length of a twist is the motion of the points.
 
     Args:
-        found: the terms of each target, linearised `with_observability`.
+        parts: the terms of each target, linearised `with_observability`.
         source: the level that was linearised.
         targets: the levels it was linearised against.
     """
-    moments = np.sum([terms.moments for terms in found], axis=0)
+    moments = np.sum([terms.moments for terms in parts], axis=0)
     x, y, z, n = moments[3] / max(moments[3, 3], 1)
     squares = moments[:3, :3] / max(moments[3, 3], 1)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     metric = np.block([[np.trace(squares) * np.eye(3) - squares, cross], [cross.T, n * np.eye(3)]])
     metric += 1e-6 * np.eye(6)
-    shares = np.sum([terms.normal_information for terms in found], axis=0) / max(moments[3, 3], 1)
+    shares = np.sum([terms.normal_information for terms in parts], axis=0) / max(moments[3, 3], 1)
     signal_to_noise, motions = eigh(shares, metric)
-    counts = np.array([max(terms.inliers, 1) for terms in found])
+    counts = np.array([max(terms.inliers, 1) for terms in parts])
     # The mean of two normals has less noise than either, unless they are the same.
     noises = [
         source.normal_noise**2 if target is source else (source.normal_noise**2 + target.normal_noise**2) / 4
@@ -276,7 +276,7 @@ def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registrati
     starts = [np.asarray(T_settled @ rigid_from_twist(weakest @ (SPACING_M * k))) for k in STARTS]
     starts.sort(key=lambda T: -_score_at(linearise(points, maps, T, SEARCH_GATE_M), points))
     settled = [_settle(points, maps, T) for T in [T_settled, *starts[:SETTLED]]]
-    settled.sort(key=lambda found: -_score_at(found[1], points))
+    settled.sort(key=lambda result: -_score_at(result[1], points))
     return max((register(source, [target], [T], coarsest=1) for T, _ in settled[:REGISTERED]), key=score)
 
 

@@ -47,7 +47,7 @@ class _Pair:
 
 
 def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
-    """The rolling shutter of a recording of fast motions, and the colour's delay; None if there is neither.
+    """The rolling shutter of a fast recording, and the colour's delay; None without either.
 
     Args:
         maps: of the frames, without any shutter undone.
@@ -121,9 +121,9 @@ class _Search:
 
     def misfit(self, readout_s: float) -> float:
         """Mean square of the depth's residuals over their noise, at each pair's best pose."""
-        found = self._registered(readout_s)
+        fits = self._registered(readout_s)
         squares = [
-            r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in found
+            r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in fits
         ]
         return float(np.mean(squares))
 

@@ -81,10 +81,10 @@ def _place(
     for index in range(len(maps.sequence)):
         progress(index + 1)
         placed.append(placer.place(index))
-    found = [each.registration for each in placed]
-    measured = [(r.residual_m, r.noise_m, r.inlier_share) if r else (np.nan,) * 3 for r in found]
+    registrations = [each.registration for each in placed]
+    measured = [(r.residual_m, r.noise_m, r.inlier_share) if r else (np.nan,) * 3 for r in registrations]
     residual_m, noise_m, inlier_share = np.array(measured).T
-    information = np.array([r.information if r else HELD for r in found])
+    information = np.array([r.information if r else HELD for r in registrations])
     poses = np.array([each.T_world_camera for each in placed])
     accepted = np.array([each.reason is None for each in placed])
     odd = accepted & find_outliers(residual_m / noise_m, accepted)
@@ -144,11 +144,11 @@ class _Placer:
         around = self._around(index, frame, T_world)
         if not around:
             return _Placed(state=state, T_world_camera=T_world)
-        found = self._registered(index, around, T_world)
+        registration = self._registered(index, around, T_world)
         if frame.keyframe != index:
-            T_world = on_so3(self.graph.T_world[around[0]] @ found.T_target_source)
-        reason = None if is_accepted(found) else UNOBSERVABLE if found.degenerate else DISAGREES
-        return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=found)
+            T_world = on_so3(self.graph.T_world[around[0]] @ registration.T_target_source)
+        reason = None if is_accepted(registration) else UNOBSERVABLE if registration.degenerate else DISAGREES
+        return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
 
     def _predicted(self, frame: Followed) -> Float64:
         """The frame's pose by the odometry, relative to its optimised keyframe."""
@@ -176,7 +176,7 @@ class _Placer:
         T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
         if index in self.row:
             return measure(source, targets, [T @ T_world for T in T_around])
-        found = register(
+        registration = register(
             source,
             targets,
             [T @ T_world for T in T_around],
@@ -184,16 +184,16 @@ class _Placer:
             prior=PLACED,
             every=point_stride(source),
         )
-        if self.reference.meets_reference(found):
-            self.reference = self.reference.after(found)
-            return found
+        if self.reference.meets_reference(registration):
+            self.reference = self.reference.after(registration)
+            return registration
         for T_around_k, target in zip(T_around, targets, strict=True):
             elsewhere = search(source, target, T_around_k @ T_world).T_target_source
             T_there = invert_rigid(T_around_k) @ elsewhere
             other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
-            found = better(found, other)
-        self.reference = self.reference.after(found)
-        return found
+            registration = better(registration, other)
+        self.reference = self.reference.after(registration)
+        return registration
 
 
 def _neighbours(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:

@@ -54,7 +54,7 @@ def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
 
 
 def recommend(given: GivenFigures, checked_share: float, rejected_share: float) -> Recommendation:
-    """What to do with a given trajectory.
+    """Advice on a given trajectory.
 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if near frames disagree by more
     than 10 mm, if a tenth of the frames disagrees, if it jumps, if it drifts, if many distant frames do not

@@ -1,4 +1,4 @@
-"""What is recorded: objects from mesh files, and objects drawn by a seed, related families in one file.
+"""The recorded objects: from mesh files, or random by a seed; related families share a file.
 
 Packages add families by the entry point `kinectbench.families` (`kinectbench.lab.plugins`); a checkout after
 `make setup` has those of `benchmarks/plugins`.
@@ -39,7 +39,7 @@ class ObjectName(NamedTuple):
 
 @cache
 def families() -> Mapping[str, Family]:
-    """All families there are: the paper's furniture, then those of plug-ins.
+    """All families: the paper's furniture, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -51,7 +51,7 @@ def check_family(family: str) -> str:
     """Accept the name of a family of objects.
 
     Raises:
-        SettingsError: there is no such family; the nearest name is suggested.
+        SettingsError: unknown family; the nearest name is suggested.
     """
     if family in families():
         return family
@@ -78,7 +78,7 @@ def make_object(family: str, seed: int) -> Subject:
     Its mesh is the union of its pieces. Same family and seed, same vertices.
 
     Raises:
-        SettingsError: there is no such family.
+        SettingsError: unknown family.
     """
     rng = np.random.default_rng([*check_family(family).encode(), seed])
     drawn = families()[family]

@@ -24,7 +24,7 @@ from kinectbench.lab.simulate.objects.shapes import (
 
 @dataclass(frozen=True)
 class Back:
-    """Where a back stands, in metres, frame `object`; it leans to -y.
+    """The place of a backrest, in metres, frame `object`; it leans to -y.
 
     Attributes:
         half: x of the posts' centres.
@@ -75,7 +75,7 @@ def _ladder(draw: Draw, back: Back) -> Parts:
 
 
 def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
-    """A low and a high rail, and the heights between which something is to be fixed."""
+    """A low and a high rail, and the range of heights between them."""
     low = back.seat + draw.between(0.06, 0.14)
     crest = draw.between(0.05, 0.09)
     rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]
@@ -149,7 +149,7 @@ KINDS: dict[str, Callable[[Draw, Back], Parts]] = {
 
 
 def filling(draw: Draw, back: Back, kinds: tuple[str, ...] = tuple(KINDS)) -> Parts:
-    """What fills a back between its posts, of one of the kinds."""
+    """The filling of a back between its posts, of one of the kinds."""
     return KINDS[draw.choose(kinds)](draw, back)
 
 

@@ -1,4 +1,4 @@
-"""What furniture stands on: legs, tube frames, columns, trestles and panels.
+"""Bases of furniture: legs, tube frames, columns, trestles and panels.
 
 Everything stands on z = 0 and reaches up to `head_m`, which lies inside what it carries. `half_m` is the
 distance in x and y from the middle to the outermost legs' centres under the seat or top. Frame `object`,
@@ -99,7 +99,7 @@ def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
 
 
 def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m: float = 0.0) -> Parts:
-    """Bars between four legs, an H or a ring around them; the rear legs stand `rake_m` farther back there."""
+    """Bars between four legs, an H or a ring; the rear legs stand `rake_m` farther back."""
     x, y = half_m
     rear = -y - rake_m
     wide, high = 0.018, draw.between(0.022, 0.035)
@@ -148,7 +148,7 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
     """Two bent tubes, each a pair of splayed legs with the bar between them, and two bars that join them."""
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
-        # The legs go on below the floor, where they are cut level.
+        # The legs continue below the floor, where they are cut level.
         out = splay_m * (1 + 0.02 / z)
         feet = [(s * (x + out), way * (y + out), -0.02) for way in SIDES]
         path = [feet[0], (s * x, -y, z), (s * x, y, z), feet[1]]
@@ -186,7 +186,7 @@ def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
 
 
 def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look) -> Parts:
-    """One column on a round plate, on a trumpet-shaped foot, or a drum.
+    """A column on a round plate or a trumpet-shaped foot, or a drum.
 
     Args:
         draw: chooses the kind.

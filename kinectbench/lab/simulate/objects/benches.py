@@ -44,14 +44,14 @@ def _park(draw: Draw, size: _Size) -> Parts:
     iron, wood = draw.pick(looks.IRONS), draw.pick(looks.WOODS)
     slat, lean, top = draw.between(0.02, 0.035), draw.between(0.1, 0.2), size.seat + draw.between(0.33, 0.45)
     thick, y = draw.between(0.028, 0.04), size.y
-    rest = size.seat - slat - thick / 2 + 0.006
+    rest_m = size.seat - slat - thick / 2 + 0.006
     spread, arms = draw.between(0.0, 0.06), draw.chance(0.7)
-    frame = [(y + spread, thick / 2), (y + 0.005, rest), (-y, rest), (-y - lean, top - 0.02)]
-    paths = [rounded_path(frame, 0.05), rounded_path([(-y + 0.02, rest), (-y - 0.1, thick / 2)], 0.05)]
-    slope = lean / (top - 0.02 - rest)
+    frame = [(y + spread, thick / 2), (y + 0.005, rest_m), (-y, rest_m), (-y - lean, top - 0.02)]
+    paths = [rounded_path(frame, 0.05), rounded_path([(-y + 0.02, rest_m), (-y - 0.1, thick / 2)], 0.05)]
+    slope = lean / (top - 0.02 - rest_m)
     if arms:
         z = size.seat + draw.between(0.18, 0.24)
-        arm = [(y - 0.02, rest), (y + 0.02, z), (-y - slope * (z - rest) - 0.01, z + 0.01)]
+        arm = [(y - 0.02, rest_m), (y + 0.02, z), (-y - slope * (z - rest_m) - 0.01, z + 0.01)]
         paths.append(rounded_path(arm, draw.between(0.05, 0.12)))
     count = 3 if size.x > 0.75 and draw.chance(0.7) else 2
     for x in np.linspace(-size.x + 0.12, size.x - 0.12, count).tolist():
@@ -59,7 +59,7 @@ def _park(draw: Draw, size: _Size) -> Parts:
             yield Part("frame", ribbon(path, (x - 0.022, x + 0.022), thick), iron)
     ahead = thick / 2 + slat / 2 - 0.006
     yield from _slats(draw, size, slat, wood)
-    yield from _back_slats(draw, size, slat, (slope, rest, top, ahead), wood)
+    yield from _back_slats(draw, size, slat, (slope, rest_m, top, ahead), wood)
 
 
 def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:

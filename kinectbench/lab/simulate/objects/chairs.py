@@ -49,7 +49,7 @@ def chair(draw: Draw) -> Parts:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Front legs, rear legs that go on as posts of the back, a seat, perhaps aprons, stretchers and arms."""
+    """Front legs, rear legs that continue as back posts, a seat, perhaps aprons, stretchers and arms."""
     wood, thick, post = draw.pick(looks.WOODS), draw.between(0.018, 0.03), draw.between(0.028, 0.042)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     rake, slope = draw.between(0.0, 0.06), draw.between(0.05, 0.26)
@@ -172,7 +172,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
     dish, hug = draw.between(0.0, 0.02), draw.between(0.0, 0.06)
 
     def bucket(points: Points) -> Points:
-        """Bend the strip, (n, 3) metres, so that it holds whoever sits in it."""
+        """Bend the strip, (n, 3) metres, into the shape of a seat."""
         side = (points[:, 0] / size.x) ** 2
         upright = np.clip((points[:, 2] - size.seat) / 0.2, 0, 1)
         upright = upright**2 * (3 - 2 * upright)
@@ -186,7 +186,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
-    """What a shell stands on; a plate under the seat makes up for its dished underside."""
+    """The base of a shell; a plate under the seat compensates for its dished underside."""
     metal, wood, head = draw.pick(looks.METALS), draw.pick(looks.WOODS), under + 0.008
     kind = draw.choose(["wood", "tube", "sled", "star", "column"])
     if kind == "wood":

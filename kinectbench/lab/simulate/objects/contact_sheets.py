@@ -54,7 +54,7 @@ def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np
         (rows * (size_px + 22), 4 * size_px, 3) uint8 RGB.
 
     Raises:
-        SettingsError: there is no such family.
+        SettingsError: unknown family.
     """
     import cv2
 

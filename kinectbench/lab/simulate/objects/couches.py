@@ -96,7 +96,7 @@ def _sofa(draw: Draw, size: _Size) -> Parts:
 
 
 def _body(size: _Size, look: Look) -> Part:
-    """What the cushions lie on."""
+    """The body below the cushions."""
     low, high = (-size.x + 0.004, -size.y, size.foot), (size.x - 0.004, size.y - 0.02, size.base)
     return Part("body", cushion(low, high, 0.018), look)
 
@@ -135,7 +135,7 @@ def _arms(draw: Draw, size: _Size, soft: float, look: Look) -> Parts:
 
 
 def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """One cushion a seat, or one for all."""
+    """Seat cushions: one a seat, or one for all."""
     count = size.seats if draw.chance(0.8) else 1
     front = size.y + draw.between(-0.02, 0.02)
     soft, crown = draw.between(0.03, 0.05), draw.between(0.008, 0.03)
@@ -146,7 +146,7 @@ def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """One cushion a seat that leans at the back."""
+    """Back cushions, one a seat."""
     thick, soft = draw.between(0.1, 0.16), draw.between(0.04, 0.06)
     top = size.top + draw.between(-0.06, 0.06)
     y = -size.y + size.deep
@@ -188,7 +188,7 @@ def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
 
 
 def _corner(draw: Draw, size: _Size) -> Parts:
-    """An L: a couch whose last seat goes on to the front as a chaise."""
+    """An L: a couch whose last seat extends to the front as a chaise."""
     look, soft, side = draw.pick(looks.COVERS), draw.between(0.02, 0.04), draw.choose(SIDES)
     size = replace(size, seats=max(2, size.seats), arm=max(0.1, size.arm))
     size = replace(size, x=min(1.04, max(0.85, size.x)))

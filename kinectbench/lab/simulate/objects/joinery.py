@@ -1,4 +1,4 @@
-"""What all families of objects share: parts with a look, drawing by chance, gluing parts to an object."""
+"""Shared code of object families: parts with a look, random draws, joining parts to an object."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -35,18 +35,18 @@ Parts = Iterable[Part]
 
 
 class Draw:
-    """What a family or a scene draws by chance."""
+    """Random choices of a family or scene."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         """Draw from a generator (`rng`), one number after another."""
         self.rng = rng
 
     def choose(self, options: Sequence[Choice]) -> Choice:
-        """One of the options, all alike likely."""
+        """One of the options, with equal probability."""
         return options[int(self.rng.integers(len(options)))]
 
     def pick(self, looks: Sequence[Look]) -> Look:
-        """One of the looks, a little lighter or darker."""
+        """One of the looks, with random brightness."""
         look, tint = self.choose(looks), self.between(0.88, 1.08)
         red, green, blue = (min(1.0, value * tint) for value in look.color_rgb)
         return Look((red, green, blue), look.albedo)

@@ -1,4 +1,4 @@
-"""How the materials of objects look: woods, cloths, leathers, plastics, metals and stones."""
+"""Materials of objects: woods, cloths, leathers, plastics, metals and stones."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from kinectbench.lab.simulate.objects.shapes import Vector3
 
 @dataclass(frozen=True)
 class Look:
-    """How a material looks.
+    """The look of a material.
 
     Attributes:
         color_rgb: each in [0, 1].
@@ -18,7 +18,7 @@ class Look:
     albedo: float
 
 
-# Colours and infrared albedos are own choices: dyes and varnish take little infrared light, black pigment
+# Colours and infrared albedos are chosen: dyes and varnish take little infrared light, black pigment
 # takes most.
 BLACK_STEEL = Look((0.09, 0.09, 0.10), 0.07)
 WOODS = (

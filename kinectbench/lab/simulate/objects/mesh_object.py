@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DEFAULT_RGB: Vector3 = (0.66, 0.60, 0.52)
 ALBEDO = 0.6
-# In millimetres what is larger than 5 mm is larger than 5.
+# A mesh in millimetres would be larger than this.
 SMALLEST_M, LARGEST_M = 0.01, 5.0
 MOST_COLORS = 64
 VOXELS_ACROSS = 300
@@ -34,7 +34,7 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
 
     A mesh of closed bodies becomes their exact union. Bodies with small holes are closed by filling them. Any
     other mesh is voxelised by the paper authors' rule. If anything was changed, the camera sees the surface
-    of the solid in the file's colours, so that pictures and truth agree. Own rule.
+    of the solid in the file's colours, so that pictures and truth agree.
 
     Args:
         path: obj, ply, stl, glb or off, in metres.
@@ -61,7 +61,7 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
         pieces = [Piece(f"part {at + 1}", part, color, ALBEDO) for at, (part, color) in enumerate(parts)]
         return Subject(path.name, tuple(pieces if as_drawn else _painted(mesh, parts)), mesh, origin)
     mesh, origin = _closed_by_voxels(path, whole)
-    # The solid is a little larger than what was drawn.
+    # The solid is a little larger than the drawing.
     place = rigid(np.eye(3), standing(mesh))
     pieces = [replace(piece, mesh=piece.mesh.transformed(place)) for piece in _painted(mesh, parts)]
     return Subject(path.name, tuple(pieces), mesh.transformed(place), origin)
@@ -72,13 +72,13 @@ def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | 
 
     The last value says whether the file's own faces show the same surface.
     """
-    if not (found := closed_bodies(whole)):
+    if not (bodies := closed_bodies(whole)):
         return None
-    mesh = surface(united(found))
-    holes, edges = sum(body.holes for body in found), open_edges(whole)
-    what = "one body" if len(found) == 1 else f"exact union of {len(found)} bodies"
+    mesh = surface(united(bodies))
+    holes, edges = sum(body.holes for body in bodies), open_edges(whole)
+    what = "one body" if len(bodies) == 1 else f"exact union of {len(bodies)} bodies"
     if not holes:
-        return mesh, f"closed in its file: {what}", not any(body.reversed for body in found)
+        return mesh, f"closed in its file: {what}", not any(body.reversed for body in bodies)
     return mesh, f"closed by filling {holes} holes ({edges} open edges): {what}", False
 
 
@@ -104,9 +104,9 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     skin = np.clip(np.where(inside, -distance, distance - SKIN_CELLS), -1, 1)
     # A surface that passes exactly through a cell's centre would have corners of no extent.
     field[near] = np.where(np.abs(skin) < 1e-3, 1e-3, skin)
-    found = isosurface(field)
-    vertices = (found.vertices + 0.5) * voxel_m + grid.T_world_grid[:3, 3]
-    shape = solid(vertices, found.faces)
+    level_set = isosurface(field)
+    vertices = (level_set.vertices + 0.5) * voxel_m + grid.T_world_grid[:3, 3]
+    shape = solid(vertices, level_set.faces)
     if shape is None:
         raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh", what="bad-mesh")
     # Fewer faces, none moved by more than a twentieth of a voxel.

@@ -1,4 +1,4 @@
-"""A mesh that somebody drew to closed bodies: merged vertices, one winding, small holes filled."""
+"""Repair a drawn mesh into closed bodies: merge vertices, unify winding, fill small holes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 MERGE_M = 1e-7
-# A hole is small if it has at most this share of the area of the body around it: own choice.
+# A hole is small if it has at most this share of the area of the body around it: chosen here.
 HOLE_SHARE = 1 / 3
 # A body that is thinner than this on average is a sheet.
 SHEET_M = 1e-4
@@ -44,30 +44,30 @@ def merged(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def open_edges(mesh: TriangleMesh) -> int:
-    """How many edges have no second face, or more than two."""
+    """The number of edges without exactly two faces."""
     _, faces_at_edge = np.unique(_edges(mesh.faces)[1], return_counts=True)
     return int((faces_at_edge != 2).sum())
 
 
 def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
-    """The closed bodies of a merged mesh, or None where one cannot be closed without inventing shape.
+    """The closed bodies of a merged mesh; None if a body cannot be closed without inventing shape.
 
     A mesh that is closed with one winding is taken as it is; its bodies may touch at edges and vertices.
     Otherwise each part whose faces hang together is given one winding, and its holes, if each has at most a
-    third of the area around it, are filled in their plane. Own rule.
+    third of the area around it, are filled in their plane.
     """
     import trimesh
 
     if (whole := _outward(mesh.vertices, mesh.faces)) is not None:
         # A mesh that is inside out as a whole has been turned over.
-        found = [_body(surface(shape), 0) for shape in whole[0].decompose()]
+        closed = [_body(surface(shape), 0) for shape in whole[0].decompose()]
     else:
         # Faces hang together by edges of exactly two faces.
         pairs = trimesh.graph.face_adjacency(mesh.faces)
         label = trimesh.graph.connected_component_labels(pairs, node_count=len(mesh.faces))
-        found = [_repaired(mesh.keep_faces(label == which)) for which in range(label.max(initial=-1) + 1)]
-    bodies = [body for body in found if body is not None]
-    return bodies if len(bodies) == len(found) else None
+        closed = [_repaired(mesh.keep_faces(label == which)) for which in range(label.max(initial=-1) + 1)]
+    bodies = [body for body in closed if body is not None]
+    return bodies if len(bodies) == len(closed) else None
 
 
 def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
@@ -81,14 +81,14 @@ def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
 
 def _body(mesh: TriangleMesh, holes: int) -> Body | None:
     """A closed mesh as a body; None if it is not closed, or a folded sheet without volume."""
-    found = _outward(mesh.vertices, mesh.faces)
-    if found is None or found[0].volume() < SHEET_M * found[0].surface_area() / 2:
+    body = _outward(mesh.vertices, mesh.faces)
+    if body is None or body[0].volume() < SHEET_M * body[0].surface_area() / 2:
         return None
-    return Body(*found, holes)
+    return Body(*body, holes)
 
 
 def _repaired(part: TriangleMesh) -> Body | None:
-    """One part with one winding and its small holes filled."""
+    """One part with consistent winding and its small holes filled."""
     faces = _one_winding(part)
     loops = None if faces is None else _hole_loops(faces)
     if faces is None or loops is None:
@@ -120,7 +120,7 @@ def _edges(faces: Int32) -> tuple[Int64, Int64]:
 
 
 def _one_winding(part: TriangleMesh) -> Int32 | None:
-    """The faces of one body, turned over where they run against the first.
+    """The faces of one body, flipped to the first face's winding.
 
     None if it has but one side, or an edge has more than two faces.
     """

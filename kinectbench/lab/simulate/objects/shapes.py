@@ -1,4 +1,4 @@
-"""What is recorded, and the closed solids it is made of: boards, cushions, legs, tubes, turned pieces.
+"""The recorded object and its closed parts: boards, cushions, legs, tubes, turned pieces.
 
 Every function returns a Manifold of the library manifold3d: closed, outward, float64, metres. Frame `object`:
 x to the right, y to the front, z up. Curved surfaces are inscribed polyhedra of `SEGMENTS` sides.
@@ -213,15 +213,15 @@ def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
 
 def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
     """Faces (m, 3) between rings of points, and over its ends if it is not closed to a ring itself."""
-    here = np.arange(TUBE_SEGMENTS)
-    beside = (here + 1) % TUBE_SEGMENTS
+    ring = np.arange(TUBE_SEGMENTS)
+    beside = (ring + 1) % TUBE_SEGMENTS
     faces = []
     for first in range(rings if closed else rings - 1):
         a, b = first * TUBE_SEGMENTS, (first + 1) % rings * TUBE_SEGMENTS
-        faces += [np.column_stack([a + here, a + beside, b + beside])]
-        faces += [np.column_stack([a + here, b + beside, b + here])]
+        faces += [np.column_stack([a + ring, a + beside, b + beside])]
+        faces += [np.column_stack([a + ring, b + beside, b + ring])]
     if not closed:
-        cap = np.column_stack([np.zeros_like(here[2:]), here[2:], here[1:-1]])
+        cap = np.column_stack([np.zeros_like(ring[2:]), ring[2:], ring[1:-1]])
         faces += [cap, cap[:, ::-1] + (rings - 1) * TUBE_SEGMENTS]
     return np.concatenate(faces).astype(np.uint64)
 

@@ -1,4 +1,4 @@
-"""Formats of recordings: a writer for each, and one line here.
+"""Formats of recordings: a writer for each, registered by one line here.
 
 Packages add formats by the entry point `kinectbench.formats` (`kinectbench.lab.plugins`); a checkout after
 `make setup` has those of `benchmarks/plugins`.
@@ -37,7 +37,7 @@ __all__ = ["OWN_FORMATS", "FileFormat", "RecordedFrame", "Rig", "cut", "formats"
 
 @cache
 def formats() -> Mapping[str, FileFormat]:
-    """All formats there are: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
+    """All formats: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -46,7 +46,7 @@ def formats() -> Mapping[str, FileFormat]:
 
 
 def cut(path: Path, share: float) -> None:
-    """Take the end off a finished recording.
+    """Cut off the end of a finished recording.
 
     A file loses its last bytes, a bag its index with them. In a folder the bag, or else the depth image whose
     name comes last, loses them; every other file stays, lists that name it too .

@@ -45,7 +45,7 @@ class MessageMaker:
     def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Any]]:
         """Topic, type and message of everything that belongs to a frame."""
         depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
-        found = [
+        logged = [
             (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
             self._depth(depth_header, frame.depth_native()),
         ]
@@ -54,14 +54,14 @@ class MessageMaker:
             image = self._types[COMPRESSED_IMAGE](
                 header=header, format="jpeg", data=np.frombuffer(jpeg, np.uint8)
             )
-            found += [
+            logged += [
                 ("/camera/rgb/camera_info", INFO, self.camera_info(header, self._rig.color)),
                 ("/camera/rgb/image_color/compressed", COMPRESSED_IMAGE, image),
             ]
         if frame.T_world_camera is not None:
             pose = self._pose(self.header(index, frame.given_ns, "world"), frame.T_world_camera)
-            found.append(("/camera/pose", POSE, pose))
-        return found
+            logged.append(("/camera/pose", POSE, pose))
+        return logged
 
     def header(self, index: int, stamp_ns: int, frame_id: str) -> Any:
         """A std_msgs/Header; ROS 2's has no number."""
@@ -112,7 +112,7 @@ class MessageMaker:
         )
 
     def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Any]]:
-        """How the colour camera lies to the depth camera, on /tf_static; nothing where they are one."""
+        """The pose of the colour camera relative to depth, on /tf_static; nothing if they are one camera."""
         if self._rig.color_registered:
             return []
         header = self.header(0, stamp_ns, COLOR_FRAME_ID)
@@ -192,7 +192,7 @@ def write_rosbag2(
     maker = MessageMaker(store.types, rig, depth_code, ros2=True)
 
     def messages() -> Messages:
-        """What is logged, frame by frame."""
+        """The logged messages, frame by frame."""
         for index, frame in enumerate(frames):
             static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
             for topic, kind, message in maker.messages(frame, index) + static:

@@ -1,4 +1,4 @@
-"""What a recorder gets: the rig of cameras, and one frame after another; how recordings spell them."""
+"""Input of recorders: the camera rig, and frames one by one; number formats of recordings."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -57,7 +57,7 @@ class ColorImage:
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """What the sensor delivers at one time.
+    """The sensor's output at one time.
 
     Attributes:
         stamp_ns: time of depth as recorded, nanoseconds.
@@ -82,7 +82,7 @@ class RecordedFrame:
 
     @property
     def colors(self) -> tuple[ColorImage, ...]:
-        """What the colour stream delivers since the depth before, this one's own partner or not."""
+        """The images of the colour stream since the last depth, including this one's partner."""
         if self.own_colors is None:
             return (ColorImage(self.color_stamp_ns, self.color_rgb),)
         return self.own_colors
@@ -99,7 +99,7 @@ class RecordedFrame:
         return [(color.stamp_ns, color.jpeg()) for color in self.own_colors]
 
     def depth_native(self, depth_scale: float = DEPTH_SCALE) -> NDArray[np.uint16]:
-        """Depth in native units, `round(metres * depth_scale)`; what does not fit is no measurement."""
+        """Depth in native units, `round(metres * depth_scale)`; out of range is no measurement."""
         native = np.round(self.depth_m.astype(np.float64) * depth_scale)
         return np.where(native > 65534, 0, native).astype(np.uint16)
 
@@ -113,7 +113,7 @@ class RecordedFrame:
         return np.ascontiguousarray(self.color_rgb[..., ::-1])
 
     def add_mask(self, file: Path) -> None:
-        """Write the mask, if there is one, as a PNG (255 = object) into a folder that is made if need be."""
+        """Write the mask, if any, as a PNG (255 = object); creates the folder."""
         if self.mask is not None:
             file.parent.mkdir(exist_ok=True)
             file.write_bytes(png_bytes(np.where(self.mask, np.uint8(255), np.uint8(0))))
@@ -160,7 +160,7 @@ class FileFormat:
     masks: bool = False
 
     def write_new(self, stem: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Path:
-        """Write a recording where nothing is yet: `stem` and the suffix, which it returns."""
+        """Write a recording to a new place: `stem` and the suffix, which it returns."""
         path = stem.with_name(stem.name + self.suffix)
         if not self.suffix:
             path.mkdir()
@@ -180,7 +180,7 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def color_json(rig: Rig) -> dict[str, Any]:
-    """How colour lies to depth, as plain JSON values.
+    """The pose of colour relative to depth, as plain JSON values.
 
     `color_registered`, which readers know; where it is false also `color_camera` (size and intrinsics in
     pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), for whoever wants to

@@ -80,7 +80,7 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
 
 
 def seconds(stamp_ns: int) -> str:
-    """A time stamp in seconds with six decimals, as TUM writes it; what is below 1 µs is cut off."""
+    """A time stamp in seconds with six decimals, truncated to 1 µs, as TUM writes it."""
     return format_stamp(stamp_ns // 1000 * 1000)[:-3]
 
 

@@ -1,4 +1,4 @@
-"""What it may cost to walk through a bag, and to read its messages one by one."""
+"""Bounds on the cost of walking through a bag and reading its messages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +8,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
 from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, MessagePlace
 
-# No record of a bag takes less of its file, however well it is compressed, but for these.
+# No record of a bag takes less of its file, however well it is compressed, except for these.
 LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
 # Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file.
 ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
@@ -19,7 +19,7 @@ PASSES = 2
 
 
 class WalkBudget:
-    """What a walk through a bag's files may cost: time that grows with their size, and memory that does not.
+    """The bounds of a walk through a bag's files: time grows with their size, memory does not.
 
     A few bytes of compressed chunks may hold any number of records.
     """
@@ -41,21 +41,21 @@ class WalkBudget:
             raise DamagedRecordError
 
     def take_step(self) -> bool:
-        """Count a few steps of SQLite's machine; whether there were any left."""
+        """Count steps of SQLite's machine; returns whether any were left."""
         self._steps -= STEPS_AT_ONCE
         return self._steps >= 0
 
     @property
     def bytes_left(self) -> int:
-        """What may still be unpacked."""
+        """The bytes that may still be unpacked."""
         return self._bytes
 
     def take_file(self, count: int) -> None:
-        """Count what a file that is compressed as a whole was unpacked to, no more than `bytes_left`."""
+        """Count the unpacked size of a compressed file, at most `bytes_left`."""
         self._bytes -= count
 
     def take_bytes(self, count: int) -> None:
-        """Count what a chunk is to be unpacked to.
+        """Count the size of a chunk before unpacking it.
 
         Raises:
             DamagedRecordError: it is too much, alone or with those before.
@@ -66,10 +66,10 @@ class WalkBudget:
 
 
 class BagReader:
-    """Reads single messages of a bag's file, and keeps the chunks that were unpacked last.
+    """Reads single messages of a bag's file, and caches recently unpacked chunks.
 
-    Messages are read in the order of their stamps, which is that of their chunks but for a few. Where it is
-    not, each message may cost a chunk; so what is unpacked is bounded by how many messages were read.
+    Messages are read in the order of their stamps, mostly that of their chunks. Otherwise each message may
+    cost a chunk; so the number of messages read bounds the unpacked bytes.
     """
 
     def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
@@ -82,18 +82,18 @@ class BagReader:
         self._bytes_left = 0.0
 
     def keep(self, position: int, data: bytes) -> None:
-        """Keep a chunk that was unpacked already, as long as there is room: the first are read first."""
+        """Keep an unpacked chunk while there is room, as the first chunks are read first."""
         self._whole_bytes += len(data)
         if self._kept_bytes + len(data) <= CACHED_BYTES:
             self._chunks[position] = data
 
     def start_reading(self, messages: int) -> None:
-        """Set what may be unpacked: all chunks `PASSES` times, and once more whenever so many were read."""
+        """Set the unpacking limit: all chunks `PASSES` times, and again after as many messages."""
         self._bytes_left = PASSES * self._whole_bytes
         self._bytes_a_read = self._whole_bytes / max(messages, 1)
 
     def __call__(self, place: MessagePlace) -> bytes:
-        """The serialised message that lies there.
+        """The serialised message at a place.
 
         Raises:
             RecordingError: to read the messages, the same chunks must be unpacked again and again.

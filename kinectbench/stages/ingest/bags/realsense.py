@@ -1,7 +1,7 @@
 """RealSense bags as librealsense records them: file versions 2 and 3, and version 1 of its predecessor.
 
 Layout: `ros_file_format.h` of librealsense and its description of the format. Extrinsics map a stream's
-reference to the stream; two streams with one reference lie to each other as theirs say.
+reference to the stream; with a common reference they give the transform between two streams.
 """
 
 import re
@@ -65,7 +65,7 @@ class RealsenseRecording(Rosbag1Recording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, where both streams have extrinsics with one reference."""
+        """`T_color_depth`, if both streams have extrinsics with one reference."""
         of_depth = _place_of_stream(bag, depth.name)
         of_color = _place_of_stream(bag, color.name)
         if of_depth is None or of_color is None or of_depth[0] != of_color[0]:
@@ -76,7 +76,7 @@ class RealsenseRecording(Rosbag1Recording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, where both streams have extrinsics with one reference."""
+        """`T_depth_imu`, if both streams have extrinsics with one reference."""
         of_depth, of_imu = _place_of_stream(bag, depth.name), _place_of_stream(bag, imu.name)
         if of_depth is None or of_imu is None or of_depth[0] != of_imu[0]:
             return None
@@ -84,15 +84,15 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """Those of CameraInfo topics, and of version 1 those within its stream_info."""
-        found = super().camera_infos(bag)
+        """CameraInfo of its topics, and in version 1 of its stream_info."""
+        infos = super().camera_infos(bag)
         for topic in bag.topics:
             if topic.type == STREAM_INFO:
                 for message in bag.whole(topic):
                     number = topic.name.rsplit("/", 1)[1]
                     name = f"/camera/{message.stream_type}/camera_info/{number}"
-                    found.append((name, message.camera_info))
-        return found
+                    infos.append((name, message.camera_info))
+        return infos
 
 
 def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
@@ -140,19 +140,19 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
     info = _old_stream_info(bag, name)
     if info is None:
         return None
-    said = info.stream_extrinsics
+    extrinsics = info.stream_extrinsics
     # Column by column, as librealsense keeps them.
-    R = np.asarray(said.extrinsics.rotation, np.float64).reshape(3, 3).T
+    R = np.asarray(extrinsics.extrinsics.rotation, np.float64).reshape(3, 3).T
     if not np.isfinite(R).all() or abs(np.linalg.det(R) - 1) > 0.01:
         return None
-    return str(said.reference_point_id), rigid(closest_rotation(R), said.extrinsics.translation)
+    return str(extrinsics.reference_point_id), rigid(closest_rotation(R), extrinsics.extrinsics.translation)
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Any | None:
     """The stream_info message of version 1 about a stream such as /camera/DEPTH/image_raw/0."""
-    found = OLD_STREAM.fullmatch(name)
-    if not found:
+    match = OLD_STREAM.fullmatch(name)
+    if not match:
         return None
-    numbered = (t for t in bag.topics if t.type == STREAM_INFO and t.name.endswith(f"/{found[2]}"))
-    said = (message for topic in numbered for message in bag.whole(topic))
-    return next((message for message in said if message.stream_type == found[1]), None)
+    numbered = (t for t in bag.topics if t.type == STREAM_INFO and t.name.endswith(f"/{match[2]}"))
+    messages = (message for topic in numbered for message in bag.whole(topic))
+    return next((message for message in messages if message.stream_type == match[1]), None)

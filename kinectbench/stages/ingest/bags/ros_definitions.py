@@ -1,4 +1,4 @@
-"""Message definitions that come with a bag: compiled only where that is bounded.
+"""Message definitions in a bag, compiled only within bounds.
 
 rosbags makes code of them, into which it unrolls arrays of a fixed length and the messages in them: a few
 bytes of a definition may make any amount of it.
@@ -45,7 +45,7 @@ def known_types(name: str, definition: str, store: "Typestore") -> dict[str, Any
         raise ValueError(f"more than {MOST_FIELDS} fields")
     for own in lacking.keys() & met:
         # Each message of such a list may have no bytes, so that a list without end takes none.
-        if any(kind == Nodetype.SEQUENCE and said[0][0] == Nodetype.NAME for _, (kind, said) in fields[own]):
+        if any(kind == Nodetype.SEQUENCE and node[0][0] == Nodetype.NAME for _, (kind, node) in fields[own]):
             raise ValueError(f"{own} holds a list of messages")
     return {key: value for key, value in lacking.items() if key in met}
 
@@ -57,8 +57,8 @@ def _unrolled(name: str, fields: Mapping[str, Any], met: set[str], depth: int) -
     if depth > MOST_DEPTH or name not in fields:
         raise ValueError(f"{name} is nested too deep, or not defined")
     met.add(name)
-    for _, (kind, said) in fields[name]:
-        inner, count = said if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else ((kind, said), 1)
+    for _, (kind, node) in fields[name]:
+        inner, count = node if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else ((kind, node), 1)
         if kind == Nodetype.ARRAY and count > MOST_IN_ARRAY:
             raise ValueError(f"an array of {count}")
         for _ in range(count if kind == Nodetype.ARRAY else 1):

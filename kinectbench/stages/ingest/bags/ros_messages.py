@@ -1,4 +1,4 @@
-"""Messages of ROS bags of any kind: where they lie, when they were made, and what they say."""
+"""Messages of ROS bags of any kind: position, time and content."""
 
 import bz2
 import struct
@@ -17,7 +17,7 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# The longest name of a topic or type, and what a bag says of one: its definition, mostly.
+# The longest name of a topic or type, and its description in a bag: mostly its definition.
 LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
 # Enough of a message to hold its Header's sequence number and stamp.
 PEEK_BYTES = 16
@@ -35,12 +35,12 @@ HEADERLESS = frozenset(
 
 
 class DamagedRecordError(Exception):
-    """A record of a bag that is not whole or does not make sense, or is more than such a file can hold."""
+    """A record of a bag that is incomplete, invalid or larger than its file."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessagePlace:
-    """Where a message lies.
+    """The position of a message.
 
     Attributes:
         stamp_ns: stamp of its header, or the time it was recorded where the header has none.
@@ -58,7 +58,7 @@ class MessagePlace:
 
 
 class BagTopic(NamedTuple):
-    """One topic, or a connection of it: what the bag says of a series of messages.
+    """One topic, or a connection of it: the bag's description of a series of messages.
 
     Attributes:
         name: such as "/camera/depth/image_raw".
@@ -83,7 +83,7 @@ class RosBag:
         path: the bag, for messages.
         topics: those of the wanted types that have messages, sorted by name.
         read: gives the serialised message that lies at a place.
-        trouble: what is wrong with it and what was saved, or "".
+        trouble: its faults and the part that was saved, or "".
     """
 
     path: Path
@@ -117,13 +117,13 @@ class RosBag:
                 yield self.decode(topic, index)
 
     def first(self, topic: BagTopic) -> Any | None:
-        """The first message that decodes, or None where none of the first thousand does."""
+        """The first message that decodes, or None if none of the first thousand does."""
         return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
 def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Any]:
-    """Decodes ROS 1's types, those of tf, and (type, definition) pairs of a bag's own."""
+    """A decoder of ROS 1's types, those of tf, and a bag's own (type, definition) pairs."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -175,7 +175,7 @@ def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
 
 
 def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
-    """Messages in the order of their stamps; those of one stamp keep theirs."""
+    """Messages sorted by stamp; equal stamps keep their order."""
     return tuple(sorted(places, key=lambda place: place.stamp_ns))
 
 
@@ -183,7 +183,7 @@ class FoundMessages:
     """The messages of the wanted types that a walk through a bag's file meets.
 
     Attributes:
-        connections: what the bag says of each, by its number.
+        connections: the bag's description of each, by number.
         places: where the messages of each lie, in the order of the file.
     """
 
@@ -239,7 +239,7 @@ class FoundMessages:
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
-    """The bytes of a chunk, no more of them than its header says.
+    """The bytes of a chunk, limited to the size in its header.
 
     Args:
         compression: "bz2", "lz4" or "zstd".
@@ -269,7 +269,7 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
 
 
 def _unpacked(unpacker: Any, data: bytes, size: int) -> bytes:
-    """As much as `size` bytes of what a decompressor of bz2 or lz4 makes of data, kept once and not twice."""
+    """Decompress at most `size` bytes by bz2 or lz4, with one copy in memory."""
     target = BytesIO()
     part = unpacker.decompress(data, max_length=min(max(size, 1), PART_BYTES))
     while part:

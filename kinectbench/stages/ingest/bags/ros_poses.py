@@ -1,4 +1,4 @@
-"""The trajectory of a ROS bag: a topic of poses, or tf, the tree of frames that says where each camera is."""
+"""The trajectory of a ROS bag: a topic of poses, or tf, the tree of frames with each camera's pose."""
 
 from bisect import bisect_left
 from dataclasses import dataclass
@@ -37,13 +37,13 @@ class TransformTree:
 
     def path(self, frame: str) -> list[str]:
         """The frame, its parent, and so on up to a frame without a parent."""
-        found = [frame]
-        while found[-1] in self.edges and self.edges[found[-1]][0] not in found:
-            found.append(self.edges[found[-1]][0])
-        return found
+        chain = [frame]
+        while chain[-1] in self.edges and self.edges[chain[-1]][0] not in chain:
+            chain.append(self.edges[chain[-1]][0])
+        return chain
 
     def fixed(self, to_frame: str, from_frame: str) -> Float64 | None:
-        """`T_to_from` between frames that do not move against each other; None if it is not known."""
+        """`T_to_from` between frames without relative motion; None if unknown."""
         up, down = self.path(from_frame), self.path(to_frame)
         common = next((name for name in up if name in down), None)
         if common is None:
@@ -55,7 +55,7 @@ class TransformTree:
         return np.asarray(np.linalg.inv(T_common_to) @ T_common_from)
 
     def moving(self, frame: str) -> GivenTrajectory | None:
-        """Where a frame is over time in the root above it, as the world.
+        """The motion of a frame relative to its tree's root, the world.
 
         It is given at the stamps of the transform that is recorded most often, the others interpolated; None
         if nothing above the frame moves.
@@ -85,7 +85,7 @@ class TransformTree:
 
 
 def read_transforms(bag: RosBag) -> TransformTree:
-    """Read every tf and tf_static message; what is not finite, or has no rotation, is left out."""
+    """Read every tf and tf_static message, without invalid transforms."""
     # Of each frame: its parent, and its place there by stamp.
     parents: dict[str, str] = {}
     placed: dict[str, dict[int, Float64]] = {}
@@ -142,28 +142,28 @@ def read_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str |
 
     It is that of the topic that the settings name ("tf" for the tree of frames), or else of the one topic of
     PoseStamped or Odometry, or else of tf. Where Odometry is of another frame than the camera's, and tf says
-    how both lie to each other, it is moved to the camera.
+    the transform between both, it is moved to the camera.
 
     Raises:
         RecordingError: the named topic holds no poses.
     """
-    found = [topic for topic in bag.topics if topic.type in (POSE, ODOMETRY)]
+    topics = [topic for topic in bag.topics if topic.type in (POSE, ODOMETRY)]
     if named is not None and named != "tf":
-        chosen = [topic for topic in found if topic.name == named]
+        chosen = [topic for topic in topics if topic.name == named]
         if not chosen:
-            names = ", ".join([*(topic.name for topic in found), "tf"])
+            names = ", ".join([*(topic.name for topic in topics), "tf"])
             raise RecordingError(
                 f"{bag.path}: `pose_topic: {named}` holds no poses; those that fit are: {names}",
                 what="bad-topic",
             )
-        found = chosen
-    if named == "tf" or not found:
+        topics = chosen
+    if named == "tf" or not topics:
         return *_from_tree(bag, tree, depth, named), ""
-    if len(found) > 1:
-        names = ", ".join(topic.name for topic in found)
+    if len(topics) > 1:
+        names = ", ".join(topic.name for topic in topics)
         what = f"{bag.path}: {names} all hold poses"
         return None, [f"{what}; none of them is used: name one as `pose_topic`"], ""
-    return read_given(lambda: _from_topic(bag, found[0], tree, depth))
+    return read_given(lambda: _from_topic(bag, topics[0], tree, depth))
 
 
 def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageTopic) -> Given:

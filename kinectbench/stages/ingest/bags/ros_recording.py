@@ -1,4 +1,4 @@
-"""What all ROS bags have in common: topics are chosen, depth is paired with colour, frames are decoded."""
+"""Common steps for all ROS bags: choose topics, pair depth with colour, decode frames."""
 
 from abc import abstractmethod
 from contextlib import suppress
@@ -59,7 +59,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RosRecording(Recording):
-    """A ROS bag; integer depth is taken as millimetres, float depth as metres.
+    """A ROS bag; integer depth is in millimetres, float depth in metres.
 
     Attributes:
         depth: the depth topic.
@@ -101,14 +101,14 @@ class RosRecording(Recording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, where the bag says it."""
+        """`T_color_depth`, if the bag has it."""
         return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, where the bag says it."""
+        """`T_depth_imu`, if the bag has it."""
         return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
 
     @classmethod
@@ -140,8 +140,8 @@ class RosRecording(Recording):
         calibration = None
         if color is not None and not registered:
             T_color_depth = cls.color_place(bag, tree, depth, color)
-            calibration, color_doubts = _calibration(bag, color, T_color_depth, infos)
-            color_warnings = [*color_warnings, *color_doubts]
+            calibration, calibration_warnings = _calibration(bag, color, T_color_depth, infos)
+            color_warnings = [*color_warnings, *calibration_warnings]
         if calibration is not None:
             size_warnings = []
             registered = calibration.lies_on(camera)
@@ -255,7 +255,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Whether colour pixels lie on depth pixels: by name or frame, and only where the sizes agree."""
+    """Whether colour is registered to depth: by name or frame, and only if the sizes agree."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):
@@ -279,11 +279,11 @@ def _depth_info(
 ) -> tuple[CameraInfo | None, list[str]]:
     """The CameraInfo of depth; and a warning that another contradicts it, unless the settings decide."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
-    info, said = choose_camera_info(
+    info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
     )
     decided = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
-    return info, [said] if said and not decided else []
+    return info, [warnings] if warnings and not decided else []
 
 
 def _same_frame(depth: ImageTopic, color: ImageTopic) -> bool:
@@ -302,7 +302,7 @@ def _calibration(
 ) -> tuple[ColorCalibration | None, list[str]]:
     """Camera and place of colour, None if either is not known or does not fit the images; and a warning."""
     size_px = _first_color_size(bag, color)
-    info, said = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
+    info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:
         return None, []
     try:
@@ -310,4 +310,4 @@ def _calibration(
         calibration = ColorCalibration(camera, distortion_of(bag.path, info, color), T_color_depth)
     except RecordingError:
         return None, []
-    return calibration, [said] if said else []
+    return calibration, [info_warnings] if info_warnings else []

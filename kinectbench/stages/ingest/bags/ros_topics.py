@@ -1,4 +1,4 @@
-"""Which topics of a ROS bag hold depth and colour, by type, content and name; intrinsics from CameraInfo."""
+"""The depth and colour topics of a ROS bag, by type, content and name; intrinsics from CameraInfo."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -59,7 +59,7 @@ class ImageTopic:
 
 @dataclass(frozen=True)
 class ImageKind:
-    """What tells the CameraInfo of one kind of images.
+    """The names that identify the CameraInfo of one kind of images.
 
     Attributes:
         words: that the name of a folder holds in which such images and their CameraInfo lie.
@@ -78,13 +78,13 @@ COLOR_KIND = ImageKind(
 
 def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[ImageTopic]:
     """The image topics whose first readable message has an encoding by `encoding_of`."""
-    found = []
+    topics = []
     for topic in bag.topics:
         message = bag.first(topic) if topic.type in (IMAGE, COMPRESSED_IMAGE) else None
         encoding = None if message is None else encoding_of(message)
         if message is not None and encoding is not None:
-            found.append(ImageTopic(topic, encoding, message.header.frame_id))
-    return found
+            topics.append(ImageTopic(topic, encoding, message.header.frame_id))
+    return topics
 
 
 def every_image(bag: RosBag) -> list[ImageTopic]:
@@ -93,7 +93,7 @@ def every_image(bag: RosBag) -> list[ImageTopic]:
 
 
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
-    """The depth topic: named so, registered, integer, raw, the most images; a warning if there was a choice.
+    """The depth topic: by name, registered, integer, raw, most images; warns if there was a choice.
 
     Args:
         bag: where it is looked for.
@@ -102,12 +102,12 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
     Raises:
         RecordingError: no topic holds depth, or the one that is named does not.
     """
-    found = image_topics(bag, depth_encoding)
+    topics = image_topics(bag, depth_encoding)
     if named is not None:
-        return _named(bag, "depth_topic", named, found), []
+        return _named(bag, "depth_topic", named, topics), []
     # Infrared images are 16-bit too.
-    found = [t for t in found if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
-    if not found:
+    topics = [t for t in topics if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
+    if not topics:
         images = [f"{t.name} ({t.encoding})" for t in every_image(bag)]
         raise RecordingError(
             f"{bag.path}: no topic holds depth images (16UC1, mono16, 32FC1 or 16-bit PNG); its image topics "
@@ -115,7 +115,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
             what="no-depth",
         )
     best = max(
-        found,
+        topics,
         key=lambda t: (
             "depth" in t.name.lower(),
             is_named_registered(t),
@@ -124,7 +124,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
             len(t.topic.messages),
         ),
     )
-    return best, _choice(bag, "depth", best, found)
+    return best, _choice(bag, "depth", best, topics)
 
 
 def choose_color(
@@ -143,13 +143,13 @@ def choose_color(
     Raises:
         RecordingError: the topic that is named holds no colour.
     """
-    found = image_topics(bag, color_encoding)
+    topics = image_topics(bag, color_encoding)
     if named is not None:
-        return _named(bag, "color_topic", named, found), []
-    if not found:
+        return _named(bag, "color_topic", named, topics), []
+    if not topics:
         return None, [f"{bag.path}: no topic holds colour images that can be read; there will be no colour"]
     best = max(
-        found,
+        topics,
         key=lambda t: (
             not INFRARED.search(t.name.lower()) and "depth" not in t.name.lower(),
             any(word in t.name.lower() for word in COLOR_KIND.words),
@@ -159,20 +159,20 @@ def choose_color(
             len(t.topic.messages),
         ),
     )
-    return best, _choice(bag, "colour", best, found)
+    return best, _choice(bag, "colour", best, topics)
 
 
 def is_named_registered(depth: ImageTopic) -> bool:
-    """Whether a depth topic's name says that its pixels lie on those of colour."""
+    """Whether a depth topic's name declares depth registered to colour."""
     return "registered" in depth.name.lower() or "aligned" in depth.name.lower()
 
 
-def _named(bag: RosBag, key: str, named: str, found: list[ImageTopic]) -> ImageTopic:
+def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> ImageTopic:
     """The image topic of that name among those that fit."""
-    for topic in found:
+    for topic in topics:
         if topic.name == named:
             return topic
-    names = ", ".join(topic.name for topic in found) or "no topic"
+    names = ", ".join(topic.name for topic in topics) or "no topic"
     what = "holds no such images" if any(t.name == named for t in bag.topics) else "is not in the bag"
     raise RecordingError(
         f"{bag.path}: `{key}: {named}` {what}; those that fit are: {names}", what="bad-topic"
@@ -180,14 +180,14 @@ def _named(bag: RosBag, key: str, named: str, found: list[ImageTopic]) -> ImageT
 
 
 def _first_folder(image: ImageTopic) -> str:
-    """The first part of a topic's name, by which drivers tell cameras apart."""
+    """The first part of a topic's name, which identifies the camera in drivers."""
     return image.name.strip("/").split("/")[0]
 
 
-def _choice(bag: RosBag, what: str, best: ImageTopic, found: list[ImageTopic]) -> list[str]:
-    if len(found) == 1:
+def _choice(bag: RosBag, what: str, best: ImageTopic, topics: list[ImageTopic]) -> list[str]:
+    if len(topics) == 1:
         return []
-    others = ", ".join(topic.name for topic in found if topic is not best)
+    others = ", ".join(topic.name for topic in topics if topic is not best)
     return [f"{bag.path}: {what} is read from {best.name}, not from {others}"]
 
 
@@ -205,11 +205,11 @@ def choose_camera_info(
     images: Sequence[ImageTopic],
     pixels_of: ImageTopic | None = None,
 ) -> tuple[CameraInfo | None, str]:
-    """The CameraInfo of images: of their frame, beside them, or in a folder that is named for their kind.
+    """The CameraInfo of images: of their frame, beside them, or in a folder named for their kind.
 
     Of several, one of their size comes first, then the one beside them (as image_transport's cameras have
     it), then one of their frame, then the nearest by name. Images that by their name lie on the pixels of
-    others are seen by the camera of those: where its CameraInfo says otherwise, it is the one to believe.
+    others are seen by the camera of those: where its CameraInfo says otherwise, it takes precedence.
 
     Args:
         image: the topic of the images.
@@ -232,7 +232,7 @@ def choose_camera_info(
             rank = ((info.width, info.height) == size_px, beside, same_frame, len(shared))
             ranked.append((rank, (name, info)))
     ranked.sort(key=lambda entry: entry[0], reverse=True)
-    # As good as the first but for its name, or of its size and frame; the camera on whose pixels they lie.
+    # As good as the first except for its name, or of its size and frame; the camera on whose pixels they lie.
     rivals = [
         named
         for rank, named in ranked[1:]
@@ -254,7 +254,7 @@ def choose_camera_info(
 
 
 def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
-    """Whether two CameraInfo are both of the images' size and frame, wherever they lie."""
+    """Whether two CameraInfo have the images' size and frame, under any name."""
     return rank[0] and best[0] and rank[2] and best[2]
 
 
@@ -267,7 +267,7 @@ def _is_beside(info: str, image: ImageTopic) -> bool:
 
 
 def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
-    """Whether two CameraInfo say different intrinsics of images of one size, beyond rounding."""
+    """Whether two CameraInfo have different intrinsics for images of one size, beyond rounding."""
     a, b = (intrinsics_of(info, image) for _, info in (first, second))
     pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
     return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)
@@ -283,8 +283,8 @@ def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice:
 
 
 def _in_words(info: CameraInfo, image: ImageTopic) -> str:
-    said = intrinsics_of(info, image)
-    return ", ".join(f"{name}: {getattr(said, name):g}" for name in ("fx", "fy", "cx", "cy"))
+    intrinsics = intrinsics_of(info, image)
+    return ", ".join(f"{name}: {getattr(intrinsics, name):g}" for name in ("fx", "fy", "cx", "cy"))
 
 
 def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
@@ -319,7 +319,7 @@ def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tup
 
 
 def _is_rectified(image: ImageTopic) -> bool:
-    """Whether a topic's name says that its images are free of distortion, as image_proc names them."""
+    """Whether a topic's name declares rectified images, as image_proc names them."""
     return any("rect" in re.split(r"[_/]", part) for part in image.name.lower().split("/"))
 
 

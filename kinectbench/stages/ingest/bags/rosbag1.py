@@ -31,7 +31,7 @@ OP_MESSAGE, OP_CHUNK, OP_CONNECTION = 2, 5, 7
 
 
 class Rosbag1Recording(RosRecording):
-    """A ROS 1 bag; integer depth is taken as millimetres, float depth as metres."""
+    """A ROS 1 bag; integer depth is in millimetres, float depth in metres."""
 
     format: ClassVar[str] = "rosbag1"
     looks_for: ClassVar[str] = "a file that begins with '#ROSBAG V2.0'"
@@ -57,18 +57,18 @@ class Rosbag1Recording(RosRecording):
         if complete and not walk.damaged_chunks:
             return RosBag(path, topics, reader)
         what = "is damaged" if complete else "is cut off or has no index"
-        found = sum(len(topic.messages) for topic in topics)
-        if not found:
+        count = sum(len(topic.messages) for topic in topics)
+        if not count:
             raise RecordingError(f"{path}: {what}, and nothing in it can be saved; copy it again")
         trouble = (
-            f"{path}: {what}: {found} messages of {walk.chunks - walk.damaged_chunks} whole chunks were "
+            f"{path}: {what}: {count} messages of {walk.chunks - walk.damaged_chunks} whole chunks were "
             f"saved ({walk.damaged_chunks} chunks are damaged); copy it again, or run `rosbag reindex`"
         )
         return RosBag(path, topics, reader, trouble)
 
 
 class _Walk:
-    """What has been met so far: the messages, and the number of whole and of damaged chunks."""
+    """The state of a walk: messages so far, and the number of whole and of damaged chunks."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class _Walk:
     ) -> None:
         start = file.tell()
         if fields.get(b"compression") == b"none":
-            # Of a chunk that is cut off, what is whole is taken.
+            # Of a truncated chunk, its complete messages are taken.
             for inner, offset, length in _records_of(file, min(start + size, end)):
                 self._take(inner, file, offset, length, chunk=-1)
             if start + size > end:
@@ -171,7 +171,7 @@ class _Walk:
 
 
 def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:
-    """The records from here to the end of a chunk: header fields, and position and size of the data."""
+    """The records up to the end of a chunk: header fields, and position and size of the data."""
     position = file.tell()
     while position < end:
         file.seek(position)
@@ -208,7 +208,7 @@ def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
 
 
 def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
-    """Bytes of the file, once it is known to hold them: a damaged size allocates nothing."""
+    """Bytes of the file, after checking its size, so that a damaged size allocates nothing."""
     if file.tell() + size > end or size > UNPACKED_BYTES:
         raise DamagedRecordError
     return file.read(size)

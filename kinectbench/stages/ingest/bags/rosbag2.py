@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder or a bare file, sqlite3 or mcap, compressed by message or as files, or not at all."""
+"""ROS 2 bags: a folder or a bare file, sqlite3 or mcap, compressed by message, by file or not."""
 
 import errno
 import shutil
@@ -74,8 +74,8 @@ def _bag_files(folder: Path) -> list[Path]:
     def matches(name: str) -> bool:
         return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
 
-    found = listed(folder, wanted=matches)
-    return sorted(found, key=lambda file: (len(file.name), file.name))
+    files = listed(folder, wanted=matches)
+    return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
 def _start_of(file: Path) -> bytes:
@@ -125,10 +125,10 @@ def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBa
         trouble = trouble or f"{file}: is cut off or holds no ROS 2 bag"
         return RosBag(file, (), lambda place: b"", trouble)
     bag = _walk_file(unpacked, types, budget)
-    told = bag.trouble.replace(str(unpacked), str(file))
+    trouble = bag.trouble.replace(str(unpacked), str(file))
     if not bag.topics:  # nothing will be read, and the folder goes at once
-        return RosBag(file, (), lambda place: b"", told)
-    return replace(bag, read=read, trouble=told)
+        return RosBag(file, (), lambda place: b"", trouble)
+    return replace(bag, read=read, trouble=trouble)
 
 
 def _joined(path: Path, bags: list[RosBag]) -> RosBag:

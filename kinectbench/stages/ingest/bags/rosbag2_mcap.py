@@ -1,4 +1,4 @@
-"""The messages of an mcap file, found by walking its records; a file that was cut off gives what is whole.
+"""The messages of an mcap file, found by walking its records; a truncated file gives its whole ones.
 
 Layout: https://mcap.dev/spec. The summary at the end is not needed.
 """
@@ -75,7 +75,7 @@ def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 class _Walk:
-    """What has been met so far; `unknown` are the encodings of messages that cannot be read."""
+    """The state of a walk; `unknown` has the encodings of unreadable messages."""
 
     def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None], budget: WalkBudget) -> None:
         self.budget = budget
@@ -88,7 +88,7 @@ class _Walk:
     def take_all(
         self, file: BinaryIO, start: int, end: int, chunk: int = -1, *, nested: bool = False
     ) -> bool:
-        """Take the records from start to end; whether a footer was among them.
+        """Take the records from start to end; returns whether there was a footer.
 
         Args:
             file: the file, or the unpacked chunk.
@@ -185,7 +185,7 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
-    """The parts of the chunk whose body begins here and ends at `end`."""
+    """The parts of the chunk whose body starts at the position and ends at `end`."""
     start = file.tell()
     data = file.read(min(end - start, CHUNK_HEAD.size + 64))
     try:

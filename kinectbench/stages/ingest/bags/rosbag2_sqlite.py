@@ -30,12 +30,12 @@ CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92
 HEAD_BYTES, LEAST_PAGE_BYTES = 100, 512
 # A message as long as a page less this does not fit into a page with others.
 CELL_BYTES = 100
-# What rows of a file that was cut off speak of, as a multiple of what is left: the pages of some are lost.
+# Rows of a truncated file may state this multiple of its size, as pages of some are lost.
 LOST_TIMES = 4
 
 
 def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types in the order in which they were written.
+    """Find the messages of the wanted types, in recorded order.
 
     Args:
         path: the file.
@@ -45,7 +45,7 @@ def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     Raises:
         RecordingError: not a bag's database.
     """
-    found = FoundMessages(types)
+    messages = FoundMessages(types)
     cut_off = _page_bytes_if_cut_off(path)
     trouble = f"{path}: is cut off" if cut_off else ""
     reader = _Reader(path, cut_off > 0)
@@ -59,9 +59,9 @@ def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
             )
             for topic, name, type_, encoding in rows:
                 if encoding == "cdr":
-                    found.connections[topic] = BagTopic(str(name), short_type(str(type_)), "cdr")
+                    messages.connections[topic] = BagTopic(str(name), short_type(str(type_)), "cdr")
             try:
-                _take_messages(database, found, reader.file_bytes, all_of_them=cut_off > 0)
+                _take_messages(database, messages, reader.file_bytes, all_of_them=cut_off > 0)
             except (sqlite3.DatabaseError, DamagedRecordError) as error:
                 trouble = trouble or f"{path}: is damaged ({error})"
     except (sqlite3.DatabaseError, ValueError, TypeError) as error:
@@ -70,10 +70,10 @@ def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
             f"{path}: {what} cannot be read as a ROS 2 bag ({error}); copy it again"
         ) from error
     if cut_off and reader.file_bytes % cut_off:
-        _leave_out_torn(found, cut_off)
+        _leave_out_torn(messages, cut_off)
     if trouble:
-        trouble += f": {sum(map(len, found.places.values()))} whole messages were saved; copy it again"
-    return RosBag(path, found.topics(), reader, trouble)
+        trouble += f": {sum(map(len, messages.places.values()))} whole messages were saved; copy it again"
+    return RosBag(path, messages.topics(), reader, trouble)
 
 
 class _Reader:
@@ -99,7 +99,7 @@ class _Reader:
                     target.write(bytes(255 - byte for byte in _bytes_at(path, CHANGE_COUNTER)))
 
     def connect(self) -> sqlite3.Connection:
-        """Open the file to read only; what it says is not trusted."""
+        """Open the file read-only, as untrusted input."""
         open_plain(self._path).close()  # a regular file
         # immutable: nothing is written beside the file, and a journal that is missing does not matter.
         database = sqlite3.connect(
@@ -128,7 +128,7 @@ class _Reader:
 
 
 def _check_tables(database: sqlite3.Connection) -> None:
-    """Refuse what is computed where a bag has tables: views, virtual tables, generated columns.
+    """Refuse views, virtual tables and generated columns, which would be computed.
 
     Raises:
         ValueError: one is; the message says which.
@@ -149,19 +149,19 @@ def _bytes_at(path: Path, place: slice) -> bytes:
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:
-    """The size of a page if the file is shorter than its head says, else 0 (SQLite's file format, 1.3)."""
+    """The page size if the file is shorter than its header says, else 0 (SQLite's file format, 1.3)."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     if len(head) < HEAD_BYTES:
         return LEAST_PAGE_BYTES
-    (said,), (pages,) = struct.unpack_from(">H", head, 16), struct.unpack_from(">I", head, 28)
-    page_bytes = 65536 if said == 1 else max(int(said), LEAST_PAGE_BYTES)
+    (page_code,), (pages,) = struct.unpack_from(">H", head, 16), struct.unpack_from(">I", head, 28)
+    page_bytes = 65536 if page_code == 1 else max(int(page_code), LEAST_PAGE_BYTES)
     return page_bytes if file_bytes < pages * page_bytes else 0
 
 
-def _leave_out_torn(found: FoundMessages, page_bytes: int) -> None:
-    """Leave out the last message that has pages of its own: sqlite fills up a torn page with zeros."""
-    every = found.places.values()
+def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
+    """Leave out the last message with overflow pages: sqlite fills a torn page with zeros."""
+    every = messages.places.values()
     long = (place for places in every for place in places if place.size > page_bytes - CELL_BYTES)
     last = max(long, key=lambda place: place.offset, default=None)
     for places in every:
@@ -170,9 +170,9 @@ def _leave_out_torn(found: FoundMessages, page_bytes: int) -> None:
 
 
 def _take_messages(
-    database: sqlite3.Connection, found: FoundMessages, file_bytes: int, all_of_them: bool
+    database: sqlite3.Connection, messages: FoundMessages, file_bytes: int, all_of_them: bool
 ) -> None:
-    """Note where the messages lie; no more of them is read than their first bytes, or else `all_of_them`.
+    """Record the positions of messages; reads only their first bytes, or `all_of_them`.
 
     Raises:
         DamagedRecordError: messages say that they are larger than the file, alone or together: rows may share
@@ -190,9 +190,9 @@ def _take_messages(
         if left_bytes < 0:
             raise DamagedRecordError("its messages are larger than the file, all of them together")
         # One whose end is lost is passed over.
-        if topic in found.connections:
+        if topic in messages.connections:
             with (
                 suppress(sqlite3.DatabaseError),
                 database.blobopen("messages", "data", row, readonly=True) as blob,
             ):
-                found.take(topic, blob, int(recorded_ns), (-1, row, size), whole=all_of_them)
+                messages.take(topic, blob, int(recorded_ns), (-1, row, size), whole=all_of_them)

@@ -58,7 +58,7 @@ def encode_rvl(depth: NDArray[np.uint16]) -> bytes:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
-    """The number that begins at a nibble, and the nibble after it; -1 if the words end before it does."""
+    """The number at a nibble, and the position after it; -1 if the data ends within it."""
     value, shift = 0, 0
     while nibble < 8 * len(words) and shift < 30:
         bits = (int(words[nibble >> 3]) >> (28 - 4 * (nibble & 7))) & 15

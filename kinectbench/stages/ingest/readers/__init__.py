@@ -1,4 +1,4 @@
-"""One reader for each format of folder or log; and the table by which a reader is found, bags included."""
+"""One reader for each format of folder or log, and the table that selects a reader, bags included."""
 
 import importlib
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ def reader_of(name: str) -> type[Recording]:
 
 
 def name_suffixes() -> tuple[str, ...]:
-    """How names of recordings of all formats can end, such as ".bag"."""
+    """Possible endings of recordings' names, such as ".bag"."""
     return tuple(sorted({suffix for name in FORMATS for suffix in reader_of(name).suffixes}))
 
 
@@ -77,7 +77,7 @@ def open_recording(
 
     Args:
         path: folder or file.
-        camera: values that win over what the recording says.
+        camera: values that override the recording's.
         follow_links: links in it are followed; else one that holds any is refused.
 
     Raises:
@@ -161,7 +161,7 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """As `find_recordings`; each file or folder takes one of the numbers."""
+    """Like `find_recordings`; each file or folder uses up one of the numbers."""
     if next(numbers, None) is None:
         return
     try:
@@ -180,7 +180,7 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
 
 
 def _check_scale(path: Path, scale: float) -> None:
-    """Refuse a depth scale that no recording has, whatever format or setting says so."""
+    """Refuse a depth scale that no recording has, from any source."""
     if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # which NaN is not
         raise IntrinsicsError(
             f"{path}: 1 m cannot be {scale:g} units of 16-bit depth; correct the recording's depth scale, or "
@@ -189,7 +189,7 @@ def _check_scale(path: Path, scale: float) -> None:
 
 
 def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording with the stamps of its given poses moved back; its reader moved those of colour."""
+    """The recording with the delay of given poses removed; its reader corrected colour."""
     given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
     if given is not None:
         given = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
@@ -206,8 +206,8 @@ def _unknown(path: Path) -> str:
     if path.is_dir() and not any(path.iterdir()):
         return f"{path}: the folder is empty; {known}"
     inside = find_recordings(path, LOOKED_AT_FOR_HINT) if path.is_dir() else []
-    said = None if inside else without_depth(path)
-    if said is not None:
-        return said
+    reason = None if inside else without_depth(path)
+    if reason is not None:
+        return reason
     hint = f". Did you mean {inside[0][0]}?" if inside else ""
     return f"{path}: not a recording of a known format; {known}{hint}"

@@ -1,4 +1,4 @@
-"""A zip archive that is read in place: nothing is unpacked to disk, and no more than a bound into memory."""
+"""A zip archive read in place: nothing is unpacked to disk, and memory is bounded."""
 
 import re
 import weakref
@@ -24,7 +24,7 @@ DAMAGE = (*DAMAGED_ZIP, OSError)
 
 @dataclass
 class Archive:
-    """Members of a zip archive by name; opened when first asked, once in each process."""
+    """Members of a zip archive by name; opened at first use, once per process."""
 
     path: Path
     _zip: zipfile.ZipFile | None = field(default=None, repr=False)
@@ -83,7 +83,7 @@ class Archive:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive whose members lead out of it, or lie on each other.
+    """Refuse an archive whose members lead out of it or overlap.
 
     Raises:
         ValueError: one does; the message says how.
@@ -96,7 +96,7 @@ def _check_members(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def holds(path: Path, member: re.Pattern[bytes]) -> bool:
-    """Whether a file is a zip archive whose first or last members include such a name; it may be cut off."""
+    """Whether a file is a zip archive, perhaps truncated, whose first or last members include such a name."""
     if not path.is_file():
         return False
     with open_plain(path) as file:

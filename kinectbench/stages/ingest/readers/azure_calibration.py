@@ -59,7 +59,7 @@ class AzureCamera:
 
 @dataclass(frozen=True)
 class AzureCalibration:
-    """Both cameras; colour is None where the file has none."""
+    """Both cameras; colour is None if the file has none."""
 
     of_depth: AzureCamera
     of_color: AzureCamera | None
@@ -69,7 +69,7 @@ class AzureCalibration:
         """Take the cameras from the file's object; `path` is the recording, for messages.
 
         Raises:
-            RecordingError: the depth camera is missing, or a value is not what it should be.
+            RecordingError: the depth camera is missing, or a value is invalid.
         """
         where = f"{path}: {CALIBRATION_FILE}"
         information = raw.get("CalibrationInformation")
@@ -100,17 +100,17 @@ class AzureCalibration:
         return _in_pixels(camera, size_px, (0, 0)), camera.distortion
 
     def color(self, size_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-        """How colour images of that size lie to depth; None where the file has no colour camera."""
+        """Relation of colour images of that size to depth; None if the file has no colour camera."""
         if self.of_color is None:
             return None
         whole = (size_px[0], size_px[0] * COLOR_HEIGHT)
-        said = _in_pixels(self.of_color, whole, (0, (whole[1] - size_px[1]) / 2))
+        used = _in_pixels(self.of_color, whole, (0, (whole[1] - size_px[1]) / 2))
         T = self.of_color.T_camera_rig @ np.linalg.inv(self.of_depth.T_camera_rig)
         distorted = any(self.of_color.distortion)
-        return ColorCalibration(said.camera(size_px, path), self.of_color.distortion if distorted else (), T)
+        return ColorCalibration(used.camera(size_px, path), self.of_color.distortion if distorted else (), T)
 
     def beyond_radius(self, camera: Camera) -> Bools:
-        """(height, width) bool: the pinhole pixels of depth where distortion is not defined."""
+        """(height, width) bool: pinhole pixels of depth outside the distortion model's range."""
         rays = camera.rays()
         return np.asarray(np.hypot(rays[..., 0], rays[..., 1]) > self.of_depth.radius)
 
@@ -118,7 +118,7 @@ class AzureCalibration:
 def _in_pixels(
     camera: AzureCamera, image_px: tuple[float, float], crop_px: tuple[float, float]
 ) -> Intrinsics:
-    """Intrinsics of an image whose sensor's image has that size, without what is cropped left and above."""
+    """Intrinsics of an image from those of the sensor's, minus the cropped offset."""
     fx, fy = (share * px for share, px in zip(camera.focal, image_px, strict=True))
     cx, cy = (c * px - crop - 0.5 for c, px, crop in zip(camera.center, image_px, crop_px, strict=True))
     return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)

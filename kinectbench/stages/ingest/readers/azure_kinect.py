@@ -51,7 +51,7 @@ RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
 
 
 class Place(NamedTuple):
-    """Where the bytes of an image lie in the file."""
+    """The position of an image in the file."""
 
     stamp_ns: int
     start: int
@@ -59,7 +59,7 @@ class Place(NamedTuple):
 
 
 class AzureFrame(NamedTuple):
-    """A depth image, and the colour image that was taken with it."""
+    """A depth image and its colour image."""
 
     stamp_ns: int
     depth: Place
@@ -116,10 +116,10 @@ class AzureKinectRecording(Recording):
             color_px = None if color_track is None else _size_px(color_track, path)
             mode = "" if color_track is None else _color_mode(color_track)
             indices = {track.index: name for name, track in tracks.items()}
-            found, trouble = _find_images(container, indices, path)
-        trouble = trouble or _cut(path, len(found["DEPTH"]))
-        depth, warnings = _in_order(found["DEPTH"], path)
-        color, _ = _in_order(found["COLOR"], path)
+            lists, trouble = _find_images(container, indices, path)
+        trouble = trouble or _cut(path, len(lists["DEPTH"]))
+        depth, warnings = _in_order(lists["DEPTH"], path)
+        color, _ = _in_order(lists["COLOR"], path)
         if not depth:
             raise RecordingError(f"{path}: its depth track holds no whole image; copy the file again")
         stamps_ns = ([place.stamp_ns for place in places] for places in (depth, color))
@@ -128,8 +128,8 @@ class AzureKinectRecording(Recording):
             AzureFrame(place.stamp_ns, place, None if partner is None else color[partner])
             for place, partner in zip(depth, partners.of_depth, strict=True)
         )
-        said, distortion = calibration.depth(depth_px, path)
-        intrinsics = said.overridden_by(settings)
+        recorded, distortion = calibration.depth(depth_px, path)
+        intrinsics = recorded.overridden_by(settings)
         camera = intrinsics.camera(depth_px, path)
         rig = None if color_px is None else calibration.color(color_px, path)
         if color and rig is None:
@@ -147,7 +147,7 @@ class AzureKinectRecording(Recording):
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=registered,
             color_calibration=None if registered else rig,
-            recorded=(tuple(p.stamp_ns for p in found["DEPTH"]), tuple(p.stamp_ns for p in found["COLOR"])),
+            recorded=(tuple(p.stamp_ns for p in lists["DEPTH"]), tuple(p.stamp_ns for p in lists["COLOR"])),
             warnings=(*trouble, *warnings, *partners.warnings),
             undistortion=Undistortion(camera, distortion) if any(distortion) else None,
         )
@@ -174,7 +174,7 @@ class AzureKinectRecording(Recording):
             return file.read(place.length)
 
     def _color(self, place: Place | None) -> tuple[str, bytes] | None:
-        """Colour as it was encoded, or as PNG where it is raw; None where it is of another length."""
+        """Colour as encoded, or as PNG if raw; None if its length is wrong."""
         if place is None or not (self.color_calibration or self.color_registered):
             return None
         data = self._bytes(place)
@@ -187,7 +187,7 @@ class AzureKinectRecording(Recording):
 
 @contextmanager
 def _opened(path: Path) -> Iterator["InputContainer"]:
-    """The container, closed afterwards; what PyAV raises becomes one line."""
+    """The open container, closed afterwards; PyAV's errors become one line."""
     try:
         import av
     except ModuleNotFoundError as error:
@@ -213,9 +213,9 @@ def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
     """The video tracks by the names that k4arecorder gives them, DEPTH, COLOR and IR."""
     named = {str(track.metadata.get("title", "")).upper(): track for track in container.streams.video}
     numbered = {str(track.id): track for track in container.streams.video}
-    told = {name: numbered.get(container.metadata.get(f"K4A_{name}_TRACK", "")) for name in TRACKS}
-    found = {name: named.get(name) or told[name] for name in TRACKS}
-    return {name: track for name, track in found.items() if track is not None}
+    by_tag = {name: numbered.get(container.metadata.get(f"K4A_{name}_TRACK", "")) for name in TRACKS}
+    tracks = {name: named.get(name) or by_tag[name] for name in TRACKS}
+    return {name: track for name, track in tracks.items() if track is not None}
 
 
 def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
@@ -234,9 +234,9 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
 
 
 def _color_mode(track: "VideoStream") -> str:
-    """How colour is stored, such as MJPG."""
-    said = str(track.metadata.get("K4A_COLOR_MODE", "")).partition("_")[0]
-    return said or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
+    """The encoding of colour, such as MJPG."""
+    mode = str(track.metadata.get("K4A_COLOR_MODE", "")).partition("_")[0]
+    return mode or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
 
 
 def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
@@ -255,34 +255,34 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Where every depth and colour image lies, in the order of the file; and what is wrong with it.
+    """Positions of all depth and colour images, in file order; and the file's faults.
 
     Raises:
         RecordingError: there are more than a recording may have.
     """
     import av
 
-    found: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
+    places: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
     trouble = []
     with open_plain(path) as file:
         try:
             packets = container.demux(video=tuple(range(len(container.streams.video))))
             for count, packet in enumerate(packets):
-                check_count(path, max(len(found["DEPTH"]), len(found["COLOR"]), count // len(TRACKS)))
+                check_count(path, max(len(places["DEPTH"]), len(places["COLOR"]), count // len(TRACKS)))
                 name = names.get(packet.stream.index, "IR")
                 if name == "IR" or packet.pts is None or not packet.size or packet.pos is None:
                     continue
                 stamp_ns = round(packet.pts * packet.time_base * NS_PER_S)
-                found[name].append(
+                places[name].append(
                     Place(stamp_ns, _start(file, packet.pos, bytes(packet), path), packet.size)
                 )
         except (av.FFmpegError, OSError) as error:
-            trouble.append(f"{path}: is cut off or damaged ({error}): {len(found['DEPTH'])} frames are read")
-    return found, trouble
+            trouble.append(f"{path}: is cut off or damaged ({error}): {len(places['DEPTH'])} frames are read")
+    return places, trouble
 
 
 def _cut(path: Path, frames: int) -> list[str]:
-    """A warning where the file is shorter than it says."""
+    """A warning if the file is truncated."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     start = head.find(SEGMENT) + len(SEGMENT)
@@ -297,7 +297,7 @@ def _cut(path: Path, frames: int) -> list[str]:
 
 
 def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
-    """Where the bytes of an image begin, whose block begins at `position`.
+    """The first byte of an image whose block begins at `position`.
 
     Raises:
         RecordingError: they do not lie in the file as they are.
@@ -322,7 +322,7 @@ def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
 
 
 def _raw_bgr(data: bytes, mode: str, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
-    """Raw colour as (height, width, 3); None where it has another length than such an image."""
+    """Raw colour as (height, width, 3); None if its length is wrong."""
     import cv2
 
     width, height = size_px

@@ -1,4 +1,4 @@
-"""One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and the masks of an object."""
+"""One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and an object's masks."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,7 +77,7 @@ class BopRecording(FileRecording):
             for number in sorted(cameras)
         )
         K, scale, moved_px = _shared(path, cameras)
-        said = Intrinsics.of_matrix(K, MM_PER_M / scale)
+        recorded = Intrinsics.of_matrix(K, MM_PER_M / scale)
         width, height = first_depth_size(files)
         right, down = (max(moved) for moved in zip(*moved_px, strict=True))
         size_px = (width + right, height + down)
@@ -86,7 +86,7 @@ class BopRecording(FileRecording):
                 f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart",
                 what="two-cameras",
             )
-        intrinsics = said.overridden_by(settings)
+        intrinsics = recorded.overridden_by(settings)
         poses = [_pose(cameras[number]) for number in sorted(cameras)]
         stamps_ns = [file.stamp_ns for file in files]
         trajectory, lost = trajectory_from_matrices(stamps_ns, poses, str(path))
@@ -102,13 +102,13 @@ class BopRecording(FileRecording):
                 *_moved_line(path, right, down),
                 *without_color(path, files),
                 *warnings,
-                *scale_warnings(path, said.depth_scale, settings),
+                *scale_warnings(path, recorded.depth_scale, settings),
                 *lost,
             ),
         )
 
     def frame(self, index: int) -> RawFrame:
-        """Read the files of a frame, moved."""
+        """Read the files of a frame, shifted."""
         frame = super().frame(index)
         if not self.moved_px:
             return frame
@@ -117,17 +117,17 @@ class BopRecording(FileRecording):
         return replace(frame, depth=_moved(frame.depth, by_px, self.camera), mask=mask)
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame, moved; then it is encoded anew."""
-        found = super().color(index)
-        if found is None or not self.moved_px:
-            return found
-        bgr = decode_color_bgr(found[1], str(self.places[index].color))
+        """Colour of a frame, moved; then it is encoded again."""
+        encoded = super().color(index)
+        if encoded is None or not self.moved_px:
+            return encoded
+        bgr = decode_color_bgr(encoded[1], str(self.places[index].color))
         return ".png", encode_png(_moved(bgr, self.moved_px[index], self.camera))
 
 
 def _moved_line(path: Path, right: int, down: int) -> tuple[str, ...]:
-    said = f"{path}: its images have principal points up to {right}, {down} px apart: they are moved to one"
-    return (said,) if right or down else ()
+    line = f"{path}: its images have principal points up to {right}, {down} px apart: they are moved to one"
+    return (line,) if right or down else ()
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
@@ -142,18 +142,18 @@ def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDA
 
 def _read_by_image(file: Path) -> dict[int, Any]:
     """A JSON object whose keys are image numbers."""
-    said = read_object(file, "image numbers")
+    content = read_object(file, "image numbers")
     try:
-        return {int(key): value for key, value in said.items() if 0 <= int(key) < 10**9}
+        return {int(key): value for key, value in content.items() if 0 <= int(key) < 10**9}
     except ValueError as error:
         raise RecordingError(f"{file}: is not a JSON object of image numbers ({error})") from error
 
 
 def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
-    """The matrix and depth scale (mm a unit) that all images share once each is moved by so many pixels."""
+    """The common matrix and depth scale (mm a unit) of all images after shifting each by some pixels."""
     file = path / "scene_camera.json"
-    said = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
-    K, scales = np.stack([matrix for matrix, _ in said]), np.array([scale for _, scale in said])
+    of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
+    K, scales = np.stack([matrix for matrix, _ in of_images]), np.array([scale for _, scale in of_images])
     shared = K[0].copy()
     shared[:2, 2] = K[:, :2, 2].max(axis=0)
     away_px = shared[:2, 2] - K[:, :2, 2]
@@ -193,7 +193,7 @@ def _pose(camera: dict[str, Any]) -> Float64 | None:
 
 
 def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
-    """The mask of the object in each image, of what is visible of it; and warnings.
+    """The object's visible mask in each image; and warnings.
 
     Without an object it is the only one of the scene; of one that is in an image twice the first.
 

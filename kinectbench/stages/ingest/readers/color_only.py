@@ -1,4 +1,4 @@
-"""What is said of a path that no reader knows: colour without depth, or depth in another layout or kind."""
+"""Messages for an unsupported path: colour without depth, or depth of another layout or kind."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -21,7 +21,7 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """What is missing in a video, or in a folder of images that no reader knows; None if it is neither.
+    """What a video or an unknown folder of images lacks; None if it is neither.
 
     Raises:
         OSError: a file in it cannot be read.
@@ -54,7 +54,7 @@ def without_depth(path: Path) -> str | None:
 
 
 def _unread_kind(path: Path) -> str | None:
-    """What is said of depth in EXR images, which is not read."""
+    """The message on EXR depth images, which are not supported."""
     if not path.is_dir():
         return None
     children = [child for child in islice(listed(path), LOOKED_AT) if child.is_dir()]

@@ -56,7 +56,7 @@ PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 @dataclass(frozen=True)
 class Stored:
-    """How depth lies in its files, where that is not 16-bit PNG.
+    """The format of a folder's depth files, if not 16-bit PNG.
 
     Attributes:
         depth_scale: units a metre as it is read, if it is float.
@@ -85,10 +85,10 @@ class Stored:
         channels = packed_channels(data, str(file))
         if channels is not None:
             high, low = (("blue", "green", "red")[channel] for channel in channels)
-            said = (
+            warning = (
                 f"{file}: depth is read from two 8-bit channels: its high byte is {high}, its low one {low}"
             )
-            return cls(channels=channels, warnings=(said,))
+            return cls(channels=channels, warnings=(warning,))
         if file.suffix.lower() == ".png":
             return cls()
         depth = decode_depth_file(data, str(file))
@@ -96,9 +96,9 @@ class Stored:
         if units is None:
             return cls(kind=kind)
         float_scale = settings.depth_scale or units
-        said = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
+        warning = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
         mm = settings.depth_scale is None and units != 1
-        return cls(FLOAT_SCALE, float_scale, kind=kind, warnings=(said,) if mm else ())
+        return cls(FLOAT_SCALE, float_scale, kind=kind, warnings=(warning,) if mm else ())
 
 
 class FolderRecording(FileRecording):
@@ -113,11 +113,11 @@ class FolderRecording(FileRecording):
         "a folder with depth/*.png, .npy, .npz or .tiff (and color/, masks/, intrinsics.json, "
         "trajectory.log or pose/), or with 000000-depth.png beside 000000-color.jpg"
     )
-    verified: ClassVar[str] = "folders and trajectories that Open3D reads alike"
+    verified: ClassVar[str] = "folders and trajectories that Open3D reads the same"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth images in depth/, or beside those of colour."""
+        """Whether the folder has depth images in depth/, or beside colour images."""
         depth = path / "depth"
         if depth.is_dir():
             return any(listed(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
@@ -193,7 +193,7 @@ def pair_files(
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
-    """Those of Redwood's camera, where names and size are those of its scans; else nothing is known."""
+    """Intrinsics of Redwood's camera, for files with the names and size of its scans; else unknown."""
     if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
         return Intrinsics()
     note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"

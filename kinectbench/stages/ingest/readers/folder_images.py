@@ -1,4 +1,4 @@
-"""The images of a plain folder: in depth/ and color/, or side by side and told apart by a word in names."""
+"""The images of a plain folder: in depth/ and color/, or side by side with a word in their names."""
 
 import re
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ HEAD_BYTES = 26
 
 @dataclass(frozen=True)
 class NamedImages:
-    """The images of one stream in the order in which people count.
+    """The images of one stream in numeric order.
 
     Attributes:
         files: their paths.
@@ -45,7 +45,7 @@ def depth_images(path: Path) -> NamedImages:
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """A line where depth/ holds images of another kind than those that are read."""
+    """A line on images in depth/ of a kind that was not read."""
     folder = path / "depth"
     if not folder.is_dir() or not read.files:
         return ()
@@ -59,8 +59,8 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
         return ()
     counted = " and ".join(f"{len(n)} {kind} (such as {printable(n[0])})" for kind, n in others.items())
     kinds = f"{', '.join(sorted(read_kinds))} (such as {printable(read.files[0].name)})"
-    said = f"{counted} images beside the {len(read.files)} {kinds} are not read: keep one kind"
-    return (f"{folder}: {said}",)
+    line = f"{counted} images beside the {len(read.files)} {kinds} are not read: keep one kind"
+    return (f"{folder}: {line}",)
 
 
 def color_images(path: Path) -> NamedImages:
@@ -72,7 +72,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder holds 16-bit depth and colour, told apart by a word in their names; reads one head."""
+    """Whether a folder holds 16-bit depth and colour, named by a word each; reads one head."""
     if not path.is_dir():
         return False
     depth = next(listed(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
@@ -81,7 +81,7 @@ def lie_beside_each_other(path: Path) -> bool:
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
-    """The images of a folder in the order people count: 2 before 10."""
+    """The images of a folder in numeric order: 2 before 10."""
     files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
     ordered = sorted(files, key=lambda file: (counting_key(file.stem), file.name))
     return NamedImages(tuple(ordered), tuple(file.stem for file in ordered))
@@ -111,6 +111,6 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
 
 
 def _without(word: re.Pattern[str], stem: str) -> str:
-    """A name without the word, its two sides joined by an underscore if there are both."""
+    """A name without the word; both remaining sides are joined by an underscore."""
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem

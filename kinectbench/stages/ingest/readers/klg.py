@@ -1,4 +1,4 @@
-"""ElasticFusion's logs (.klg), read frame by frame; one that was cut off or never closed is read to its end.
+"""ElasticFusion's logs (.klg), read frame by frame; truncated ones are read to their end.
 
 Layout, little-endian (ElasticFusion's RawLogReader): `int32 frames`; then per frame `int64 stamp in
 microseconds, int32 depth bytes, int32 colour bytes`, depth, colour. Depth is uint16 mm, raw or by zlib;
@@ -34,7 +34,7 @@ ZLIB_STARTS = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
 
 
 class PackedFrame(NamedTuple):
-    """Where the images of a frame lie: stamp in nanoseconds, position and sizes in bytes."""
+    """Position of a frame's images: stamp in nanoseconds, offset and sizes in bytes."""
 
     stamp_ns: int
     position: int
@@ -44,7 +44,7 @@ class PackedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PackedRecording(Recording):
-    """A file that holds its frames one behind the other, depth raw or by zlib."""
+    """A file with consecutive frames, depth raw or by zlib."""
 
     # Of a frame's images, colour lies before depth.
     color_first: ClassVar[bool] = False
@@ -75,7 +75,7 @@ class PackedRecording(Recording):
 
     @abstractmethod
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """The colour of a frame as it is given on: (suffix, encoded), or None."""
+        """The colour of a frame as passed on: (suffix, encoded), or None."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,15 +94,15 @@ class KlgRecording(PackedRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is named .klg; the layout begins with nothing that could tell it."""
+        """Whether it is named .klg; the format has no signature."""
         return path.suffix.lower() in cls.suffixes and path.is_file()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Find the frames; size and intrinsics are the settings', or else ElasticFusion's defaults."""
-        said, warnings = Intrinsics(), []
+        """Find the frames; size and intrinsics are from the settings, else ElasticFusion's defaults."""
+        recorded, warnings = Intrinsics(), []
         if settings.fx is None:
-            said = CAMERA
+            recorded = CAMERA
             warnings.append(
                 f"{path}: a .klg has no intrinsics; ElasticFusion's are taken (528, 528, 320, 240)"
             )
@@ -113,7 +113,7 @@ class KlgRecording(PackedRecording):
         order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
         if repeated:
             warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
-        intrinsics = said.overridden_by(settings)
+        intrinsics = recorded.overridden_by(settings)
         return cls(
             path=path,
             places=tuple(frames[i] for i in order),
@@ -140,7 +140,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[str]]:
-    """The frames with stamps that are times, or else counted, and then a warning that says why."""
+    """The frames with their time stamps, else with counted ones and a warning with the reason."""
     why = no_times([frame.stamp_ns for frame in frames])
     if not why:
         return frames, []
@@ -149,7 +149,7 @@ def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], lis
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:
-    """Unpack zlib data that makes exactly `size` bytes; no more than that is allocated.
+    """Unpack zlib data of exactly `size` bytes; allocates no more.
 
     Raises:
         DamagedImageError: it is damaged, or makes another number of bytes.
@@ -167,7 +167,7 @@ def inflated(data: bytes, size: int, name: str) -> bytes:
 
 
 def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame], list[str]]:
-    """Every whole frame in the order of the file; and what is wrong with the file."""
+    """Every whole frame in file order; and the file's faults."""
     frames: list[PackedFrame] = []
     with open_plain(path) as file:
         size = size_of(file)

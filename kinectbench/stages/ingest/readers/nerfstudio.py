@@ -46,7 +46,7 @@ SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
 PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
 # In Brown's order; a fourth radial term is not in his model.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
-# All that is read of a frame, whether it is said there or of all frames.
+# All keys that are read, of a frame or of all frames.
 FRAME_KEYS = (*PINHOLE_KEYS, *BROWN_KEYS, "w", "h", "k4", "camera_model", "transform_matrix")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 # Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
@@ -70,7 +70,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth, or nothing else that could be read."""
+        """Whether the folder has a transforms.json that names depth, or is in no other readable format."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # in which the first frame lies
@@ -79,18 +79,18 @@ class NerfstudioRecording(PhoneRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the frames that have depth, their one camera, and their poses."""
-        said, frames, warnings = _read_frames(path)
+        shared, frames, warnings = _read_frames(path)
         files = tuple(
             FrameFiles(index * NS_PER_S, path / depth, _color(path, frame))
             for index, (depth, frame) in enumerate(frames)
         )
         size_px = first_depth_size(files)
-        whole = [_of_frame(said, frame) for _, frame in frames]
+        whole = [_of_frame(shared, frame) for _, frame in frames]
         intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
-        unit_m = number_of(_first(said, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
+        unit_m = number_of(_first(shared, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
             raise IntrinsicsError(f"{path / FILE}: its depth scale must be above 0 (metres a unit)")
-        trajectory, lost, error = read_given(lambda: _trajectory(path, said, files, whole))
+        trajectory, lost, error = read_given(lambda: _trajectory(path, shared, files, whole))
         camera = intrinsics.overridden_by(settings).camera(size_px, path)
         coefficients = _distortion(path, whole)
         return cls(
@@ -119,10 +119,10 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """What is said of all frames; those with depth, in the order of its names; and warnings."""
+    """Values for all frames; frames with depth, in the order of its names; and warnings."""
     file = path / FILE
-    said = read_object(file, "frames")
-    frames = said.pop("frames", None)
+    content = read_object(file, "frames")
+    frames = content.pop("frames", None)
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise RecordingError(f"{file}: 'frames' must be a list of objects")
     named = [(_name(file, depth), f) for f in frames if (depth := _first(f, DEPTH_KEYS)) is not None]
@@ -135,16 +135,16 @@ def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]
     check_count(file, len(named))
     alone = len(frames) - len(named)
     warnings = [f"{file}: {alone} frames have no depth_file_path and were left out"] if alone else []
-    return said, sorted(named, key=lambda row: counting_key(row[0])), warnings
+    return content, sorted(named, key=lambda row: counting_key(row[0])), warnings
 
 
-def _of_frame(said: Frame, frame: Frame) -> Frame:
-    """What is said of a frame, or else of all of them; keys that nobody reads are left out."""
-    return {key: home[key] for key in FRAME_KEYS for home in (said, frame) if key in home}
+def _of_frame(shared: Frame, frame: Frame) -> Frame:
+    """Values of a frame, else of all frames; unused keys are left out."""
+    return {key: home[key] for key in FRAME_KEYS for home in (shared, frame) if key in home}
 
 
-def _first(said: Frame, keys: tuple[str, ...], default: object = None) -> Any:
-    return next((said[key] for key in keys if said.get(key) is not None), default)
+def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> Any:
+    return next((shared[key] for key in keys if shared.get(key) is not None), default)
 
 
 def _name(file: Path, name: object) -> str:
@@ -207,10 +207,10 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 
 
 def _trajectory(
-    path: Path, said: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
+    path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world in metres: nerfstudio's `applied_scale` is taken back."""
-    scale = number_of(said.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
+    """Camera to world in metres, without nerfstudio's `applied_scale`."""
+    scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")
     matrices = [_matrix(path, frame.get("transform_matrix"), scale) for frame in frames]

@@ -1,4 +1,4 @@
-"""What phones with a LiDAR scanner have in common: one camera, colour far larger than depth; confidence."""
+"""Common parts of phones with LiDAR: one camera, colour far larger than depth, confidence."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ GRAVITY_UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PhoneRecording(FileRecording):
-    """Images of a phone: colour is brought to the size of depth, and depth of low confidence left out.
+    """Images of a phone: scales colour to the size of depth, and leaves out depth of low confidence.
 
     Attributes:
         confidence: the confidence image of each frame (0, 1, 2), or None.
@@ -47,11 +47,11 @@ class PhoneRecording(FileRecording):
         return np.where(confidence >= self.min_confidence, depth, np.uint16(0))
 
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What a confidence image (height, width) says as 0, 1 or 2: low, middle, high."""
+        """A confidence image (height, width) as 0, 1 or 2: low, middle, high."""
         return image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at the size of depth: as it was encoded if it has it, else a PNG; or None."""
+        """Colour of a frame at depth's size: as encoded if it has that size, else a PNG; or None."""
         file = self.places[index].color
         if file is None:
             return None
@@ -104,7 +104,7 @@ def scaled_to_depth(
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """One camera for frames whose intrinsics differ a little, by medians.
+    """The median camera of frames whose intrinsics differ a little.
 
     Args:
         rows: (n, 4) fx, fy, cx, cy of each frame, pixels.

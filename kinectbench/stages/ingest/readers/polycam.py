@@ -40,7 +40,7 @@ POSE_KEYS = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
 
 
 class PolycamRecording(PhoneRecording):
-    """A folder of Polycam's raw data; its optimised poses are taken where they are there."""
+    """A folder of Polycam's raw data; uses its optimised poses if present."""
 
     format: ClassVar[str] = "polycam"
     looks_for: ClassVar[str] = "a folder with keyframes/depth and keyframes/cameras or corrected_cameras"
@@ -77,12 +77,12 @@ class PolycamRecording(PhoneRecording):
         cameras = [_read_camera(inside / f"{kind}cameras" / f"{stem}.json") for stem in stems]
         size_px = first_depth_size(files)
         K, color_px, varied = _shared(inside / f"{kind}cameras", cameras)
-        said = scaled_to_depth(K, color_px, size_px, path)
+        recorded = scaled_to_depth(K, color_px, size_px, path)
         stamps_ns = [file.stamp_ns for file in files]
         trajectory, lost, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
         )
-        intrinsics = said.overridden_by(settings)
+        intrinsics = recorded.overridden_by(settings)
         return cls(
             path=path,
             places=files,
@@ -102,18 +102,18 @@ class PolycamRecording(PhoneRecording):
 
 
 def _read_camera(file: Path) -> dict[str, Any] | None:
-    """The JSON of a frame, or None if it is not there."""
+    """The JSON of a frame, or None if missing."""
     return read_camera_of_frame(file, "the intrinsics and t_00 to t_23", (*CAMERA_KEYS, *POSE_KEYS))
 
 
 def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64, tuple[int, int], list[str]]:
     """The pinhole matrix of all images, their size, and warnings."""
-    there = [camera for camera in cameras if camera]
-    if not there:
+    known = [camera for camera in cameras if camera]
+    if not known:
         raise RecordingError(
             f"{folder}: holds no camera of a depth image; export the raw data again", what="no-intrinsics"
         )
-    rows = np.array([[number_of(c.get(key), f"{c['file']}: '{key}'") for key in CAMERA_KEYS] for c in there])
+    rows = np.array([[number_of(c.get(key), f"{c['file']}: '{key}'") for key in CAMERA_KEYS] for c in known])
     if (rows[:, 4:] != rows[0, 4:]).any():
         raise RecordingError(
             f"{folder}: its images are of several sizes; a recording must keep one camera", what="two-cameras"

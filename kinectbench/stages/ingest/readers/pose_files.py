@@ -33,7 +33,7 @@ LIKE_POSES = re.compile(
 
 
 def named_like_poses(path: Path) -> str:
-    """What a message says of files in a folder that look like poses; "" if there are none."""
+    """A message part on files that look like poses; "" if there are none."""
     return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
 
 
@@ -66,7 +66,7 @@ def read_pose_file(
         stems: names of their depth images, without what they end in.
 
     Raises:
-        RecordingError: a row holds something else, or which pose is of which frame cannot be told.
+        RecordingError: a row holds something else, or the frame of a pose cannot be determined.
     """
     rows = text_rows(file)
     lengths = {len(row.translate(PUNCTUATION).split()) for _, row in rows}
@@ -81,7 +81,7 @@ def read_pose_file(
         if len(rows) != len(stems):
             raise RecordingError(
                 f"{file}: holds {len(rows)} poses for {len(stems)} frames: which pose is of which frame "
-                "cannot be told; write one for each frame, in their order",
+                "cannot be determined; write one for each frame, in their order",
                 what="pose-count",
             )
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
@@ -95,8 +95,8 @@ def read_pose_file(
     if numbered:
         # Counted from 0 or 1: by equal numbers each pose would be of the frame beside its own.
         shift = int(trajectory.stamps_ns[0] - frames_ns[0]) // NS_PER_S
-        said = f"{file}: its numbers are {shift:+d} off those of the frames: rows are taken in their order"
-        warnings = [*warnings, said]
+        message = f"{file}: its numbers are {shift:+d} off those of the frames: rows are taken in their order"
+        warnings = [*warnings, message]
     elif len(trajectory.stamps_ns) < len(rows) or not are_of_today(trajectory.stamps_ns.tolist()):
         # They repeat, or may be steps since the frame before: only the rows' order tells.
         trajectory, warnings = read_trajectory(file, len(stems))
@@ -120,7 +120,7 @@ def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float6
 
 
 def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]]:
-    """A row of each matrix, of rows of four values: four a pose, of which the last is 0 0 0 1, or three."""
+    """A row per matrix from rows of four values: three a pose, or four, the last 0 0 0 1."""
     values = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in rows]
     side = 4 if len(values) > 3 and all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
     if len(rows) % side:

@@ -47,7 +47,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """`trajectory_from_matrices`; where every frame was lost there is no trajectory, and no warning."""
+    """`trajectory_from_matrices`; no trajectory and no warning if every frame was lost."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

@@ -57,7 +57,7 @@ class PackedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Record3dRecording(Recording):
-    """A .r3d file: colour is brought to the size of depth, and depth of low confidence left out.
+    """A .r3d file: scales colour to the size of depth, and leaves out depth of low confidence.
 
     Attributes:
         archive: gives the members.
@@ -91,12 +91,12 @@ class Record3dRecording(Recording):
                 f"{path}: holds no rgbd/0.depth, so there is colour only: record it with depth",
                 what="no-depth",
             )
-        said = _read_metadata(archive, members)
-        stamps_ns, warnings = _stamps_ns(path, said, numbers)
-        K, color_px, varied = _intrinsics(path, said)
-        size_px = _depth_size(archive, said, color_px, numbers)
+        metadata = _read_metadata(archive, members)
+        stamps_ns, warnings = _stamps_ns(path, metadata, numbers)
+        K, color_px, varied = _intrinsics(path, metadata)
+        size_px = _depth_size(archive, metadata, color_px, numbers)
         intrinsics = scaled_to_depth(K, color_px, size_px, path).overridden_by(settings)
-        trajectory, lost, error = read_given(lambda: _trajectory(path, said, numbers, stamps_ns))
+        trajectory, lost, error = read_given(lambda: _trajectory(path, metadata, numbers, stamps_ns))
         return cls(
             path=path,
             places=tuple(map(PackedFrame, stamps_ns, numbers)),
@@ -126,7 +126,7 @@ class Record3dRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
 
     def _color(self, member: str) -> tuple[str, bytes] | None:
-        """Colour at the size of depth: as it was encoded if it has it, else a PNG; or None."""
+        """Colour at depth's size: as encoded if it has that size, else a PNG; or None."""
         if member not in self.members:
             return None
         data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)
@@ -136,7 +136,7 @@ class Record3dRecording(Recording):
 
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:
-    """What LZFSE packed, which must be `size` bytes; no more than one beyond is allocated."""
+    """Unpack LZFSE data of `size` bytes; allocates at most one more."""
     try:
         import imagecodecs
     except ImportError as error:
@@ -145,13 +145,13 @@ def _unpacked(data: bytes, size: int, name: str) -> bytes:
             what="no-package",
         ) from error
     try:
-        found = bytes(imagecodecs.lzfse_decode(data, out=size + 1))
+        unpacked = bytes(imagecodecs.lzfse_decode(data, out=size + 1))
     except imagecodecs.LzfseError as error:
         raise DamagedImageError(f"{name}: cannot be unpacked ({error})") from error
-    if len(found) != size:
-        kind = "more than" if len(found) > size else f"{len(found)} bytes, not"
+    if len(unpacked) != size:
+        kind = "more than" if len(unpacked) > size else f"{len(unpacked)} bytes, not"
         raise DamagedImageError(f"{name}: unpacks to {kind} the {size} bytes of its image")
-    return found
+    return unpacked
 
 
 def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, Any]:
@@ -160,12 +160,12 @@ def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, Any]:
     return object_of(archive.read(METADATA), f"{archive.path}: {METADATA}", "K, w, h and poses")
 
 
-def _intrinsics(path: Path, said: dict[str, Any]) -> tuple[Float64, tuple[int, int], list[str]]:
+def _intrinsics(path: Path, metadata: dict[str, Any]) -> tuple[Float64, tuple[int, int], list[str]]:
     """The pinhole matrix of colour, its size, and warnings."""
-    width, height = (int(number_of(said.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
-    rows = numbers_of(said.get("perFrameIntrinsicCoeffs"))
+    width, height = (int(number_of(metadata.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
+    rows = numbers_of(metadata.get("perFrameIntrinsicCoeffs"))
     if rows.ndim != 2 or rows.shape[1:] != (4,):
-        K = numbers_of(said.get("K"))
+        K = numbers_of(metadata.get("K"))
         rows = K[[[0, 4, 6, 7]]] if K.shape == (9,) else np.full((1, 4), np.nan)
     if not np.isfinite(rows).all():
         raise IntrinsicsError(f"{path}: 'K' of its metadata must hold nine numbers")
@@ -174,11 +174,11 @@ def _intrinsics(path: Path, said: dict[str, Any]) -> tuple[Float64, tuple[int, i
 
 
 def _depth_size(
-    archive: Archive, said: dict[str, Any], color_px: tuple[int, int], numbers: list[int]
+    archive: Archive, metadata: dict[str, Any], color_px: tuple[int, int], numbers: list[int]
 ) -> tuple[int, int]:
-    """Width and height of depth: dw and dh of the metadata, else the usual size that has as many bytes."""
+    """Width and height of depth: dw and dh of the metadata, else the known size with as many bytes."""
     where = f"{archive.path}: {METADATA}"
-    if said.get("dw") is None or said.get("dh") is None:
+    if metadata.get("dw") is None or metadata.get("dh") is None:
         for long, short in USUAL_PX:
             size_px = (short, long) if color_px[0] < color_px[1] else (long, short)
             name = f"rgbd/{numbers[0]}.depth"
@@ -186,31 +186,31 @@ def _depth_size(
                 _unpacked(archive.read(name), 4 * long * short, f"{archive.path}: {name}")
                 return size_px
         raise RecordingError(f"{where}: does not say the size of depth (dw, dh); export it again")
-    width, height = (int(number_of(said[key], f"{where}: '{key}'")) for key in ("dw", "dh"))
+    width, height = (int(number_of(metadata[key], f"{where}: '{key}'")) for key in ("dw", "dh"))
     if not (0 < width <= LARGEST_SIDE_PX and 0 < height <= LARGEST_SIDE_PX):
         raise RecordingError(f"{where}: {width}x{height} is no size of depth images; export it again")
     return width, height
 
 
-def _stamps_ns(path: Path, said: dict[str, Any], numbers: list[int]) -> tuple[list[int], list[str]]:
-    """The times of the frames, where all have one and they increase; else frames are counted at `fps`."""
-    times_s = numbers_of(said.get("frameTimestamps"))
-    told = times_s.ndim == 1 and numbers[-1] < len(times_s)
-    if told and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # which NaN is not
+def _stamps_ns(path: Path, metadata: dict[str, Any], numbers: list[int]) -> tuple[list[int], list[str]]:
+    """The frames' times if all have one and they increase; else frames counted at `fps`."""
+    times_s = numbers_of(metadata.get("frameTimestamps"))
+    usable = times_s.ndim == 1 and numbers[-1] < len(times_s)
+    if usable and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # which NaN is not
         stamps_ns = [round(float(times_s[number]) * NS_PER_S) for number in numbers]
         if all(after > before for before, after in pairwise(stamps_ns)):
             return stamps_ns, []
-    fps = numbers_of(said.get("fps"))
+    fps = numbers_of(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
     warning = f"{path}: not every frame has a time of its own; frames are counted instead"
     return [number * period_ns for number in numbers], [warning]
 
 
 def _trajectory(
-    path: Path, said: dict[str, Any], numbers: list[int], stamps_ns: Sequence[int]
+    path: Path, metadata: dict[str, Any], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world in optical axes; None where the camera never moved, as the face camera's poses."""
-    poses = said.get("poses")
+    """Camera to world in optical axes; None if the camera never moved, as for the face camera."""
+    poses = metadata.get("poses")
     if poses is None:
         return None, []
     if not isinstance(poses, list) or len(poses) <= numbers[-1]:
@@ -220,8 +220,8 @@ def _trajectory(
             what="pose-count",
         )
     matrices = [_pose(path, poses[number]) for number in numbers]
-    there = [T for T in matrices if T is not None]
-    if len(there) > 1 and all(np.array_equal(T, there[0]) for T in there):
+    known = [T for T in matrices if T is not None]
+    if len(known) > 1 and all(np.array_equal(T, known[0]) for T in known):
         return None, [f"{path}: its poses are all the same, as those of the face camera; they are ignored"]
     return trajectory_from_matrices(stamps_ns, matrices, str(path))
 

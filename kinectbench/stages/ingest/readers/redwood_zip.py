@@ -59,8 +59,8 @@ class RedwoodZipRecording(Recording):
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the images; nothing is unpacked but the first of each kind."""
         archive = Archive(path)
-        found = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
-        depth, color = _named(found, "depth"), _named(found, "rgb")
+        matches = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
+        depth, color = _named(matches, "depth"), _named(matches, "rgb")
         if not depth:
             raise RecordingError(
                 f"{path}: holds no depth/ images, only colour; download the scan again", what="no-depth"
@@ -103,10 +103,10 @@ class RedwoodZipRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, color)
 
 
-def _named(found: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
-    """The images of a folder as (stem, whole name), in the order people count."""
+def _named(matches: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
+    """The images of a folder as (stem, whole name), in numeric order."""
     # Not as paths, which of two hundred thousand names would take two seconds.
-    names = [(match[2], match[0]) for match in found if match[1] == folder]
+    names = [(match[2], match[0]) for match in matches if match[1] == folder]
     return sorted(names, key=lambda name: (counting_key(name[0]), name[1]))
 
 

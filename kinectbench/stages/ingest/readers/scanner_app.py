@@ -36,7 +36,7 @@ DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
 
 
 class ScannerAppRecording(PhoneRecording):
-    """A folder of 3D Scanner App; colour is there for some frames only."""
+    """A folder of 3D Scanner App; only some frames have colour."""
 
     format: ClassVar[str] = "scanner_app"
     looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
@@ -55,8 +55,8 @@ class ScannerAppRecording(PhoneRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames by number and read every JSON."""
-        found = listed(path, wanted=DEPTH_NAME.fullmatch)
-        stems = sorted((file.stem.removeprefix("depth_") for file in found), key=int)
+        depth_files = listed(path, wanted=DEPTH_NAME.fullmatch)
+        stems = sorted((file.stem.removeprefix("depth_") for file in depth_files), key=int)
         cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
         stamps_ns, warnings = _stamps_ns(path, cameras)
         files = tuple(
@@ -66,11 +66,11 @@ class ScannerAppRecording(PhoneRecording):
         size_px = first_depth_size(files)
         K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
         color_px = first_color_size(files) or COLOR_PX
-        said = scaled(np.full((3, 3), np.nan) if K is None else K, color_px, size_px)
+        recorded = scaled(np.full((3, 3), np.nan) if K is None else K, color_px, size_px)
         trajectory, lost, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
         )
-        intrinsics = said.overridden_by(settings)
+        intrinsics = recorded.overridden_by(settings)
         return cls(
             path=path,
             places=files,
@@ -86,7 +86,7 @@ class ScannerAppRecording(PhoneRecording):
 
 
 def _read_camera(file: Path) -> dict[str, Any] | None:
-    """The JSON of a frame, or None if it is not there."""
+    """The JSON of a frame, or None if missing."""
     return read_camera_of_frame(file, "intrinsics and cameraPoseARFrame", CAMERA_KEYS)
 
 
@@ -107,7 +107,7 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
 
 
 def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
-    """The times of the frames, where all have one and they increase; else the frames count seconds."""
+    """The frames' times if all have one and they increase; else the frames count seconds."""
     times_s = numbers_of([camera.get("time") if camera else None for camera in cameras])
     if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):
         stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]

@@ -36,7 +36,7 @@ DEPTH_SCALE = 1000.0
 
 
 class ScannetFolderRecording(FileRecording):
-    """One exported scene of ScanNet; a frame's number counts seconds."""
+    """One exported scene of ScanNet; frame numbers count as seconds."""
 
     format: ClassVar[str] = "scannet"
     looks_for: ClassVar[str] = "a folder with depth/0.png and intrinsic/intrinsic_depth.txt (color/, pose/)"
@@ -56,8 +56,8 @@ class ScannetFolderRecording(FileRecording):
             )
         files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         size_px = first_depth_size(files)
-        said = _read_intrinsics(path, size_px, settings)
-        camera = said.overridden_by(settings).camera(size_px, path)
+        intrinsics = _read_intrinsics(path, size_px, settings)
+        camera = intrinsics.overridden_by(settings).camera(size_px, path)
         color_px = first_color_size(files) or (0, 0)
         depth_to_rig = _read_extrinsic(path, "depth")
         calibration = _calibration(path, color_px, depth_to_rig)
@@ -86,24 +86,26 @@ def _matrix_file(path: Path, camera: str) -> Path | None:
 def _read_intrinsics(path: Path, size_px: tuple[int, int], settings: CameraSettings) -> Intrinsics:
     file = _matrix_file(path, "depth")
     assert file is not None
-    said = read_intrinsics_matrix(file)
+    intrinsics = read_intrinsics_matrix(file)
     if settings.fx is None:
-        check_focal_lengths(said, size_px, file)
-    return said
+        check_focal_lengths(intrinsics, size_px, file)
+    return intrinsics
 
 
 def _read_extrinsic(path: Path, camera: str) -> Float64:
-    """The place (4, 4) of "depth" or "color" in the rig, metres; the identity where none is said."""
+    """The pose (4, 4) of "depth" or "color" in the rig, metres; the identity if missing."""
     file = path / "intrinsic" / f"extrinsic_{camera}.txt"
     return read_matrix(file, 4) if file.is_file() else np.eye(4)
 
 
 def _calibration(path: Path, color_px: tuple[int, int], depth_to_rig: Float64) -> ColorCalibration | None:
-    """How colour lies to depth, if that is said for images of its size."""
+    """Relation of colour to depth, if stated for images of its size."""
     file = _matrix_file(path, "color")
     if file is None or not all(color_px):
         return None
-    said = read_intrinsics_matrix(file)
-    assert None not in (said.fx, said.fy, said.cx, said.cy)
-    K = np.array([[said.fx, 0, said.cx], [0, said.fy, said.cy], [0, 0, 1]], np.float64)
+    intrinsics = read_intrinsics_matrix(file)
+    assert None not in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
+    K = np.array(
+        [[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]], np.float64
+    )
     return rig_calibration(K, color_px, _read_extrinsic(path, "color"), depth_to_rig, path)

@@ -15,13 +15,13 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 
 @dataclass(frozen=True)
 class Rig:
-    """What a file says of the cameras that recorded together.
+    """The cameras of one rig, from a file.
 
     Attributes:
         file: the file, or the recording where none says it.
         depth: of the depth camera.
-        color: how colour lies to depth, or None where that is not said.
-        registered: colour lies on depth's pixels, whatever the file says of colour.
+        color: the transform of colour to depth, or None if missing.
+        registered: colour is registered to depth, whatever the file states.
     """
 
     file: Path
@@ -34,7 +34,7 @@ DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
 
 
 def is_info(file: Path) -> bool:
-    """Whether there is a file that says how such a recording's cameras are."""
+    """Whether the file describes the cameras of such a recording."""
     return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
 
 

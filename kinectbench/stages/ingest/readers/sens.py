@@ -1,4 +1,4 @@
-"""ScanNet's .sens files (version 4), read frame by frame; one that was cut off is read to its end.
+"""ScanNet's .sens files (version 4), read frame by frame; truncated ones are read to their end.
 
 Layout, little-endian (ScanNet's SensReader): `u32 4, u64 length, name`, four float32 4x4 matrices (colour
 intrinsic and extrinsic, depth intrinsic and extrinsic), `i32 colour compression (0 raw, 1 PNG, 2 JPEG), i32
@@ -32,7 +32,7 @@ MATRICES = struct.Struct("<64f")
 FACTS = struct.Struct("<iiIIIIfQ")
 FRAME = struct.Struct("<16f4Q")
 VERSION = 4
-LONGEST_NAME, LONGEST_TOLD = 4096, 64
+LONGEST_NAME, SHORT_NAME = 4096, 64
 COLOR_SUFFIXES = {1: ".png", 2: ".jpg"}
 RAW, ZLIB = 0, 1
 # Later stamps are no stamps.
@@ -40,7 +40,7 @@ LATEST_NS = 2**53 * NS_PER_US
 
 
 class SensHead(NamedTuple):
-    """What the file says before its first frame."""
+    """The header of the file."""
 
     color_intrinsic: Float64
     color_extrinsic: Float64
@@ -56,10 +56,10 @@ class SensHead(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensRecording(PackedRecording):
-    """A .sens file; its intrinsics and extrinsics say how colour lies to depth.
+    """A .sens file; its intrinsics and extrinsics relate colour to depth.
 
     Attributes:
-        head: what the file says before its first frame.
+        head: the file's header.
     """
 
     format: ClassVar[str] = "sens"
@@ -76,12 +76,12 @@ class SensRecording(PackedRecording):
             return False
         if path.suffix.lower() in cls.suffixes:
             return True
-        start = read_head(path, START.size + LONGEST_TOLD)
+        start = read_head(path, START.size + SHORT_NAME)
         if len(start) < START.size:
             return False
         version, length = START.unpack_from(start)
         name = start[START.size : START.size + length]
-        return version == VERSION and 0 < length <= LONGEST_TOLD and len(name) == length and name.isascii()
+        return version == VERSION and 0 < length <= SHORT_NAME and len(name) == length and name.isascii()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -126,11 +126,11 @@ class SensRecording(PackedRecording):
         )
 
     def is_raw(self, depth: bytes, size: int) -> bool:
-        """Whether the file says that depth is raw, and it is as long."""
+        """Whether depth is declared raw and has the matching length."""
         return self.head.depth_compression == RAW and super().is_raw(depth, size)
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame as it was encoded, or as PNG where it is raw."""
+        """Colour of a frame as encoded, or as PNG if raw."""
         suffix = COLOR_SUFFIXES.get(self.head.color_compression)
         if not data or suffix is not None:
             return (suffix, data) if data and suffix else None
@@ -153,11 +153,11 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
     if length > LONGEST_NAME:
         raise RecordingError(f"{path}: the name of its sensor has {length} bytes: the file is damaged")
     file.seek(length, os.SEEK_CUR)
-    rest = file.read(MATRICES.size + FACTS.size)
-    if len(rest) < MATRICES.size + FACTS.size:
+    remainder = file.read(MATRICES.size + FACTS.size)
+    if len(remainder) < MATRICES.size + FACTS.size:
         raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
-    matrices = np.array(MATRICES.unpack_from(rest), np.float64).reshape(4, 4, 4)
-    color, depth, *sides, shift, frames = FACTS.unpack_from(rest, MATRICES.size)
+    matrices = np.array(MATRICES.unpack_from(remainder), np.float64).reshape(4, 4, 4)
+    color, depth, *sides, shift, frames = FACTS.unpack_from(remainder, MATRICES.size)
     color_px, depth_px = (sides[0], sides[1]), (sides[2], sides[3])
     if min(depth_px) <= 0 or is_too_large(*depth_px):
         raise RecordingError(f"{path}: its depth is {depth_px[0]}x{depth_px[1]}: the file is damaged")
@@ -183,7 +183,7 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
 
 
 def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:
-    """Every whole frame in the order of the file, and its pose; and what is wrong with the file, or ""."""
+    """Every whole frame in file order, with its pose; and the file's faults, or ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
     position, size = file.tell(), size_of(file)
@@ -205,7 +205,7 @@ def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[Packe
 def _trajectory(
     stamps_ns: list[int], matrices: list[Float64], head: SensHead, path: Path
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of the depth camera; those of frames that were lost are not finite."""
+    """The depth camera's poses; not finite for lost frames."""
     if not any(np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     T_camera_depth = rigid_or_none(head.depth_extrinsic)

@@ -56,7 +56,7 @@ DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.depth\.png")
 
 
 class SevenScenesRecording(FileRecording):
-    """One sequence of Microsoft 7-Scenes, or another in its layout.
+    """One sequence of Microsoft 7-Scenes, or of its layout.
 
     It has no stamps: a frame's number counts seconds. Its poses are 4x4, camera to world, and are
     projected onto the rigid transforms.
@@ -75,8 +75,8 @@ class SevenScenesRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames and read their poses."""
-        found = listed(path, wanted=DEPTH_NAME.fullmatch)
-        numbered = {int(m[1]): f for f in found if (m := DEPTH_NAME.fullmatch(f.name))}
+        depth_files = listed(path, wanted=DEPTH_NAME.fullmatch)
+        numbered = {int(m[1]): f for f in depth_files if (m := DEPTH_NAME.fullmatch(f.name))}
         stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
         depth = [numbered[number] for number in sorted(numbered)]
         files = tuple(
@@ -130,14 +130,14 @@ def names_beside(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _camera_file(path: Path) -> Path | None:
-    """The file with the intrinsics: in the folder, or above it, where 3DMatch and tsdf-fusion have it."""
+    """The file of intrinsics: in the folder, or above it, as in 3DMatch and tsdf-fusion."""
     own = first_file(path / name for name in MATRIX_FILES)
     info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
 
 
 def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> Rig | None:
-    """What the file says of the cameras; None if there is none."""
+    """The cameras in the file; None without it."""
     if file is None:
         return None
     if file.name in INFO_FILES:
@@ -152,8 +152,8 @@ def _default_rig(
     """The data set's own Kinect; and a warning, unless the settings give a camera or it is the data set."""
     if size_px != (KINECT.width, KINECT.height):
         return Rig(path, Intrinsics()), []
-    said = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
-    if said or _marks_holes(files):
+    is_given = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
+    if is_given or _marks_holes(files):
         return Rig(path, KINECT), []
     return Rig(path, KINECT), [
         f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
@@ -162,7 +162,7 @@ def _default_rig(
 
 
 def _marks_holes(files: Sequence[FrameFiles]) -> bool:
-    """Whether depth has 65535 where nothing was measured: 7-Scenes itself has, its followers have not."""
+    """Whether 65535 marks missing depth: so in 7-Scenes itself, not in data sets of its layout."""
 
     def marked(frame: FrameFiles) -> bool:
         return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())

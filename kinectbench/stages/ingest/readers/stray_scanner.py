@@ -58,7 +58,7 @@ class _Video:
 
 @dataclass(frozen=True, kw_only=True)
 class StrayScannerRecording(PhoneRecording):
-    """A StrayScanner folder; its poses are taken as camera to world in optical axes, as its own tools do.
+    """A StrayScanner folder; its poses are camera to world in optical axes, as in its own tools.
 
     Attributes:
         numbers: of each frame in the video.
@@ -79,7 +79,7 @@ class StrayScannerRecording(PhoneRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read the rows of odometry.csv, and take the frames whose depth is there."""
+        """Read odometry.csv, and keep the frames with depth."""
         depth = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
         rows = _read_odometry(path / "odometry.csv")
         paired = [(number, row) for number, row in rows if number in depth]

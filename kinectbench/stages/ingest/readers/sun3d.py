@@ -28,7 +28,7 @@ NUMBERS_A_POSE = 12
 
 
 class Sun3dRecording(FileRecording):
-    """One sequence of SUN3D; stamps are in the names of its images."""
+    """One sequence of SUN3D; image names hold the stamps."""
 
     format: ClassVar[str] = "sun3d"
     looks_for: ClassVar[str] = "a folder with image/, depth/0000001-000000000000.png and extrinsics/*.txt"
@@ -57,10 +57,10 @@ class Sun3dRecording(FileRecording):
             for stamp_ns, file, partner in zip(depth_ns, depth, partners.of_depth, strict=True)
         )
         size_px = first_depth_size(files)
-        said = read_intrinsics_matrix(path / "intrinsics.txt")
+        recorded = read_intrinsics_matrix(path / "intrinsics.txt")
         if settings.fx is None:
-            check_focal_lengths(said, size_px, path / "intrinsics.txt")
-        intrinsics = said.overridden_by(settings)
+            check_focal_lengths(recorded, size_px, path / "intrinsics.txt")
+        intrinsics = recorded.overridden_by(settings)
         trajectory, warnings, error = read_given(lambda: _read_poses(path, color_ns, depth_ns))
         return cls(
             path=path,
@@ -86,23 +86,23 @@ def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[
 def _read_poses(
     path: Path, color_ns: list[int], depth_ns: list[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of the newest file: of the colour images, or of the depth images where there are as many.
+    """The poses of the newest file: one per colour image, or per depth image if the numbers match.
 
     Raises:
         RecordingError: there are as many poses as neither.
     """
-    found = sorted(visible(path / "extrinsics", "*.txt"))
-    if not found:
+    files = sorted(visible(path / "extrinsics", "*.txt"))
+    if not files:
         return None, []
-    numbers = np.array(read_numbers(found[-1]))
-    poses, rest = divmod(len(numbers), NUMBERS_A_POSE)
+    numbers = np.array(read_numbers(files[-1]))
+    poses, remainder = divmod(len(numbers), NUMBERS_A_POSE)
     stamps_ns = color_ns if poses == len(color_ns) else depth_ns
-    if rest or poses != len(stamps_ns):
+    if remainder or poses != len(stamps_ns):
         raise RecordingError(
-            f"{found[-1]}: holds {len(numbers)} numbers, not 12 for each of the {len(color_ns)} colour "
+            f"{files[-1]}: holds {len(numbers)} numbers, not 12 for each of the {len(color_ns)} colour "
             f"(or {len(depth_ns)} depth) images",
             what="pose-count",
         )
     rows = numbers.reshape(poses, 3, 4)
     matrices = [np.vstack([row, [0, 0, 0, 1]]) for row in rows]
-    return finite_trajectory(stamps_ns, matrices, str(found[-1]))
+    return finite_trajectory(stamps_ns, matrices, str(files[-1]))

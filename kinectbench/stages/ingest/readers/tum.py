@@ -76,7 +76,7 @@ class TumRecording(FileRecording):
         color, color_ns, color_warnings = _in_order(color_rows, path / "rgb.txt")
         warnings += [*depth_warnings, *color_warnings]
         delay_s, where = settings.color_delay_s, str(path)
-        if why:  # rows that are counted are no times of two streams
+        if why:  # counted rows are not times of two streams
             stems = ([file.stem for _, file in rows] for rows in (depth, color))
             partners, _ = pair_images(*stems, delay_s=delay_s, where=where)
         else:
@@ -88,8 +88,8 @@ class TumRecording(FileRecording):
             )
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
-        said, camera_file = find_intrinsics(path, settings)
-        intrinsics = said.overridden_by(settings)
+        recorded, camera_file = find_intrinsics(path, settings)
+        intrinsics = recorded.overridden_by(settings)
         truth, up = path / "groundtruth.txt", _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, trajectory_warnings, error = read_given(
             lambda: (
@@ -103,7 +103,7 @@ class TumRecording(FileRecording):
             places=files,
             camera=intrinsics.camera(first_depth_size(files), path, named_like_intrinsics),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
-            color_registered=True if said.color_registered is None else said.color_registered,
+            color_registered=True if recorded.color_registered is None else recorded.color_registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=(tuple(depth_ns), () if why else tuple(color_ns)),
             given_trajectory=trajectory,
@@ -112,7 +112,7 @@ class TumRecording(FileRecording):
             warnings=(
                 *warnings,
                 *partners.warnings,
-                *said_warnings(path, said, settings),
+                *said_warnings(path, recorded, settings),
                 *trajectory_warnings,
                 *unused_masks(path, files),
             ),

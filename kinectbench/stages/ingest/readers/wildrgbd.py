@@ -33,7 +33,7 @@ NUMBER = re.compile(r"\d{1,9}")
 
 
 class WildRgbdRecording(FileRecording):
-    """One scene of WildRGB-D, with the masks of its object; a frame's number counts seconds."""
+    """One scene of WildRGB-D, with the masks of its object; frame numbers count as seconds."""
 
     format: ClassVar[str] = "wildrgbd"
     looks_for: ClassVar[str] = "a folder with depth/, metadata and cam_poses.txt or masks/ (rgb/)"
@@ -41,29 +41,29 @@ class WildRgbdRecording(FileRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has depth/, metadata, and the poses or the masks."""
-        told = (path / "cam_poses.txt").is_file() or (path / "masks").is_dir()
-        return told and (path / "metadata").is_file() and (path / "depth").is_dir()
+        has_object_files = (path / "cam_poses.txt").is_file() or (path / "masks").is_dir()
+        return has_object_files and (path / "metadata").is_file() and (path / "depth").is_dir()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the depth images by number, with colour and mask of the same number."""
-        found = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
-        if not found:
+        depth_files = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
+        if not depth_files:
             raise RecordingError(
                 f"{path / 'depth'}: holds no image 00000.png; copy the scene again", what="no-depth"
             )
         files = tuple(
             FrameFiles(
                 number * NS_PER_S,
-                found[number],
-                first_file(path / "rgb" / f"{found[number].stem}{end}" for end in (".png", ".jpg")),
-                first_file([path / "masks" / found[number].name]),
+                depth_files[number],
+                first_file(path / "rgb" / f"{depth_files[number].stem}{end}" for end in (".png", ".jpg")),
+                first_file([path / "masks" / depth_files[number].name]),
             )
-            for number in sorted(found)
+            for number in sorted(depth_files)
         )
         size_px = first_depth_size(files)
         intrinsics = read_matrix_json(path / "metadata", ("w", "h")).overridden_by(settings)
-        trajectory, warnings, error = read_given(lambda: _read_poses(path, sorted(found)))
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, sorted(depth_files)))
         return cls(
             path=path,
             places=files,
@@ -77,7 +77,7 @@ class WildRgbdRecording(FileRecording):
 
 
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of the frames that are there, camera to world."""
+    """The poses of available frames, camera to world."""
     file = path / "cam_poses.txt"
     if not file.is_file():
         return None, []

@@ -31,7 +31,7 @@ DIGITS = 16
 
 
 def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAnchor:
-    """The anchor of boxes in a floor frame: the middle one of the frames with poses, and its camera there."""
+    """The anchor of boxes in a floor frame: the middle frame with a pose, and its camera there."""
     frames = trajectory.good_frames
     frame = int(frames[len(frames) // 2])
     pose = _pose(floor.T_floor_world @ trajectory.T_world_camera[frame])
@@ -39,7 +39,7 @@ def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAn
 
 
 def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
-    """The box, its anchor under the number that the frame has now: numbers change when a recording is cut.
+    """The box with its anchor under the frame's present number: numbers change when a recording is cut.
 
     Raises:
         SegmentationError: no frame of the sequence has that depth.
@@ -51,7 +51,7 @@ def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
         if _depth_sha256(sequence, index) == depth_sha256:
             return replace(box, anchor=box.anchor._replace(frame=index))
     raise SegmentationError(
-        f"the box in benchmark.yaml is tied to a frame, then number {frame}, whose depth is not in the "
+        f"the box in benchmark.yaml is anchored to a frame, then number {frame}, whose depth is not in the "
         f"recording any more; {CHOOSE}",
         what="box-moved",
     )
@@ -64,7 +64,7 @@ def _depth_sha256(sequence: Sequence, frame: int) -> str:
 def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
     """Refuse a box that was chosen in another floor frame: with another trajectory, or on another plane.
 
-    A box without an anchor, written by hand, is accepted. A floor is never measured twice exactly alike: the
+    A box without an anchor, written by hand, is accepted. No two measurements of a floor are equal: the
     frame is the same if no corner moves by more than 6 cm, less in proportion to the `scale` of the scene.
 
     Raises:
@@ -76,14 +76,14 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     known = frame < len(trajectory.T_world_camera) and np.isfinite(trajectory.T_world_camera[frame]).all()
     if not known:
         raise SegmentationError(
-            f"the box in benchmark.yaml is tied to frame {frame}, which has no pose now; {CHOOSE}",
+            f"the box in benchmark.yaml is anchored to frame {frame}, which has no pose now; {CHOOSE}",
             what="box-moved",
         )
     T_floor_camera = floor.T_floor_world @ trajectory.T_world_camera[frame]
     T_then_camera = rigid(rotation_from_quaternion_xyzw(np.array(was[3:])), was[:3])
     T_now_then = T_floor_camera @ invert_rigid(T_then_camera)
-    there = transform_points(T_now_then, box.corners_floor())
-    moved_m = float(np.linalg.norm(there - box.corners_floor(), axis=1).max())
+    corners = transform_points(T_now_then, box.corners_floor())
+    moved_m = float(np.linalg.norm(corners - box.corners_floor(), axis=1).max())
     if moved_m <= SAME_M * scale:
         return
     x, y, z = transform_points(T_now_then, np.array(box.center_m))
@@ -91,7 +91,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     yaw_rad = atan2(np.sin(box.yaw_rad + turn_rad), np.cos(box.yaw_rad + turn_rad))
     same = OrientedBox((x, y, z), box.size_m, yaw_rad)
     now = BoxAnchor(frame, _pose(T_floor_camera), depth_sha256)
-    upright = np.linalg.norm(there - same.corners_floor(), axis=1).max() <= SAME_M * scale
+    upright = np.linalg.norm(corners - same.corners_floor(), axis=1).max() <= SAME_M * scale
     line = box_line(AnchoredBoxPart.of_anchored(same, now))
     place = f"for the same place now write `{line}`, or " if upright else ""
     raise SegmentationError(

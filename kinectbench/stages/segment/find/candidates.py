@@ -36,12 +36,12 @@ LARGE_M = 2.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A thing that stands on the floor, or a part of one that touches others.
+    """A thing on the floor, or a part of one that touches others.
 
     Attributes:
         box: upright box around it, floor frame.
         points_floor: (n, 3) its points of the fused surface, floor frame, metres.
-        automatic: it is what is chosen without a box.
+        automatic: it is the choice without a box.
         distance_m: from where the cameras look to its nearest point.
     """
 
@@ -66,7 +66,7 @@ class Candidates:
 def find_candidates(
     mesh: TriangleMesh, trajectory: Trajectory, settings: FloorCuts, hint: FloorHint = NOTHING_KNOWN
 ) -> Candidates:
-    """Find what stands on the floor of a fused scene: connected pieces, and their parts where there is a gap.
+    """Find objects on the floor of a fused scene: connected pieces, and their parts if separated by a gap.
 
     The surface is cut into pieces thrice, at gaps of 60 mm, 40 mm and 15 mm, or what the mesh resolves; less
     where cameras are nearer than 1 m. A piece that a finer cut leaves whole counts once.
@@ -97,7 +97,7 @@ def find_candidates(
 
 
 def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least_m: float) -> list[Candidate]:
-    """What is chosen without a box, or nothing where that fails."""
+    """The automatic choice without a box; nothing if it fails."""
     if not scene.floor.found:
         return []
     try:

@@ -1,4 +1,4 @@
-"""Warn where the chosen object may not be one thing that stands alone."""
+"""Warn if the chosen object may not be a single free-standing thing."""
 
 from dataclasses import dataclass, replace
 
@@ -17,9 +17,9 @@ PART_SHARE = 0.2
 FINE_CELL_M = 0.02
 MIN_PART_CELLS = 60
 BESIDE_M = 0.1
-# A box cuts its object if this share of the object's cells goes on right beyond it.
+# A box cuts its object if this share of the object's cells continues right beyond it.
 CUT_SHARE, CUT_CELLS = 0.02, 1.5
-# A board goes on beyond what it carries. So much of it is seen so far around (chosen by hand: a thing hides
+# A board continues beyond what it carries. So much of it is seen so far around (chosen by hand: a thing hides
 # some of it, and stands near its edge).
 BOARD_M, BOARD_SHARE = 0.06, 0.4
 
@@ -48,7 +48,7 @@ class Selection:
 
 
 def choice_warnings(selection: Selection) -> tuple[str, ...]:
-    """Why the choice may be wrong: one line for people each; none if nothing speaks against it.
+    """Reasons why the choice may be wrong, one line each.
 
     A person's box is only checked for several things in it, and for cutting what it holds.
     """
@@ -82,7 +82,7 @@ def choice_warnings(selection: Selection) -> tuple[str, ...]:
 
 
 def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """How many large parts, each standing on the floor, points (n, 3) fall into in cells of this edge."""
+    """The number of large parts on the floor into which points (n, 3) fall, in cells of this edge."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -92,7 +92,7 @@ def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """How many parts, however small, stand 0.1 m or more beside the largest one, seen from above."""
+    """The number of parts of any size 0.1 m or more beside the largest one, seen from above."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -109,7 +109,7 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 def cut_share(selection: Selection) -> float:
     """The share of the object's cells that has surface right beside it beyond the box.
 
-    A board that carries what is in the box is not cut by it.
+    A board below the box's content is not cut by it.
     """
     from scipy.spatial import cKDTree
 
@@ -163,7 +163,7 @@ def _distance_m(points: Float64, point: Float64) -> float:
 
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
-    """How many cells of 20 mm the points of each label occupy."""
+    """The number of 20 mm cells that each label's points occupy."""
     cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
     _, first = np.unique(cell_numbers(cells), return_index=True)
     return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))

@@ -1,4 +1,4 @@
-"""Scale lengths by the cameras' distance: cells, cuts and gaps shrink where a recording is made from near.
+"""Scale lengths by the cameras' distance: cells, cuts and gaps shrink in close recordings.
 
 The rules of this stage were chosen on furniture recorded from 1 m and more. A depth camera's pixels shrink
 with the distance and its noise with its square (Nguyen et al. 2012), and so do the things that people hold it
@@ -26,7 +26,7 @@ def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
 
 
 def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
-    """`distance_scale`, but no less than the surface resolves.
+    """`distance_scale`, but at least the surface's resolution.
 
     Its vertices, `spacing_m` apart, must touch in cells of `cell_m` after these shrink.
     """

@@ -81,7 +81,7 @@ class Floor:
         scale: `distance_scale`, by which the cuts of the settings are multiplied.
         choice: the planes among which it was chosen; none for a person's plane.
         given: whether it is a person's plane.
-        against: objections to a person's plane, or to cameras upside down, one line for people each.
+        against: objections to a person's plane, or to cameras upside down, one line each.
     """
 
     plane_world: Float64
@@ -97,12 +97,12 @@ class Floor:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against it, one line for people each."""
+        """Warnings about the floor, one line each."""
         return (*self.against, *self.choice.warnings())
 
     @contextmanager
     def explained_in_errors(self) -> Iterator[None]:
-        """Within the block, a `SegmentationError` also says what speaks against a person's plane."""
+        """Within the block, a `SegmentationError` also states objections to a person's plane."""
         try:
             yield
         except SegmentationError as error:
@@ -170,7 +170,7 @@ def find_floor(
 
 
 def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
-    """Find the floor by the planes, in a world in which the cameras are at least 1 m from the focus.
+    """Find the floor among planes, in a world scaled so that cameras are at least 1 m from the focus.
 
     There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
     lies on the floor must not pass for floor.
@@ -236,7 +236,7 @@ def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
 
 
 def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Surface from this height on may be the object's where it goes on above the floor cut, metres.
+    """The height from which surface can belong to the object if it continues above the floor cut, metres.
 
     It is `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most
     the floor cut; it is the floor cut where no floor was measured.
@@ -255,7 +255,7 @@ def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None)
 def against_plane(
     plane_world: Float64, surface: Surface, up_world: Float64 | None, scale: float
 ) -> tuple[str, ...]:
-    """Objections to a person's plane (4,), one line for people each; advice follows after a semicolon.
+    """Objections to a person's plane (4,), one line each; advice follows after a semicolon.
 
     Only a plane within 0.1 m of the one given, and off by more than noise, speaks against it: where a table
     and the floor are seen, a person says which is meant. The world is `scale` times as large as that of
@@ -277,7 +277,7 @@ def against_plane(
 
 
 def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
-    """A line for people if a person's plane (4,) is not level by gravity, where `up_world` (3,) is known."""
+    """A line if a person's plane (4,) is not level by gravity, if `up_world` (3,) is known."""
     if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
         return ()
     turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))
@@ -288,7 +288,7 @@ def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str
 
 
 def _beside(plane: Float64, surface: Surface) -> tuple[Float64, float, float] | None:
-    """The plane (4,) seen right beside another: how far above the other it lies, and how many degrees turned.
+    """A plane (4,) seen right beside another: its height above the other, and the angle in degrees.
 
     None if the surface near the focus shows no plane, or the other plane itself.
     """

@@ -117,7 +117,7 @@ class PlaneChoice:
 
     @property
     def likeliest(self) -> str:
-        """Where none was chosen: what speaks against the plane with most evidence; "" without one."""
+        """Objections to the plane with most evidence if none was chosen; "" without one."""
         best = max(self.candidates, key=lambda each: each.evidence, default=None)
         if best is None:
             return ""
@@ -133,7 +133,7 @@ class PlaneChoice:
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the plane that was chosen, one line for people each."""
+        """Objections to the chosen plane, one line each."""
         chosen = self.chosen
         if chosen is None:
             return ()
@@ -223,7 +223,7 @@ def _planes(surface: Surface, facing: Facing, seed: int) -> list[tuple[Float64, 
 
 
 def _times_noise(surface: Surface, T_world_camera: Float64) -> Float64:
-    """How many times noisier each point (n,) is than what the cameras look at, at least 1."""
+    """The noise of each point (n,) relative to what the cameras look at, at least 1."""
     from scipy.spatial import cKDTree
 
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
@@ -246,7 +246,7 @@ def _figures(
 
 
 def _refusal(candidate: PlaneCandidate, facing: Facing, surface: Surface) -> Reason:
-    """Why a plane is no floor, or the top of something on it; "" if nothing speaks against it."""
+    """Why a plane is no floor, or the top of something on it; "" without an objection."""
     if not facing(candidate.plane[None, :3])[0]:
         return "turned"
     if candidate.above_share < MIN_ABOVE_SHARE:
@@ -268,7 +268,7 @@ def _lowest(planes: list[PlaneCandidate], surface: Surface) -> PlaneCandidate:
 def _support(
     planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: Surface
 ) -> PlaneCandidate | None:
-    """The nearest plane above the floor that carries what is looked at; None: the floor does."""
+    """The nearest plane above the floor that carries the object; None if the floor does."""
     higher = [each for each in planes if floor is None or is_below(floor.plane, each.plane, surface)]
     for each in sorted(higher, key=lambda each: surface.focus_above_m(each.plane)):
         if is_flat(each.plane, surface) and carries_what_is_looked_at(each.plane, surface):

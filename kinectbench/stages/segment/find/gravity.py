@@ -1,4 +1,4 @@
-"""Find up: by gravity where a recording has it, else by how people hold cameras."""
+"""Find up: by gravity if recorded, else by how people hold cameras."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ Facing = Callable[[Float64], Bools]
 
 @dataclass(frozen=True)
 class FloorHint:
-    """What is known of a floor before it is looked for.
+    """Known facts about a floor before the search.
 
     Attributes:
         up_world: (3,) unit, up by gravity, or None.
@@ -54,7 +54,7 @@ NOTHING_KNOWN = FloorHint()
 
 
 class KnowsUp(Protocol):
-    """What a recording says of up, opened or as a sequence."""
+    """A recording or sequence with a known up direction."""
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
@@ -79,7 +79,7 @@ def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float
 def hint_of(
     known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
 ) -> FloorHint:
-    """What a recording and a person say of the floor, in the world of the poses.
+    """A recording's and a person's facts about the floor, in the world of the poses.
 
     Gravity is converted frame by frame, so that it holds where given poses were refined or ignored. Some
     drivers give an accelerometer the other sign: one that says that the cameras were upside down is ignored.
@@ -115,7 +115,7 @@ def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Tests of which normals may be a floor's: a floor by an earlier test is accepted before one by a later.
+    """Tests for floor normals, in order of priority.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -131,12 +131,12 @@ def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
 
 
 def _along(up: Float64, least: float, normals: Float64) -> Bools:
-    """Which normals are within some angle of a direction."""
+    """Normals within an angle of a direction."""
     return np.asarray(normals @ up > least)
 
 
 def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
-    """Which normals most of the cameras look against, and lean to an edge of the cameras."""
+    """Normals that most cameras face, tilted towards an edge of the image."""
     against = np.median(-normals @ axes.T, axis=1) > MIN_DOWN_COSINE
     held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE
     return against & held

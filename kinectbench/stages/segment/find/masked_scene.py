@@ -1,4 +1,4 @@
-"""Segment a scene whose frames are masked: all that was fused is the object, and there is no floor."""
+"""Segment a scene of masked frames: all fused surface is the object, and there is no floor."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def segment_masked_scene(
     given_box: OrientedBox | None = None,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Segmentation:
-    """Take all that was fused as the object, but for specks.
+    """Take all fused surface as the object, except specks.
 
     The floor frame is level by a person's plane, by gravity, or else as the cameras were held. A person's
     plane is z = 0; else z = 0 lies below the measured surface.

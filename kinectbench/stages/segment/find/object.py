@@ -95,7 +95,7 @@ def find_scene(
 
 
 def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
-    """Refuse an object that stands over 0.3 m beside where the cameras look, seen from above.
+    """Refuse an object more than 0.3 m beside the cameras' focus, seen from above.
 
     The box and the focus (3,) are in the floor frame, in metres over `scale`.
 
@@ -112,7 +112,7 @@ def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> N
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Which points above the floor cut (n, 3) are of pieces that hardly rise above it: (n,) bool."""
+    """Points above the floor cut (n, 3) that belong to pieces that hardly rise above it: (n,) bool."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)
@@ -122,7 +122,7 @@ def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
 
 
 def low_parts(low_floor: Float64, object_floor: Float64, box: OrientedBox, cell_m: float) -> Bools:
-    """Which of the low points are connected to the object: (n,) bool.
+    """Low points that are connected to the object: (n,) bool.
 
     Args:
         low_floor: (n, 3) points of the surface between the low cut and the floor cut, and of low pieces,
@@ -155,7 +155,7 @@ class ObjectOnFloor:
 
 
 def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell_m: float) -> ObjectOnFloor:
-    """Choose the piece the cameras look at, and what is connected to it near the floor.
+    """Choose the piece that the cameras look at, with parts near the floor that are connected to it.
 
     Args:
         scene: the fused surface in the floor frame.
@@ -189,7 +189,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Which part of the scene is the object.
+    """The part of the scene that is the object.
 
     Attributes:
         floor: the floor.
@@ -197,7 +197,7 @@ class Segmentation:
         object_cells: (n, 3) int64, cells of `cell_m` in the floor frame that hold its surface.
         other_cells: (m, 3) int64, the same for everything else: what stands on the floor; with masks, specks.
         how: "automatic", "box", or "masks": all that was fused is the object.
-        warnings: why the choice may be wrong, one line for people each.
+        warnings: why the choice may be wrong, one line each.
         cell_m: edge of the cells: 30 mm, less where cameras were near.
     """
 
@@ -211,7 +211,7 @@ class Segmentation:
 
     @property
     def hangs(self) -> bool:
-        """Whether nothing is known of what lies below the object."""
+        """Whether the space below the object is unknown."""
         return self.how == "masks" and not self.floor.found
 
     def excluded(self, grid: Grid) -> Bools:
@@ -248,14 +248,14 @@ def find_floor_and_object(
     settings: FloorCuts,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Segmentation:
-    """Find the floor, and on it the object: the piece the cameras look at, or what a given box holds.
+    """Find the floor, and the object on it: the piece that the cameras look at, or a given box's content.
 
     Args:
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
         given_box: floor frame, or None.
         settings: seed, floor cut and low cut.
-        hint: what is known of the floor.
+        hint: known facts about the floor.
 
     Raises:
         SegmentationError: no floor (without a box), no object where the cameras look, nothing in the box, or
@@ -273,7 +273,7 @@ def _find_on_floor(
     given_box: OrientedBox | None,
     settings: FloorCuts,
 ) -> Segmentation:
-    """`find_floor_and_object` where the floor is known."""
+    """`find_floor_and_object` with a known floor."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale

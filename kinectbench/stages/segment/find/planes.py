@@ -64,7 +64,7 @@ class Surface:
         return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], SPACING_QUANTILE))
 
     def focus_above_m(self, plane: Float64) -> float:
-        """How far the focus is above a plane (4,)."""
+        """The height of the focus above a plane (4,)."""
         return float(self.focus_world @ plane[:3] + plane[3])
 
 
@@ -104,9 +104,9 @@ def _noise_m(distance_m: Float64, inlier_m: float) -> float:
 
 
 def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
-    """Whether a thing stands on a plane (4,) where the cameras look, and the plane is larger than it.
+    """Whether a plane (4,) carries a thing at the focus and is larger than it.
 
-    The plane is twice as long as the thing; or it goes on all around the thing, and the cameras look at the
+    The plane is twice as long as the thing; or it continues all around the thing, and the cameras look at the
     thing. A thing that only reaches past a table, such as a lamp beside it, has its foot outside the plane.
     """
     height_m = surface.points_world @ plane[:3] + plane[3]
@@ -135,7 +135,7 @@ def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
 
 
 def _surrounds(patch: Float64, thing: Float64) -> bool:
-    """Whether points (k, 2) reach farther out than others (n, 2) on most sides of the others' middle."""
+    """Whether points (k, 2) extend farther out than others (n, 2) on most sides of the others' middle."""
     middle = (thing.min(axis=0) + thing.max(axis=0)) / 2
     reach_m = np.zeros((2, SIDES))
     for row, points in enumerate((patch - middle, thing - middle)):

@@ -57,7 +57,7 @@ def floor_of_frames(
         depths_m: (height, width) each, metres, 0 = none.
         camera: of the images.
         T_world_camera: (n, 4, 4) their poses.
-        hint: what is known of the floor.
+        hint: known facts about the floor.
 
     Returns:
         The floor, and the points (k, 3) of each frame, world frame.
@@ -82,7 +82,7 @@ def floor_of_frames(
 def other_floor(
     floor: Floor, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
 ) -> tuple[str, ...]:
-    """A line for people if the frames by themselves show another floor than the fused scene does.
+    """A line if single frames show another floor than the fused scene.
 
     Depth beyond `max_depth_m` is ignored. A person's plane was already judged by the scene (`find_floor`).
     """

@@ -48,7 +48,7 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
 
 
 def connected(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
-    """Label points (n, 3) as `label_pieces`, but leave pieces in the air apart: (n,) int32, from 1."""
+    """Label points (n, 3) as `label_pieces`, with floating pieces separate: (n,) int32, from 1."""
     from scipy import ndimage
 
     cells = np.floor(points_floor / cell_m).astype(np.int64)
@@ -60,7 +60,7 @@ def connected(points_floor: Float64, cell_m: float, through_faces: bool = False)
 
 
 def standing(label: Int32, points_floor: Float64) -> Bools:
-    """Which labels reach down to the floor: (largest label + 1,) bool."""
+    """Labels that reach down to the floor: (largest label + 1,) bool."""
     lowest_m = np.full(int(label.max()) + 1, np.inf)
     np.minimum.at(lowest_m, label, points_floor[:, 2])
     return np.asarray(lowest_m <= GROUNDED_M)
@@ -85,7 +85,7 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
 
 
 def nearest_within(tree: Any, points: Float64, most_m: float) -> tuple[float, int | None]:
-    """The least distance of points (n, k) to a `cKDTree` of others, and the index of the nearest of these.
+    """Distance of points (n, k) to the nearest of a `cKDTree`, and its index.
 
     They are inf and None where nothing is within `most_m`. A search without a bound visits most of the tree.
     """
@@ -134,7 +134,7 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
 
 
 def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Float64) -> int | None:
-    """The label of a small piece that is no speck, as `SMALL_CELLS` says; None if there is none.
+    """The label of a small piece larger than a speck, by `SMALL_CELLS`; None if there is none.
 
     `sizes` and `distance_m`, to where the cameras look, are of each label.
     """

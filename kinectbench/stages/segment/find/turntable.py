@@ -23,7 +23,7 @@ from kinectbench.stages.segment.find.select import connected
 NORMAL_REACH_PX = 2
 # What turns is larger than specks of fewer points in a cell of this edge (chosen by hand).
 CELL_M, MIN_POINTS = 0.02, 4
-# The cylinder is this much wider than what was seen to move, for surface that did not change meanwhile.
+# The cylinder is this much wider than the moving points, for surface that did not change meanwhile.
 WIDER, MARGIN_M = 1.05, 0.01
 # What turns begins so many standard deviations of the depth above its plane, or more (chosen by hand).
 CLEAR_SIGMAS, CLEAR_M = 3.0, 0.008
@@ -45,10 +45,10 @@ MOVES = (
 
 @dataclass(frozen=True)
 class Turntable:
-    """Where something turns, in the camera's axes.
+    """The axis of rotation and the plane of a turntable, in the camera's axes.
 
     Attributes:
-        floor: what it stands on, the floor or a plate's top; None where nothing is around it.
+        floor: its support, the floor or a plate's top; None without one.
         center: (3,) of what moves: in the frame of the floor, or else of the camera, metres.
         radius_m: about the vertical through it, or without a floor about the point.
     """
@@ -68,7 +68,7 @@ class Turntable:
         return np.asarray((depth_m > 0) & (beside_m < self.radius_m) & (local[..., 2] > clear_m))
 
     def lowest_m(self, depth_m: Float32, camera: Camera) -> float:
-        """The height above the floor at which what turns begins, metres; infinite where it is not seen."""
+        """The lowest visible height of the turning object above the floor, metres; infinite if not seen."""
         heights_m = self._local(camera.backproject(depth_m))[self.mask(depth_m, camera), 2]
         return float(np.quantile(heights_m, LOWEST_SHARE)) if len(heights_m) else np.inf
 
@@ -109,7 +109,7 @@ def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
 
 
 def find_turntable(sequence: Sequence) -> Turntable:
-    """Find what turns before a still camera, and what it stands on, in some of the frames.
+    """Find the object that turns before a still camera, and its support, in some of the frames.
 
     What moves passes before what stands still behind it. The floor is the plane of what stands still, as
     `find_floor` finds it for one camera, or a plate on it. What turns on a vertical axis fills an upright
@@ -161,7 +161,7 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
 def _plate_m(
     floor: Floor, watched: Watched, camera: Camera, moving_floor: Float64, center: Float64, radius_m: float
 ) -> float:
-    """How high above the plane of the floor the turning object stands, metres.
+    """Height of the turning object above the plane of the floor, metres.
 
     It stands on a round plate, which is level and looks still, and below whose top nothing moves; or on the
     floor, where a plane fitted to the floor and a low plate passes below it. `moving_floor` (n, 3) is what
@@ -190,7 +190,7 @@ def _moved_up(floor: Floor, by_m: float) -> Floor:
 
 
 def _before(depth_m: Float32, watched: Watched) -> Bools:
-    """Pixels of a frame in which something is clearly nearer than what is seen there at other times."""
+    """Pixels of a frame that are clearly nearer than at other times."""
     behind_m = watched.behind_m
     far_m = np.where(np.isfinite(behind_m), behind_m, 0)
     nearer = depth_m < behind_m - np.maximum(NEARER_SIGMAS * depth_sigma_m(far_m), NEARER_M)
@@ -198,7 +198,7 @@ def _before(depth_m: Float32, watched: Watched) -> Bools:
 
 
 def _largest(points: Float64) -> Float64:
-    """The largest connected part of points (n, 3): depth wanders along edges and shadows, too."""
+    """The largest connected part of points (n, 3), without depth that varies along edges and occlusions."""
     if not len(points):
         return points
     cells = np.floor(points / CELL_M).astype(np.int64)
@@ -211,7 +211,7 @@ def _largest(points: Float64) -> Float64:
 
 
 def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
-    """The plane that what moves (n, 3) stands on; None if there is none below it."""
+    """The plane below the moving points (n, 3); None if there is none."""
     surface = camera.backproject(watched.still_m)
     normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
     chosen = np.isfinite(normals).all(axis=-1)

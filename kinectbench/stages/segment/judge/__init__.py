@@ -1,1 +1,1 @@
-"""Judge the solid: its quality, its estimated IoU, and what no frame saw of it."""
+"""Judge the solid: its quality, its estimated IoU, and its unseen parts."""

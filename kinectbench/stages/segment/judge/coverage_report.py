@@ -1,4 +1,4 @@
-"""Report what the recording could see of the object: unseen sides, few frames, moving things."""
+"""Report the recording's view of the object: unseen sides, few frames, moving things."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ MAX_BEYOND_SHARE = 0.01
 def moving_frames(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
 ) -> MovingPart:
-    """Find frames in which something moved: at least 2 % of the pixels are nearer than the scene.
+    """Find frames with motion: at least 2 % of the pixels are nearer than the scene.
 
     A pixel counts if it is nearer by more than max(5 sigma, 0.1 m), lies more than 0.1 m above the floor
     (which is measured badly at a grazing angle), and is in a patch of at least three of the pixels looked at.
@@ -67,7 +67,7 @@ def moving_frames(
 
 
 def beyond_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
-    """The share of the depth in the object's grid that lies beyond `max_depth_m` and makes no surface.
+    """The share of depth in the object's grid beyond `max_depth_m`, which is not fused.
 
     At most 40 good frames are looked at, every fourth pixel or fewer.
     """
@@ -101,7 +101,7 @@ class UnseenSide:
 
 @dataclass(frozen=True)
 class CoverageReport:
-    """What quality.json says of the recording: a line for people for each thing that is wrong.
+    """quality.json's report on the recording: a line for each fault.
 
     Those about the floor and the choice of the object are also in `choice_warnings`; quality.json has these
     as `doubts`. `first_rad` is the direction of the first camera from the object, from above,
@@ -171,7 +171,7 @@ def coverage_report(
     max_depth_m: float,
     limits: SensorLimits = DEFAULT_LIMITS,
 ) -> CoverageReport:
-    """Report what is wrong with the recording: poses, an unseen side, few frames, movement, range, choice.
+    """Report faults of the recording: poses, an unseen side, few frames, movement, range, choice.
 
     `scene` is the fused surface, `grid` lies around the object, depth makes surface in it up to
     `max_depth_m`, and `limits` are the sensor's.

@@ -80,8 +80,8 @@ class _Volumes:
 
     Attributes:
         known: the known part of the solid.
-        inside: what is expected to be inside, of its unknown part.
-        outside: what is expected to be inside, of the unknown voxels beside it.
+        inside: expected inside volume of its unknown part.
+        outside: expected inside volume of the unknown voxels beside it.
     """
 
     known: float
@@ -90,7 +90,7 @@ class _Volumes:
 
     def iou(self, missing: float) -> float:
         """The IoU to the truth if the known part alone misses so much of an IoU of 1."""
-        # Half of what is wrong is missing, half too much: (1 - half) / (1 + half) is 1 - missing.
+        # Half of the error is missing, half is excess: (1 - half) / (1 + half) is 1 - missing.
         half = min(missing, 1.0) / (2 - min(missing, 1.0))
         inside = self.known * (1 - half) + self.inside
         return float(np.clip(inside / (1 + self.known * half + self.outside), 0, 1))
@@ -101,7 +101,7 @@ def estimate_iou(
 ) -> IouEstimate:
     """Estimate the IoU to the unknown truth, and an interval.
 
-    The known part misses what a surface error costs. That error is the sum of a constant, a term for thin
+    A surface error lowers the IoU of the known part. That error is the sum of a constant, a term for thin
     parts, the deviation between the halves of odd and even frames, and the poses' errors, which both halves
     share. In the unknown part, the probabilities give the expected volumes. The interval takes each unknown
     region as inside or outside as a whole.
@@ -170,7 +170,7 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
 def _reasons(
     frontiers: tuple[Frontier, ...], per_mm: float, shifted_share: float, checked: bool
 ) -> tuple[str, ...]:
-    """A line for each thing that widens the interval."""
+    """A line for each cause of a wider interval."""
     reasons = (
         (
             any(not each.underside for each in frontiers),

@@ -1,4 +1,4 @@
-"""Openings that no frame saw into: how large they are, where, and from where a camera would see into them."""
+"""Unobserved openings: size, place, and viewpoints that would see into them."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,22 +23,22 @@ Direction = Literal["up", "side", "down"]
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
 # The report asks about the underside if the answer decides this share of the solid (chosen by hand).
 LEAST_UNDERSIDE_SHARE = 0.05
-# Less probable voxels are almost certainly air, and say nothing of the object.
+# Less probable voxels are almost certainly air.
 LEAST_PROBABILITY = 0.025
 # Directions tried for how much of a region they show: 16 degrees apart (chosen by hand).
 VIEW_DIRECTIONS = 100
-# Directions that show this share of what the best one shows are as good. The one nearest to this elevation,
+# Directions that show this share of the best one's view are as good. The one nearest to this elevation,
 # at which a person holds a camera, is taken (chosen by hand).
 ENOUGH, CAMERA_ELEVATION_RAD = 0.8, np.radians(25.0)
 # Vertical parts of a unit vector: steep from the first on, level between the others (chosen by hand).
 STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
-# Directions are reported in these steps: nobody walks around a thing more exactly (chosen by hand).
+# Directions are reported in these steps: people place themselves no more exactly (chosen by hand).
 TURN_STEP_DEG, HALF_TURN_DEG = 10, 180
 
 
 @dataclass(frozen=True)
 class Frontier:
-    """The boundary between an unseen region and free space, where nothing was measured.
+    """The unmeasured boundary between an unseen region and free space.
 
     Attributes:
         direction: from the unseen region outward.
@@ -79,7 +79,7 @@ class Frontier:
         )
 
     def advice(self, first_rad: float) -> str:
-        """One line for the person who records: what no frame saw, and where to stand."""
+        """One line of advice: what no frame saw, and where to stand."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
@@ -91,7 +91,7 @@ class Frontier:
 
 
 def turned(towards_rad: float, first_rad: float) -> str:
-    """How far around the object a direction is from the first camera's, facing the object, in words.
+    """The turn from the first camera's direction, facing the object, in words.
 
     Both angles are seen from above, counterclockwise from x of the floor frame.
     """
@@ -106,7 +106,7 @@ def turned(towards_rad: float, first_rad: float) -> str:
 
 
 def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
-    """From where to look at a point `height_m` above the floor, in words.
+    """The viewpoint for a point `height_m` above the floor, in words.
 
     `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as in `turned`.
     """
@@ -126,7 +126,7 @@ def find_frontiers(
 
     A frontier is the part of a piece of unknown voxels (26 neighbours) that borders free space. It is looked
     into along the direction that shows most of the piece, or nearly so. Unknown layers thinner than a line of
-    sight have none, but for undersides. `T_floor_grid` (4, 4) is of the solid's grid.
+    sight have none, except for undersides. `T_floor_grid` (4, 4) is of the solid's grid.
     """
     from scipy import ndimage
 
@@ -168,7 +168,7 @@ def find_frontiers(
 def _large_pieces(
     shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
 ) -> tuple[NDArray[np.int32], int]:
-    """The number of each voxel's piece, from 1 on, or 0 where it is small; and how many pieces there are."""
+    """The number of each voxel's piece, from 1 on, 0 for small pieces; and the number of pieces."""
     from scipy import ndimage
 
     cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
@@ -182,7 +182,7 @@ def _large_pieces(
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
-    """Of the directions (n, 3) that show much of a piece, the nearest to where a person holds a camera."""
+    """Of the directions (n, 3) that show much of a piece, the one nearest to hand-held cameras."""
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
     return np.asarray(ways[enough[np.argmin(off_rad)]])
@@ -215,7 +215,7 @@ def _frontier(
     behind: tuple[float, float, float, float],
     underside: bool,
 ) -> Frontier | None:
-    """The frontier of a piece seen along a direction; None where no face of it shows there.
+    """The frontier of a piece along a direction; None if no face is visible.
 
     Its direction is that of the faces that show most.
     """
@@ -254,7 +254,7 @@ def _frontier(
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
-    """The extents of a frontier's faces: width and height at the side, else the sides of the smallest box."""
+    """The extents of a frontier's faces: width and height at a side, else those of the smallest box."""
     if side:
         across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
         return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)
@@ -269,6 +269,6 @@ def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float)
 
 
 def _extent_m(values: Float64, voxel_m: float) -> float:
-    """The extent without the outermost hundredth at either end: streaks of single voxels reach far."""
+    """The extent without the outermost hundredth at either end, as streaks of single voxels extend far."""
     low, high = np.quantile(values, [0.01, 0.99])
     return float(high - low) + voxel_m

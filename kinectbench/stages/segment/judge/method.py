@@ -1,4 +1,4 @@
-"""The constants by which a solid is made, as quality.json records them."""
+"""The constants of a solid, as quality.json records them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ def _air(rules: Rules) -> AirMethod:
 
 
 def method(rules: Rules) -> SolidMethod:
-    """The constants by which a solid is made.
+    """The constants of a solid.
 
     Args:
         rules: those of the object, not enlarged.

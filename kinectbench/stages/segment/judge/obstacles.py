@@ -1,4 +1,4 @@
-"""What stands where a camera would have to be: a wall or a neighbour, which is not the object."""
+"""Obstacles to a camera, such as a wall or a neighbour, that are not the object."""
 
 import numpy as np
 
@@ -21,14 +21,14 @@ STEEP = 0.95
 
 
 def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, limits: SensorLimits) -> bool:
-    """Whether something that is not the object stands where a camera would look at a point from.
+    """Whether an obstacle, not the object, blocks the camera's place for a point.
 
     A camera measures the object from `near_m` on: what stands nearer than such a camera to the object's box
     is in its way. It was measured on the line, or it is a wall that shows on both sides of the line.
 
     Args:
         chosen: the object, and what else stands on the floor.
-        point_floor: (3,) what the camera looks at, floor frame, metres.
+        point_floor: (3,) the camera's target, floor frame, metres.
         look: (3,) unit vector, floor frame, from the point to the camera.
         limits: of the sensor.
     """
@@ -54,7 +54,7 @@ def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, lim
 
 
 def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
-    """How far a point (3,) is from the outside of an upright box along a unit vector; 0 if it is outside."""
+    """Distance of a point (3,) to the outside of an upright box along a unit vector; 0 if outside."""
     T_box_floor = invert_rigid(box.T_floor_box)
     point, along = transform_points(T_box_floor, point_floor), T_box_floor[:3, :3] @ look
     half = np.array(box.size_m) / 2
@@ -63,7 +63,7 @@ def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
 
 
 def _wall_crossings(columns: Int64) -> Float64:
-    """Where upright walls cross a line, in cells along it, from 0 on.
+    """Crossings of a line with upright walls, in cells along it, from 0 on.
 
     `columns` (n, 2) are what was measured, in cells along the line and to its left, seen from above. A wall
     is straight, and has columns on both sides.

@@ -66,7 +66,7 @@ def measure_quality(
         chosen: floor and object.
         box: `solid_box` of the solid from all frames.
         solids: from all, from the odd and from the even frames.
-        report: what the recording could see of it; its warnings come first.
+        report: the recording's coverage; its warnings come first.
         pose_error: the median error of the poses.
         frontiers: openings that no frame saw into.
         rules: by which the solids were made.
@@ -113,7 +113,7 @@ def measure_quality(
 
 
 def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
-    """Unknown volumes taken for inside and for air, as shares of the solid's."""
+    """Unknown volumes assumed inside and assumed air, as shares of the solid's."""
     unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
     return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
@@ -145,7 +145,7 @@ def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> 
 
 
 def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
-    """A line that asks about the underside where nobody said it and the answer decides much."""
+    """A line that asks about the underside if it is not stated and matters much."""
     share = shape.underside_share
     if underside != "unseen" or share <= LEAST_UNDERSIDE_SHARE:
         return ()
@@ -164,7 +164,7 @@ def _warnings(
     advice: tuple[str, ...],
     unknown: float,
 ) -> list[str]:
-    """A line for people for each thing that is wrong with a solid.
+    """A line for each fault of a solid.
 
     `advice` already says what to record again; no line here contradicts it.
     """

@@ -37,8 +37,8 @@ class FloorLayers:
 
     Attributes:
         below: layers below the floor.
-        contact: layers above it in which the floor and the object look alike.
-        low: layers above those. A surface there belongs to the object only if it goes on above them.
+        contact: layers above it in which the floor and the object look the same.
+        low: layers above those. A surface there belongs to the object only if it continues above them.
     """
 
     below: int
@@ -47,28 +47,28 @@ class FloorLayers:
 
     @property
     def first(self) -> int:
-        """The first layer in which surface may be the object's."""
+        """The first layer with surface that may be the object's."""
         return self.below + self.contact
 
     @property
     def cut(self) -> int:
-        """The first layer in which any surface is not the floor."""
+        """The first layer with no surface of the floor."""
         return self.first + self.low
 
 
-# Where the object is on no known plane, nothing is known of what lies below it.
+# Without a known plane, the space below the object is unknown.
 NO_LAYERS = FloorLayers(below=0, contact=0)
 
 
 @dataclass(frozen=True)
 class Rules:
-    """The parameters by which a solid is made from what the frames saw; lengths in metres.
+    """The parameters of a solid; lengths in metres.
 
     Attributes:
         layers: of the grid about the floor.
         ray_width_m: width of the frames' rays at the object; 0 = narrow.
         limits: of the sensor; they define air.
-        underside: what a person says of it.
+        underside: a person's statement on it.
         stands: False: the object stands on no plane, and cameras may be anywhere.
     """
 
@@ -143,7 +143,7 @@ def classify_voxels(
     sheet_m = np.float32(SHEET_VOXELS * voxel_m)
     surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
     surface &= ~excluded
-    # Next to the floor nothing can be measured: what stands above goes on down to it.
+    # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
     above = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * voxel_m
     heights_m = above.astype(np.float32) if rules.stands else None
@@ -189,7 +189,7 @@ def _observed(observation: Observation) -> Bools:
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
-    """Whether a voxel lies farther behind a surface than the surface accounts for.
+    """Whether a voxel lies farther behind a surface than the band that the surface explains.
 
     That is `SHELL_M`, or one and a half voxels if that is more, by the fused distance and by the distance to
     the nearest voxel in front of a surface: far behind a surface, the fused distance is too short.
@@ -202,11 +202,11 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
 
 
 def _detached(behind: Bools, layers: FloorLayers) -> Bools:
-    """Which voxels of the low layers are connected (26 neighbours) to nothing above: not the object's."""
+    """Voxels of the low layers that are not connected (26 neighbours) to higher ones: not the object's."""
     from scipy import ndimage
 
     detached = np.zeros_like(behind)
-    # One layer above them is enough to see what goes on there.
+    # One layer above them is enough to test continuity.
     low = behind[:, :, layers.first : layers.cut + 1]
     pieces, count = ndimage.label(low, np.ones((3, 3, 3)))
     held = np.zeros(count + 1, dtype=bool)
@@ -217,7 +217,7 @@ def _detached(behind: Bools, layers: FloorLayers) -> Bools:
 
 
 def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
-    """Signed distance of the surface where a voxel was observed, corrected by the votes."""
+    """Signed distance to the surface in observed voxels, corrected by the votes."""
     voxel_m = observation.grid.voxel_size_m
     trust = trust_in_votes(ray_width_m, voxel_m)
     return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
@@ -232,7 +232,7 @@ def _least_free_votes(observation: Observation) -> int:
 def look(
     surface: Bools, heights_m: Float32 | None, voxel_m: float, limits: SensorLimits, count: int
 ) -> NDArray[np.uint8]:
-    """How a camera could see each voxel: uint8 of `core.voxels.lines_of_sight`, 0 where it could not.
+    """Directions from which a camera could see each voxel: uint8 of `core.voxels.lines_of_sight`, 0 if none.
 
     Args:
         surface: bool (nx, ny, nz), upright: measured surface, which ends a line.
@@ -262,7 +262,7 @@ def seen_from(
     pieces: NDArray[np.int32],
     to_camera: Float64,
 ) -> Int64:
-    """How many voxels of each of k pieces could be seen along each direction: (n, k + 1).
+    """The number of visible voxels of each of k pieces along each direction: (n, k + 1).
 
     `pieces` has the number of each voxel's piece, from 1 on, or 0; `to_camera` (n, 3) are unit vectors of the
     upright frame; `surface` and `heights_m` are as for `look`.

@@ -103,7 +103,7 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
 
 
 def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint8]:
-    """FREE where frames saw through, OTHER at measured surfaces and below the floor, if any, else UNKNOWN."""
+    """FREE where frames saw through, OTHER at measured surfaces and below a floor, else UNKNOWN."""
     labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
     labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
     labels[((around.weight > 0) & (around.tsdf > 0)) | (around.free >= 2)] = Label.FREE
@@ -118,7 +118,7 @@ def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely an object is made.
+    """The resolution of an object.
 
     Attributes:
         voxel_size_m: edge of its voxels, metres.
@@ -133,7 +133,7 @@ class Resolution:
 def choose_resolution(
     box: OrientedBox, floor: Floor, camera: Camera, trajectory: Trajectory, fusion: FusionSettings
 ) -> Resolution:
-    """Choose the voxels by the size of the box and by what the frames resolve, unless the settings say them.
+    """Choose the voxel size by the box and the frames' resolution, unless the settings state it.
 
     Voxels that are narrower than the frames' rays would seem to be seen through.
     """

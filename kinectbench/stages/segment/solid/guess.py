@@ -35,7 +35,7 @@ SIGNED_INSIDE_SHARE = np.array(
 
 
 def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) -> Float32:
-    """The probability that each unseen voxel is inside; 0 where `unseen` is not set.
+    """The probability that each unseen voxel is inside; 0 outside `unseen`.
 
     Args:
         evidence: the class of each voxel.

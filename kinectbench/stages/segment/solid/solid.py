@@ -46,7 +46,7 @@ class SolidShape:
 
     @property
     def underside_share(self) -> float:
-        """The share of the solid that a person's word about its underside decides."""
+        """The share of the solid that depends on a person's statement on its underside."""
         return int((self.underside & self.solid).sum()) / max(1, int(self.solid.sum()))
 
     def restored(self, grid: Grid, scale: float) -> "SolidShape":
@@ -123,7 +123,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
 
 
 def _label(observation: Observation, evidence: VoxelEvidence, solid: Bools, below: int) -> NDArray[np.uint8]:
-    """One label per voxel, by what its state rests on."""
+    """One label per voxel, by its evidence."""
     near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
     measured = evidence.observed & near & ~evidence.free
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
@@ -147,7 +147,7 @@ def _without_specks(solid: Bools) -> Bools:
 
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
-    """The occupancy probability: the guess where nothing was measured, else by the signed distance."""
+    """The occupancy probability: by the signed distance, or the guess if nothing was measured."""
     probability = np.where(evidence.unseen, guess, measured_probability(evidence.signed_m, voxel_m))
     # Decisions of the rules above (floor contact, specks, neighbours) stay.
     decided = np.where(solid, probability <= 0.5, probability >= 0.5)

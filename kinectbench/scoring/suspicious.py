@@ -1,4 +1,4 @@
-"""Predictions that can be counted, but are probably not what was meant."""
+"""Countable but probably wrong predictions."""
 
 from collections.abc import Iterator, Mapping
 
@@ -14,10 +14,10 @@ MOST_OUTSIDE = 0.05
 LEAST_OUTSIDE = 0.001
 
 
-def doubtful_lines(
+def suspicious_lines(
     method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
 ) -> Iterator[str]:
-    """A line for each kind of prediction that is probably not what was meant, with how many there are.
+    """A line for each kind of probably wrong prediction, with their number.
 
     Args:
         method: a baseline may predict nothing, or the same everywhere.
