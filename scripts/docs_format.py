@@ -16,6 +16,7 @@ from kinectbench.core.artefacts.method import MethodFile, TrainingFile
 from kinectbench.core.artefacts.object import CandidatesFile, FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
+from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
@@ -46,6 +47,7 @@ MODELS: tuple[type[Stored], ...] = (
     CandidatesFile,
     Failed,
     TriageFile,
+    ReferenceFile,
     PublishStamp,
     ReleaseInfo,
     Splits,

@@ -14,9 +14,9 @@ from figures import Figure, arguments, at_least, at_most, run, told
 
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Float64
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
-from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.release.triage.same_object import LEAST_AGREEMENT, SIZES_APART, Shape, agreement
 
 SAMPLES = 12_000

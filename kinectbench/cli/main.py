@@ -17,6 +17,7 @@ from kinectbench._version import __version__
 from kinectbench.cli.baseline import baseline, check
 from kinectbench.cli.build import STAGE_COMMANDS, build
 from kinectbench.cli.common import Command
+from kinectbench.cli.compare_truth import compare_truth
 from kinectbench.cli.evaluate import evaluate
 from kinectbench.cli.exchange import adapt, export, import_
 from kinectbench.cli.fetch import fetch, gc
@@ -83,7 +84,12 @@ PANELS: Mapping[str, Mapping[str, Command]] = {
         "compare": compare,
     },
     "Train and run networks": {"train": train, "predict": predict, "convert": convert},
-    "Work with known truth": {"simulate": simulate, "synthesize": synthesize, "evaluate": evaluate},
+    "Work with known truth": {
+        "simulate": simulate,
+        "synthesize": synthesize,
+        "evaluate": evaluate,
+        "compare-truth": compare_truth,
+    },
 }
 
 
@@ -103,7 +109,10 @@ def _options(
 
 
 # What works on recordings needs an extra; the others say so where they need it.
-ON_RECORDINGS = ("record", "build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish")
+ON_RECORDINGS = (
+    *("record", "build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish"),
+    "compare-truth",
+)
 
 
 def _with_build(command: Command) -> Command:

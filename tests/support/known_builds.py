@@ -31,10 +31,10 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.lab.evaluate.build import Build
-from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, mesh_occupancy
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair

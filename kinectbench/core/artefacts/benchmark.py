@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.reference import ReferenceInfo
 from kinectbench.core.artefacts.stored import Part, Stored
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.types import Framing, PartialRule, Split
@@ -79,6 +80,10 @@ class RecordingInfo(Part):
     accepted: str | None = Field(None, description="why it is published all the same")
     look: tuple[str, ...] = Field(
         (), description="what a person should look at, and nobody has; no figures where they are held back"
+    )
+    reference: ReferenceInfo | None = Field(
+        None,
+        description="its truth beside a mesh of `compare-truth`; null or missing: not compared, or held back",
     )
     rebuilt_iou: float | None = Field(
         None,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Float64, Int64
@@ -68,3 +69,28 @@ def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> Sur
         mean_normals[:, axis] = np.bincount(owner, weights=normals_world[:, axis], minlength=len(cells))
     mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
     return SurfacePoints(points, mean_normals, cells, owner)
+
+
+def sample_surface(
+    vertices: Float64, faces: NDArray[np.int32], count: int, rng: np.random.Generator
+) -> tuple[Float64, Float64]:
+    """Points spread evenly by area over a mesh, one in each of `count` equal shares of it (stratified).
+
+    Args:
+        vertices: (v, 3), metres.
+        faces: (f, 3).
+        count: number of points.
+        rng: draws them.
+
+    Returns:
+        Points (count, 3) and their faces' unit normals (count, 3), in the mesh's frame.
+    """
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    crossed = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(crossed, axis=1)
+    reached = np.cumsum(double_area)
+    wanted = (np.arange(count) + rng.random(count)) / count * reached[-1]
+    chosen = np.minimum(np.searchsorted(reached, wanted, side="right"), len(faces) - 1)
+    root, share = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    points = (1 - root) * a[chosen] + root * (1 - share) * b[chosen] + root * share * c[chosen]
+    return points, crossed[chosen] / np.maximum(double_area[chosen, None], 1e-30)

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.evaluate.build import Build, Registration
 from kinectbench.lab.evaluate.surface import Surface
-from kinectbench.lab.simulate.render import LIFT_M, sample_surface
+from kinectbench.lab.simulate.render import LIFT_M
 from kinectbench.lab.simulate.truth import Truth
 
 # One sample on each 4 mm x 4 mm, less than a voxel; on a large couch one on 5 mm x 5 mm.

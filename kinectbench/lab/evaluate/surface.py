@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.types import Bools, Float64
-from kinectbench.lab.simulate.render import sample_surface
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.simulate.truth import Truth
 
 THRESHOLDS_M = (0.005, 0.010)

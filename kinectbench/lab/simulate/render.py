@@ -258,28 +258,3 @@ class Renderer:
         hidden = self._caster.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0, nthreads=1).numpy()
         seen[some[hidden]] = False
         return seen
-
-
-def sample_surface(
-    vertices: Float64, faces: NDArray[np.int32], count: int, rng: np.random.Generator
-) -> tuple[Float64, Float64]:
-    """Points spread evenly by area over a mesh, one in each of `count` equal shares of it (stratified).
-
-    Args:
-        vertices: (v, 3), metres.
-        faces: (f, 3).
-        count: number of points.
-        rng: draws them.
-
-    Returns:
-        Points (count, 3) and their faces' unit normals (count, 3), in the mesh's frame.
-    """
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    crossed = np.cross(b - a, c - a)
-    double_area = np.linalg.norm(crossed, axis=1)
-    reached = np.cumsum(double_area)
-    wanted = (np.arange(count) + rng.random(count)) / count * reached[-1]
-    chosen = np.minimum(np.searchsorted(reached, wanted, side="right"), len(faces) - 1)
-    root, share = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-    points = (1 - root) * a[chosen] + root * (1 - share) * b[chosen] + root * share * c[chosen]
-    return points, crossed[chosen] / np.maximum(double_area[chosen, None], 1e-30)

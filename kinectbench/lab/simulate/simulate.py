@@ -11,6 +11,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.storage import replaced_file, replaced_folder, sha256_file
 from kinectbench.core.types import Float32, Float64, Progress
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import Device, draw_device, measure
@@ -18,7 +19,7 @@ from kinectbench.lab.simulate.objects import make_object, parse_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
-from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture, sample_surface
+from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
 from kinectbench.lab.simulate.still_camera import StillRenderer, still_renderer, turning_only

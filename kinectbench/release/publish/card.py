@@ -32,6 +32,12 @@ QUALITY = {
     "volume_m3": ("volume", "{:.1f} l", 1000.0),
     "good_frames": ("frames fused", "{:.0f}", 1.0),
 }
+# Key of a recording's reference -> what it is called.
+REFERENCE = {
+    "f_score_5mm": "F at 5 mm to its reference",
+    "f_score_10mm": "F at 10 mm to its reference",
+    "iou": "IoU with its reference",
+}
 PASSED_OVER = (
     "Passed over: frames that did not do as a view, for which others were tried, and views without a pair."
 )
@@ -64,6 +70,14 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     # With its interval, in the same place.
     words |= {QUALITY["estimated_iou"][0]: estimate} if estimate else {}
     return words | ({UNDERSIDE: quality.underside} if quality.underside else {})
+
+
+def reference_words(info: RecordingInfo) -> dict[str, str]:
+    """The figures of a reference that fits: what each is called -> its value, in a fixed order."""
+    if info.reference is None or info.reference.refused is not None:
+        return {}
+    figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
+    return {label: f"{value:.3f}" for label, value in figures.items() if value is not None}
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
@@ -241,8 +255,11 @@ def _median(values: Sequence[float | None]) -> float | None:
 
 def figures(info: ReleaseInfo) -> str:
     """Pairs, refused views and figures of each recording's quality.json, and the source of undersides."""
-    words = {name: quality_words(recording.quality) for name, recording in info.recordings.items()}
-    every = [*(label for label, _, _ in QUALITY.values()), UNDERSIDE]
+    words = {
+        name: quality_words(recording.quality) | reference_words(recording)
+        for name, recording in info.recordings.items()
+    }
+    every = [*(label for label, _, _ in QUALITY.values()), *REFERENCE.values(), UNDERSIDE]
     labels = [label for label in every if any(label in row for row in words.values())]
     rows = [
         [name, recording.object, str(recording.pairs), str(recording.refused)]

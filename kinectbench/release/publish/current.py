@@ -12,7 +12,7 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish
 from kinectbench.release.published import release_text
-from kinectbench.release.triage.rules import failure
+from kinectbench.release.triage.rules import current_reference, failure
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -93,12 +93,16 @@ def _fingerprint(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str], options: PublishOptions
 ) -> str:
     manifests = [release_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
+    references = [
+        None if (found := current_reference(build / name)) is None else found.sha256 for name in recordings
+    ]
     failures = [failure(build / each.id) for each in settings.recordings if each.id not in recordings]
     content = [
         VERSIONS["publish"],
         settings.model_dump(mode="json"),
         manifests,
         failures,
+        references,
         options.json_value(),
     ]
     return sha256_text(canonical_json(content))

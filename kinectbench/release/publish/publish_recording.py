@@ -44,6 +44,7 @@ from kinectbench.release.publish.isolate import (
 )
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
 from kinectbench.release.publish.rebuilt import PosedView, read_posed_view, rebuilt
+from kinectbench.release.triage.rules import current_reference
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 
@@ -275,7 +276,8 @@ def _info(built: Built, pairs: int, removals: list[Removed]) -> RecordingInfo:
         source=built.settings.source_of(recording),
     )
     if not built.hidden:
-        return info
+        reference = current_reference(built.folder)
+        return info if reference is None else info.model_copy(update={"reference": reference.info})
     bound = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
     return info.model_copy(update={"rebuilt_iou": bound.iou, "rebuilt_single_iou": bound.single_iou})
 

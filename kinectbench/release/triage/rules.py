@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
 
-from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
 from kinectbench.core.artefacts.triage import Decision
@@ -29,6 +30,9 @@ MOST_LOST, MOST_MOVING, MOST_BEYOND, MOST_BEHIND = 0.1, 0.1, 0.02, 0.2
 # Of all directions around the object, that no camera looked from: beyond a third of the way a whole side of
 # a box is seen from nowhere.
 MOST_UNSEEN_RAD = 2.1
+# F at 10 mm of a reference that fits: below it a person should look. Simulated objects and their own meshes
+# have 0.97 or more (docs/second-truth.md).
+LEAST_REFERENCE_F = 0.9
 # Words of the warnings of ingest that say that frames are missing.
 DAMAGED = ("is cut off", "is damaged", "frame left out", "depth images are empty")
 NOT_BUILT = "not built, or not asked for"
@@ -82,7 +86,8 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         head = CameraFile.read_if_there(folder / "sequence")
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
         of_object = (*_of_object(quality), *_of_block(folder / "object"))
-        look = (*_of_poses(health), *of_object, *_of_frames(head))
+        of_reference = _of_reference(current_reference(folder))
+        look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
         # A warning is not repeated.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look)
@@ -164,6 +169,31 @@ def _of_block(folder: Path) -> Iterator[str]:
         yield (
             f"{block[0]:.0%} of the solid is one block that fills {block[1]:.0%} of its box: does another "
             "thing stand against the object?"
+        )
+
+
+def current_reference(folder: Path) -> ReferenceFile | None:
+    """What `compare-truth` wrote of `build/<recording>/`; None if nothing, or of an object built before.
+
+    Raises:
+        StorageError: it is damaged.
+    """
+    found = ReferenceFile.read_if_there(folder)
+    if found is None or found.object_fingerprint != Manifest.read(folder / "object").fingerprint:
+        return None
+    return found
+
+
+def _of_reference(found: ReferenceFile | None) -> Iterator[str]:
+    """What is to be looked at of a mesh that somebody else measured or drew."""
+    if found is None:
+        return
+    if found.refused is not None:
+        yield f"its reference {found.reference} does not fit: {found.refused}"
+    elif found.f_score_10mm is not None and found.f_score_10mm < LEAST_REFERENCE_F:
+        yield (
+            f"its reference {found.reference} disagrees: F at 10 mm is {found.f_score_10mm:.2f}, below "
+            f"{LEAST_REFERENCE_F:g}"
         )
 
 

@@ -21,6 +21,7 @@ from kinectbench.core.geometry import (
 from kinectbench.core.geometry.mesh import box_mesh, join
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.evaluate.build import Registration, register
 from kinectbench.lab.evaluate.known import (
     Voxels,
@@ -44,7 +45,6 @@ from kinectbench.lab.evaluate.measured import (
 )
 from kinectbench.lab.evaluate.solid import solid_figures
 from kinectbench.lab.evaluate.surface import scene_errors, surface_figures
-from kinectbench.lab.simulate.render import sample_surface
 from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.solid.solid import SolidShape
 

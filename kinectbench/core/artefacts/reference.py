@@ -1,0 +1,88 @@
+"""reference.json beside an object: how it compares with a mesh that somebody else measured or drew."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from kinectbench.core.artefacts.object import Triple
+from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored
+
+MESH = "the mesh's file"
+REFUSED = "why the mesh is taken for that of another object; null: it fits"
+F_5MM = "F-score at 5 mm of the surface that both saw"
+F_10MM = "F-score at 10 mm of the surface that both saw"
+IOU = "IoU of the solids, where the truth is known; null: the mesh is open"
+
+
+class RunnerUpPart(ScaledPart):
+    """The best pose of the reference beside the one that was chosen."""
+
+    residual_m: float = Field(alias="residual_m", description="of it, metres")
+    turn_rad: DegreesInFile = Field(description="from the chosen pose to it, degrees")
+    axis_floor: Triple = Field(description="of that turn, unit vector, floor frame")
+    fits_as_well: bool = Field(description="nothing that was measured tells the two apart")
+
+
+class DirectionPart(Part):
+    """Distances of the measured surface from the reference, of faces that look one way."""
+
+    share: float = Field(description="of the measured surface, that looks so")
+    mean_m: float | None = Field(description="mean signed distance, > 0: the truth is too far out; metres")
+    absolute_m: float | None = Field(description="mean absolute distance, metres")
+
+
+class DirectionsPart(Part):
+    """Distances by direction: up and down are within 45 degrees of the vertical."""
+
+    up: DirectionPart = Field(description="of faces that look up")
+    down: DirectionPart = Field(description="of faces that look down")
+    side: DirectionPart = Field(description="of the others")
+
+
+class ReferenceInfo(Part):
+    """What a release says of a recording's reference."""
+
+    reference: str = Field(description=MESH)
+    sha256: str = Field(description="of its bytes")
+    refused: str | None = Field(description=REFUSED)
+    f_score_5mm: float | None = Field(None, description=F_5MM)
+    f_score_10mm: float | None = Field(None, description=F_10MM)
+    iou: float | None = Field(None, description=IOU)
+
+
+class ReferenceFile(Stored):
+    """build/<recording>/reference.json."""
+
+    FILE: ClassVar[str] = "reference.json"
+    ADVICE: ClassVar[str] = "`kinectbench compare-truth` makes it again"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    reference: str = Field(description=MESH)
+    sha256: str = Field(description="of its bytes")
+    object_fingerprint: str = Field(description="of the object that it was compared with")
+    refused: str | None = Field(description=REFUSED)
+    closed: bool = Field(description="whether every edge of the mesh has two faces")
+    T_world_reference: Matrix4 | None = Field(
+        None, description="(4, 4), metres: from the reference to the trajectory's world; null: not searched"
+    )
+    residual_m: float | None = Field(
+        None, description="mean distance both ways of what both saw, each 5 % of the diagonal at most; metres"
+    )
+    scale: float | None = Field(None, description="by what the mesh would be multiplied to fit best")
+    mirrored_m: float | None = Field(None, description="`residual_m` of its mirror image")
+    runner_up: RunnerUpPart | None = Field(
+        None, description="the next best pose; null: none has less than three times the residual"
+    )
+    symmetric_axis_floor: Triple | None = Field(
+        None, description="of its rotational symmetry, unit vector, floor frame; null: it has none"
+    )
+    f_score_5mm: float | None = Field(None, description=F_5MM)
+    f_score_10mm: float | None = Field(None, description=F_10MM)
+    iou: float | None = Field(None, description=IOU)
+    whole_iou: float | None = Field(None, description="IoU of the solids, what is not known included")
+    directions: DirectionsPart | None = Field(None, description="distances of the measured surface")
+
+    @property
+    def info(self) -> ReferenceInfo:
+        """What a release says of it."""
+        return ReferenceInfo(**{key: getattr(self, key) for key in ReferenceInfo.model_fields})

@@ -1,0 +1,217 @@
+"""A built truth beside a reference mesh: the figures of reference.json, and the meshes' files."""
+
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.artefacts.reference import (
+    DirectionPart,
+    DirectionsPart,
+    ReferenceFile,
+    RunnerUpPart,
+)
+from kinectbench.core.errors import PredictionError, RecordingError
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.storage import replaced_file
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.untrusted import read_plain
+from kinectbench.core.voxels.known_cells import known_in
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube
+from kinectbench.lab.evaluate.solid import iou, known_iou
+from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, read_shape
+from kinectbench.scoring.mesh_prediction import is_closed, joined
+from kinectbench.stages.pairs import full_shape
+from kinectbench.stages.segment.object_model import ObjectModel, read_object
+from kinectbench.stages.segment.reference.judge import Laid, lay
+
+SUFFIXES = (".ply", ".obj", ".glb")
+# Of the reference, what lies so near to a measured sample was seen; what lies in free space was, too.
+NEAR_M = 0.02
+# Faces within 45 degrees of the vertical look up or down.
+STEEP = np.sqrt(0.5)
+DECIMALS = 6
+
+
+def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
+    """The mesh of each recording in a folder: `<id>.ply`, `.obj` or `.glb`, or by the name of its object.
+
+    Args:
+        folder: of the meshes.
+        names: id of a recording -> the name of its object.
+
+    Raises:
+        RecordingError: there is no such folder, or none of the meshes.
+    """
+    if not folder.is_dir():
+        raise RecordingError(f"{folder}: no such folder; name that of the meshes", what="not-found")
+    found = {}
+    for name, thing in names.items():
+        paths = (folder / f"{stem}{suffix}" for stem in (name, thing) for suffix in SUFFIXES)
+        if (path := next((path for path in paths if path.is_file()), None)) is not None:
+            found[name] = path
+    if not found:
+        raise RecordingError(
+            f"{folder}: holds no mesh named as a recording or its object, such as {next(iter(names))}.ply",
+            what="not-found",
+        )
+    return found
+
+
+def read_reference(path: Path) -> tuple[TriangleMesh, bool, str]:
+    """A mesh in metres, whether it is closed, and the hash of its bytes.
+
+    Raises:
+        RecordingError: it cannot be read, or has no faces.
+    """
+    try:
+        shape = read_shape(path, str(path))
+        content = read_plain(path, MAX_FILE_BYTES)
+    except PredictionError as error:
+        raise RecordingError(f"{error}; name a mesh (.ply, .obj or .glb)", what="bad-mesh") from error
+    if shape.form != "mesh":
+        raise RecordingError(f"{path}: no mesh, as it has no faces; name one that has", what="bad-mesh")
+    vertices, faces = joined(shape.points_m, shape.faces.astype(np.int32))
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
+        raise RecordingError(f"{path}: its faces have no area; export the mesh again", what="bad-mesh")
+    return TriangleMesh(vertices, faces), is_closed(faces), sha256(content).hexdigest()
+
+
+def compare_reference(folder: Path, path: Path) -> ReferenceFile:
+    """Compare the built object of a recording with a reference mesh, and write reference.json.
+
+    Args:
+        folder: `build/<recording>/`, up to the object.
+        path: of the mesh.
+
+    Raises:
+        RecordingError: the mesh cannot be used.
+        StorageError: the object is missing or damaged.
+    """
+    mesh, closed, digest = read_reference(path)
+    model = read_object(folder / "object")
+    found = figures(model, lay(model, mesh), closed).model_copy(
+        update={
+            "reference": path.name,
+            "sha256": digest,
+            "object_fingerprint": Manifest.read(folder / "object").fingerprint,
+        }
+    )
+    with replaced_file(folder / found.FILE) as temporary:
+        temporary.write_text(found.text(), encoding="utf-8")
+    return found
+
+
+def figures(model: ObjectModel, laid: Laid, closed: bool) -> ReferenceFile:
+    """The figures of a reference beside an object; files are named by the caller.
+
+    Args:
+        model: the object.
+        laid: the reference, as `lay` has laid it.
+        closed: whether its mesh is.
+    """
+    head = ReferenceFile(reference="", sha256="", object_fingerprint="", refused=laid.refused, closed=closed)
+    if laid.pose is None or laid.scale is None:
+        return head
+    T, T_floor_world = laid.pose.T, model.floor.T_floor_world
+    f_5mm, f_10mm = f_scores(model, laid, T, (0.005, 0.01))
+    whole, known = solids_iou(model, laid.theirs.mesh.transformed(T)) if closed else (None, None)
+    other, axis = laid.runner_up, laid.symmetric_axis_floor
+    return head.model_copy(
+        update={
+            "T_world_reference": T,
+            "residual_m": round(laid.pose.residual_m, DECIMALS),
+            "scale": round(laid.scale, DECIMALS),
+            "mirrored_m": None if laid.mirrored_m is None else round(laid.mirrored_m, DECIMALS),
+            "runner_up": None
+            if other is None
+            else RunnerUpPart(
+                residual_m=round(other.residual_m, DECIMALS),
+                turn_rad=other.turn_rad,
+                axis_floor=_triple(other.axis_floor),
+                fits_as_well=other.fits_as_well,
+            ),
+            "symmetric_axis_floor": None if axis is None else _triple(axis),
+            "f_score_5mm": round(f_5mm, DECIMALS),
+            "f_score_10mm": round(f_10mm, DECIMALS),
+            "iou": None if known is None else round(known, DECIMALS),
+            "whole_iou": None if whole is None else round(whole, DECIMALS),
+            "directions": by_direction(laid, T, T_floor_world),
+        }
+    )
+
+
+def _triple(vector: Float64) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 4) for value in vector)
+    return x, y, z
+
+
+def f_scores(model: ObjectModel, laid: Laid, T: Float64, thresholds_m: tuple[float, ...]) -> list[float]:
+    """F-scores of what both saw, by exact distances to triangles.
+
+    Of the object that is what was measured; of the reference what lies in free space, or near to that.
+    """
+    ours, theirs = laid.ours, laid.theirs
+    there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
+    other = transform_points(T, theirs.points)
+    here = ours.distance_m(other)
+    here = here[_is_free(model, other) | ((here < NEAR_M) & ours.counted[ours.tree.query(other)[1]])]
+    scores = []
+    for threshold_m in thresholds_m:
+        precision, recall = (float((way < threshold_m).mean()) if len(way) else 0.0 for way in (there, here))
+        scores.append(2 * precision * recall / (precision + recall) if precision + recall else 0.0)
+    return scores
+
+
+def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
+    """Whether points (n, 3) lie in voxels of the object's grid that are free."""
+    grid = model.shape.grid
+    cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
+    inside = np.asarray(((cells >= 0) & (cells < grid.shape)).all(axis=1))
+    at = np.where(inside[:, None], cells, 0)
+    return np.asarray(inside & (model.shape.labels[tuple(at.T)] == Label.FREE))
+
+
+def by_direction(laid: Laid, T: Float64, T_floor_world: Float64) -> DirectionsPart:
+    """Signed distances of the measured surface along its own normals, by where they look."""
+    ours, theirs = laid.ours, laid.theirs
+    points, normals = ours.points[ours.counted], ours.normals[ours.counted]
+    back = transform_points(invert_rigid(T), points)
+    far_m = theirs.distance_m(back)
+    nearest = transform_points(T, theirs.points[theirs.tree.query(back)[1]])
+    signed_m = far_m * np.sign(((points - nearest) * normals).sum(axis=1))
+    up = normals @ T_floor_world[2, :3]
+    which = {"up": up > STEEP, "down": up < -STEEP, "side": np.abs(up) <= STEEP}
+    return DirectionsPart(
+        **{
+            name: DirectionPart(
+                share=round(float(of.mean()), 4),
+                mean_m=round(float(signed_m[of].mean()), DECIMALS) if of.any() else None,
+                absolute_m=round(float(far_m[of].mean()), DECIMALS) if of.any() else None,
+            )
+            for name, of in which.items()
+        }
+    )
+
+
+def solids_iou(model: ObjectModel, mesh: TriangleMesh) -> tuple[float | None, float | None]:
+    """IoU of the object and a closed mesh in its world, over 256^3 cells around both, and over known ones.
+
+    None where too many faces lie across each other, or nothing is known.
+    """
+    ours = model.shape.mesh
+    grid = object_cube(
+        np.concatenate([ours.vertices, mesh.vertices]), invert_rigid(model.floor.T_floor_world)
+    )
+    cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
+    if costs_too_much(cells[:, :2], mesh.faces, grid.shape[:2]):
+        return None, None
+    one, other = (unpack(voxelize_solid(each.vertices, each.faces, grid)) for each in (ours, mesh))
+    known = unpack(known_in(*full_shape(model).known, grid))
+    return iou(one, other), known_iou(one, other, known)

@@ -1,0 +1,298 @@
+"""Lay a reference mesh onto the built object: a rigid motion, from many starts.
+
+Rule of this project, after the iterated closest point by planes (Chen and Medioni 1992), both ways: points
+that were measured draw the nearest of the reference, and points of the reference draw the nearest of the
+object where that was measured. What lies far from the other counts less. All points are drawn by fixed
+seeds, and the starts are fixed: nothing is random.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.geometry.rigid import rotation_angle_rad, rotation_from_quaternion_xyzw
+from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.stages.segment.object_model import ObjectModel
+
+# Samples of each surface that are found as the nearest: 9 mm apart on a chair of 1.5 m2 (chosen here). The
+# object and the reference have seeds of their own: two equal meshes would else have equal samples.
+SAMPLES, OBJECT_SEED, REFERENCE_SEED = 20_000, 0, 1
+# Turns about up of each of the 24 ways to lay principal axes onto each other; and turns spread evenly over
+# all turns, 27 degrees apart, for shapes whose principal axes say nothing (chosen here).
+TURNS, SPREAD = 12, 576
+# Poses, steps and samples: all starts are looked at, then the best are refined twice (chosen here).
+LOOKED_AT, COARSE, FINE = 120, (32, 10, 300), (5, 30, 2000)
+# A pose whose residual is so many times that of the best is not refined further. No residual counts as less
+# than this share of the diagonal, as samples do not tell that (chosen here).
+HOPELESS, LEAST_SHARE = 3.0, 0.0005
+# Of samples, for the residual of a pose.
+JUDGED = 4000
+# A distance of so many medians counts half; farther than this share of the diagonal all count equally.
+HALF_AT_MEDIANS, MOST_SHARE = 3.0, 0.05
+# Steps that move no sample by more, metres, end it.
+STILL_M = 1e-5
+# Two poses are one if no more lies between them (chosen here).
+SAME_RAD, SAME_SHARE = np.radians(8.0), 0.02
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Samples of a surface in its own frame, metres.
+
+    Attributes:
+        mesh: the surface.
+        points: (n, 3).
+        normals: (n, 3) unit.
+        counted: (n,) whether a sample may be drawn to: of the object whether it was measured.
+    """
+
+    mesh: TriangleMesh
+    points: Float64
+    normals: Float64
+    counted: Bools
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Finds the nearest sample."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def diagonal_m(self) -> float:
+        """Of the box in its own frame."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def _caster(self) -> tuple[Any, Any, Float64]:
+        middle = self.points.mean(axis=0)  # the library computes in float32
+        scene, tensor = raycaster(TriangleMesh(self.mesh.vertices - middle, self.mesh.faces))
+        return scene, tensor, middle
+
+    def distance_m(self, points: Float64) -> Float64:
+        """Distances (n,) of points (n, 3) from the nearest triangle."""
+        scene, tensor, middle = self._caster
+        near = tensor(np.ascontiguousarray(points - middle, dtype=np.float32))
+        return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
+
+    def few(self, most: int) -> Float64:
+        """At most so many of the samples that count, evenly drawn: (n, 3)."""
+        points: Float64 = self.points[self.counted]
+        return points[:: max(1, -(-len(points) // most))]
+
+
+def sampled(mesh: TriangleMesh) -> Sampled:
+    """The samples of a reference mesh, all of which count."""
+    rng = np.random.default_rng(REFERENCE_SEED)
+    points, normals = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+    return Sampled(mesh, points, normals, np.ones(len(points), bool))
+
+
+def sampled_object(model: ObjectModel) -> Sampled:
+    """The samples of a built object, in its world; those that were measured count."""
+    mesh, shape = model.shape.mesh, model.shape
+    rng = np.random.default_rng(OBJECT_SEED)
+    points, normals = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+    inside = points - 0.5 * shape.grid.voxel_size_m * normals
+    cells = np.floor(transform_points(shape.grid.T_grid_world, inside) / shape.grid.voxel_size_m)
+    cells = np.clip(cells, 0, np.array(shape.grid.shape) - 1).astype(np.int64)
+    return Sampled(mesh, points, normals, shape.labels[tuple(cells.T)] == Label.SURFACE)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A way to lay the reference.
+
+    Attributes:
+        T: (4, 4) from the reference to the world; a similarity where its size was free.
+        residual_m: mean distance both ways of what both saw; a far distance counts `MOST_SHARE`.
+    """
+
+    T: Float64
+    residual_m: float
+
+
+def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose, ...]:
+    """The poses at which the steps come to rest from the best starts, the best first; no two are equal.
+
+    Args:
+        ours: the object; at least one of its samples was measured.
+        theirs: the reference.
+        T_floor_world: (4, 4), from the object's world to the frame whose z is up.
+    """
+    starts = list(_starts(ours, theirs, T_floor_world[2, :3]))
+    found = [Pose(T, residual_m(ours, theirs, T, LOOKED_AT, exact=False)) for T in starts]
+    for (count, steps, samples), judged in ((COARSE, COARSE[2]), (FINE, JUDGED)):
+        best = sorted(found, key=lambda pose: pose.residual_m)[:count]
+        least_m = max(best[0].residual_m, LEAST_SHARE * ours.diagonal_m)
+        near = [pose.T for pose in best if pose.residual_m <= HOPELESS * least_m]
+        moved = [settled(ours, theirs, T, steps, samples)[0] for T in near]
+        found = [Pose(T, residual_m(ours, theirs, T, judged)) for T in moved]
+        found = _distinct(sorted(found, key=lambda pose: pose.residual_m), theirs)
+    return tuple(found)
+
+
+def best_scale(ours: Sampled, theirs: Sampled, T: Float64) -> float:
+    """By what the reference is to be multiplied to fit best, from a pose (4, 4)."""
+    found, _ = settled(ours, theirs, T, FINE[1], FINE[2], free=7)
+    return float(np.cbrt(np.linalg.det(found[:3, :3])))
+
+
+def mirrored(theirs: Sampled) -> Sampled:
+    """The reference's mirror image."""
+    flip = np.array([-1.0, 1.0, 1.0])
+    mesh = TriangleMesh(theirs.mesh.vertices * flip, theirs.mesh.faces[:, ::-1].copy())
+    return Sampled(mesh, theirs.points * flip, theirs.normals * flip, theirs.counted)
+
+
+def _starts(ours: Sampled, theirs: Sampled, up: Float64) -> Iterator[Float64]:
+    """Both middles on each other; all ways to lay principal axes, turned about up; and turns of all kinds."""
+    here, there = (one.points.mean(axis=0) for one in (ours, theirs))
+    axes_here, axes_there = (_principal(one.points) for one in (ours, theirs))
+    turns: list[Float64] = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        change = np.zeros((3, 3))
+        change[range(3), order] = signs
+        if np.linalg.det(change) > 0:
+            turned = axes_here @ change @ axes_there.T
+            turns += [about(up, angle) @ turned for angle in np.arange(TURNS) * 2 * np.pi / TURNS]
+    for turn in (*turns, *_spread()):
+        yield rigid(turn, here - turn @ there)
+
+
+def _principal(points: Float64) -> Float64:
+    """Principal axes as the columns of a rotation (3, 3)."""
+    axes: Float64 = np.linalg.eigh(np.cov(points.T))[1]
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return axes
+
+
+def _spread() -> Float64:
+    """Rotations (n, 3, 3) spread evenly. Source: M. Alexa, "Super-Fibonacci Spirals" (CVPR 2022)."""
+    s = np.arange(SPREAD) + 0.5
+    r, big = np.sqrt(s / SPREAD), np.sqrt(1 - s / SPREAD)
+    a, b = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204288118041
+    return rotation_from_quaternion_xyzw(
+        np.stack([r * np.sin(a), r * np.cos(a), big * np.sin(b), big * np.cos(b)], axis=1)
+    )
+
+
+def about(axis: Float64, angle_rad: float) -> Float64:
+    """The rotation (3, 3) about a unit vector."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(angle_rad * axis).as_matrix())
+
+
+def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: bool = True) -> float:
+    """Mean distance both ways of what both saw; of the reference what is nearest to a measured sample.
+
+    Args:
+        ours: the object.
+        theirs: the reference.
+        T: (4, 4) from the reference to the world.
+        samples: of each.
+        exact: to triangles; else to the nearest sample.
+    """
+    most_m = MOST_SHARE * ours.diagonal_m
+    back = invert_rigid(T)
+    mine, other = transform_points(back, ours.few(samples)), transform_points(T, theirs.few(samples))
+    there = theirs.distance_m(mine) if exact else theirs.tree.query(mine)[0]
+    here, nearest = ours.tree.query(other)
+    which = ours.counted[nearest]
+    here = ours.distance_m(other[which]) if exact else here[which]
+    ways = [np.minimum(way, most_m).mean() if len(way) else most_m for way in (there, here)]
+    return float(np.mean(ways))
+
+
+def settled(
+    ours: Sampled, theirs: Sampled, T: Float64, steps: int, samples: int, free: int = 6
+) -> tuple[Float64, float]:
+    """The pose after some steps, and how far the last of them moved a sample, metres.
+
+    Args:
+        ours: the object.
+        theirs: the reference.
+        T: (4, 4) from the reference to the world.
+        steps: at most.
+        samples: of each.
+        free: 6: rotation and shift; 7: the size, too.
+    """
+    mine, other = ours.few(samples), theirs.few(samples)
+    moved = np.inf
+    for _ in range(steps):
+        back: Float64 = np.linalg.inv(T).astype(np.float64)
+        far_there, there = theirs.tree.query(transform_points(back, mine))
+        places = transform_points(T, other)
+        far_here, here = ours.tree.query(places)
+        which = ours.counted[here]
+        normals_there = theirs.normals[there] @ T[:3, :3].T
+        normals_there /= np.linalg.norm(normals_there, axis=1, keepdims=True)
+        drawn = np.concatenate([transform_points(T, theirs.points[there]), places[which]])
+        targets = np.concatenate([mine, ours.points[here[which]]])
+        normals = np.concatenate([normals_there, ours.normals[here[which]]])
+        weights = np.concatenate([_weights(far_there), _weights(far_here[which])])
+        change, moved = _step(drawn, targets, normals, weights, free)
+        T = change @ T
+        if moved < STILL_M:
+            break
+    return T, moved
+
+
+def _weights(distances: Float64) -> Float64:
+    """Of one way, in all 1."""
+    if not len(distances):
+        return distances
+    half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
+    weights: Float64 = 1 / (1 + (distances / half) ** 2) ** 2
+    weights /= weights.sum()
+    return weights
+
+
+def _step(
+    places: Float64, targets: Float64, normals: Float64, weights: Float64, free: int
+) -> tuple[Float64, float]:
+    """The similarity (4, 4) that brings places to the planes of their targets, and how far it moves one."""
+    middle = places.mean(axis=0)
+    arms = places - middle
+    size_m = float(np.linalg.norm(arms, axis=1).max())
+    # Columns: rotation vector, shift, logarithm of the scale; lengths of about one, so that damping is fair.
+    J = np.concatenate(
+        [np.cross(arms, normals) / size_m, normals, (arms * normals).sum(axis=1, keepdims=True) / size_m],
+        axis=1,
+    )[:, :free]
+    gap = ((targets - places) * normals).sum(axis=1)
+    H = (J * weights[:, None]).T @ J
+    # What nothing holds stays where it is: a ball does not turn.
+    H[np.diag_indices(free)] += 1e-6 * np.trace(H)
+    step = np.linalg.solve(H, (J * weights[:, None]).T @ gap)
+    moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:6]) + np.abs(step[6:]).sum())
+    turn = np.clip(step[:3] / size_m, -0.5, 0.5)
+    angle = float(np.linalg.norm(turn))
+    R = about(turn / max(angle, 1e-12), angle)
+    if free == 7:
+        R = R * np.exp(np.clip(step[6] / size_m, -0.1, 0.1))
+    return rigid(R, middle + step[3:6] - R @ middle), moved
+
+
+def _distinct(found: Sequence[Pose], theirs: Sampled) -> list[Pose]:
+    kept: list[Pose] = []
+    for pose in found:
+        if all(apart(pose.T, other.T, theirs) for other in kept):
+            kept.append(pose)
+    return kept
+
+
+def apart(T: Float64, other: Float64, theirs: Sampled) -> bool:
+    """Whether two poses of the reference are different ones."""
+    middle = theirs.points.mean(axis=0)
+    far_m = float(np.linalg.norm((T - other)[:3, :3] @ middle + (T - other)[:3, 3]))
+    turned = float(rotation_angle_rad(T[:3, :3].T @ other[:3, :3]))
+    return turned > SAME_RAD or far_m > SAME_SHARE * theirs.diagonal_m

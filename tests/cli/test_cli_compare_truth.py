@@ -1,0 +1,86 @@
+"""`compare-truth` as a user gives it: right and wrong meshes of two built recordings."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scipy.spatial.transform import Rotation
+from small_benchmark import Run, copied
+
+from kinectbench.core.geometry import rigid
+from kinectbench.core.geometry.mesh import write_ply
+from kinectbench.lab.simulate.truth import read_truth
+
+Command = Callable[..., Run]
+
+
+@pytest.fixture(scope="module")
+def root(small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy with the true meshes in another frame, in meshes/."""
+    root = copied(small, tmp_path_factory.mktemp("compare") / "small")
+    (root / "meshes").mkdir()
+    T = rigid(Rotation.random(random_state=3).as_matrix(), [0.5, 1.0, -2.0])
+    for name in ("chair", "table"):
+        mesh = read_truth(root / "recordings" / f"{name}.truth").mesh_world
+        write_ply(mesh.transformed(T), root / "meshes" / f"{name}.ply")
+    (root / "meshes/flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    (root / "meshes/points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        "end_header\n0 0 1\n"
+    )
+    return root
+
+
+def test_right_meshes_of_a_folder_are_compared(command: Command, root: Path) -> None:
+    run = command(root, "compare-truth", "--references", "meshes", "--json")
+    assert run.status == 0, run.err
+    found = json.loads(run.out)
+    assert set(found) == {"chair", "table"}
+    for name, each in found.items():
+        assert json.loads((root / "build" / name / "reference.json").read_text()) == each
+        assert each["refused"] is None and each["reference"] == f"{name}.ply"
+        assert each["f_score_10mm"] > 0.8 and abs(each["scale"] - 1) < 0.02
+    # Voxels of 15 mm and 24 frames of 160 x 120 pixels make a chair too thick.
+    assert found["chair"]["iou"] > 0.6
+
+
+def test_a_wrong_mesh_is_refused_and_triage_says_look(command: Command, root: Path) -> None:
+    run = command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
+    assert run.status == 3
+    assert "error: table: chair.ply is refused: " in run.err and "Traceback" not in run.err
+    command(root, "triage")
+    rows = json.loads((root / "triage/triage.json").read_text())["rows"]
+    table = next(row for row in rows if row["recording"] == "table")
+    assert table["decision"] == "look"
+    assert any(line.startswith("its reference chair.ply does not fit: ") for line in table["reasons"])
+
+
+def test_recordings_without_a_mesh_are_named(command: Command, root: Path) -> None:
+    (root / "some").mkdir()
+    write_ply(read_truth(root / "recordings/chair.truth").mesh_world, root / "some/chair.ply")
+    run = command(root, "compare-truth", "--references", "some", "--json")
+    assert run.status == 0 and list(json.loads(run.out)) == ["chair"]
+    assert "note: table: no mesh of it in some" in run.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("chair",), 2, "give --reference MESH of one recording, or --references FOLDER"),
+        (("--reference", "meshes/chair.ply"), 2, "name the one recording that the mesh is of"),
+        (("--references", "nowhere"), 1, "no such folder"),
+        (("--references", "recordings"), 1, "holds no mesh named as a recording or its object"),
+        (("chair", "--reference", "benchmark.yaml"), 3, "save it as .ply"),
+        (("chair", "--reference", "no.ply"), 3, "no.ply"),
+        (("chair", "--reference", "meshes/flat.obj"), 3, "its faces have no area"),
+        (("chair", "--reference", "meshes/points.ply"), 3, "no mesh, as it has no faces"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(
+    command: Command, root: Path, arguments: tuple[str, ...], status: int, said: str
+) -> None:
+    run = command(root, "compare-truth", *arguments)
+    assert (run.status, run.out) == (status, "")
+    errors = [line for line in run.err.splitlines() if line.startswith("error")]
+    assert len(errors) == 1 and said in errors[0]
