@@ -130,6 +130,7 @@ RAW = {
     "release/publish/small_files.py": "Croissant",
     "release/publish/view_pictures.py": "rows as ImageFolder reads them",
     "record/folder.py": "camera.json of a recording, as TUM folders have it",
+    "record/guide/process.py": "what the guide's page asks for",
     "report/gallery.py": "text in the page",
     "scoring/adapters/": "files of other methods",
     "scoring/baselines/predict.py": "predictions, as any method's",

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import cv2
 from figures import Figure, arguments, at_least, at_most, equals, run, told
+from guide_replay import guide_figures
 from ingest_writers import BagWriter, every_frame
 from memory import peak_mb
 
@@ -223,6 +224,8 @@ def measure(folder: Path, sizes_gb: list[float], parts: list[str]) -> list[Figur
             found += doctor_figures(frames, root)
         if "record" in parts:
             found += record_figures(folder)
+        if "guide" in parts:
+            found += guide_figures(folder, SETTINGS)
     return found
 
 
@@ -239,7 +242,9 @@ def main() -> None:
     )
     parser.add_argument("--gb", type=float, nargs="*", default=[0.3, 3.0], help="sizes of the big bags")
     parts = ["folder", "bags", "memory", "doctor", "record"]
-    parser.add_argument("--parts", nargs="*", default=parts, choices=parts, help="only these")
+    parser.add_argument(
+        "--parts", nargs="*", default=parts, choices=[*parts, "guide"], help="only these; guide: true poses"
+    )
     options = parser.parse_args()
     run(options, lambda: measure(options.folder, options.gb, options.parts))
 

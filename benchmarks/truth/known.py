@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from builds import CORES, build_root
 from figures import Figure, arguments, at_least, at_most, run, told
+from guided_walk import guided_figures
 from known_observations import SPLITS
 from known_rows import NotBuilt, Row, Task, as_json, line, mean_of, measure_row, print_tables
 from known_sheets import draw_sheets
@@ -306,6 +307,7 @@ def options_of() -> argparse.Namespace:
     )
     parser.add_argument("--jobs", type=int, default=CORES, metavar="N", help="processes")
     parser.add_argument("--against", type=Path, metavar="FILE", help="JSON of an earlier run")
+    parser.add_argument("--guided", action="store_true", help="only a walk as the guide says, and an orbit")
     parser.add_argument("--sheets", type=Path, metavar="DIR", help="draw the objects on sheets there")
     return parser.parse_args()
 
@@ -318,6 +320,9 @@ def main() -> None:
     found: dict[str, Any] = {}
 
     def measure() -> list[Figure]:
+        if options.guided:
+            pairs = [(family, seed) for family in families for seed in options.seeds]
+            return [figure for pair in pairs for figure in guided_figures(*pair)]
         folder = options.recordings or root / "recordings"
         truly = options.underside == "truly"
         rows, missing = measured(root, folder, chosen, truly, options.upto, options.jobs)

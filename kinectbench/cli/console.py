@@ -241,14 +241,15 @@ def bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def frames_counted(title: str) -> Iterator[Callable[[int, float], None]]:
-    """A line that counts what has no known end; yields a function of (frames, seconds)."""
+def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
+    """A line that counts what has no known end; yields a function of (frames, seconds, what to do or "")."""
     plain = None if err.is_terminal else PlainLines()
     with err.status(title) as status:
 
-        def update(frames: int, seconds: float) -> None:
+        def update(frames: int, seconds: float, advice: str) -> None:
             check_interrupt()
             text = f"{title}: {frames} frames, {seconds:.0f} s; Ctrl-C ends it"
+            text = f"{advice.upper()} ({text})" if advice else text
             status.update(Text(text))
             if plain:
                 plain.say_sometimes(text)

@@ -1,14 +1,18 @@
 """The command `record`."""
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
+    from kinectbench.record.guide.process import GuideProcess
     from kinectbench.record.recorder import Recorded
 
 
@@ -29,6 +33,12 @@ def record(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="of the camera of --from, such as fx=525"),
     ] = None,
+    guided: Annotated[
+        bool | None,
+        typer.Option("--guide/--no-guide", help="a page says what is still unseen; default: on a terminal"),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="of that page; default: one that is free")] = 0,
+    built: Annotated[bool, typer.Option("--build", help="then build the pairs, in the new folder")] = False,
 ) -> int:
     """Record with a camera into a folder that `inspect` and `build` read; Ctrl-C ends it."""
     from kinectbench.cli import console
@@ -47,12 +57,69 @@ def record(
         raise SettingsError("record: give --device or --from, not both")
     if replayed is None and (speed != 1 or overrides):
         raise SettingsError("record: --speed and --set are of --from; a camera has its own pace and values")
+    if built and common.as_json:
+        raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = chosen(device) if replayed is None else Replay(replayed, speed, given)
-    with console.frames_counted(f"record {out}") as progress:
-        done = record_with(camera, out, seconds, progress=progress)
+    with (
+        _guide(port, guided) as guide,
+        console.frames_counted(f"record {out}") as progress,
+    ):
+        done = record_with(
+            camera,
+            out,
+            seconds,
+            observers=[guide] if guide else [],
+            progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
+        )
+    ended_s = time.monotonic()
     _tell(common, done)
-    return CANNOT_BE_USED if done.failure else 0
+    if done.failure:
+        return CANNOT_BE_USED
+    return _build(common, out, ended_s) if built else 0
+
+
+@contextmanager
+def _guide(port: int, wanted: bool | None) -> "Iterator[GuideProcess | None]":
+    """The guide while one records; None if it is not wanted, or, with a warning, if it cannot be started."""
+    from kinectbench.cli import console
+
+    if not (console.err.is_terminal if wanted is None else wanted):
+        yield None
+        return
+    from kinectbench.core.errors import CaptureError
+    from kinectbench.core.extras import missing_extra
+    from kinectbench.record.guide.process import GuideProcess
+
+    guide = None
+    try:
+        if missing := missing_extra("build"):
+            raise CaptureError(f"no guide: {missing}")
+        guide = GuideProcess(port)
+        console.lines("guide", [f"open {guide.url}"], "cyan")
+    except CaptureError as error:
+        console.lines("warning", [str(error)], "yellow")
+    try:
+        yield guide
+    finally:
+        if guide is not None:
+            guide.close()
+
+
+def _build(common: Common, out: Path, ended_s: float) -> int:
+    """Write a benchmark.yaml into the new folder, build it, and say how long after the last frame it was."""
+    from dataclasses import replace
+
+    from kinectbench.cli import console
+    from kinectbench.cli.build import run_stage
+    from kinectbench.cli.recordings import init
+
+    quiet = replace(common, as_json=False)
+    init(folder=out)
+    status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
+    took_s = time.monotonic() - ended_s
+    console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
+    return status
 
 
 def _list(common: Common) -> None:

@@ -93,6 +93,14 @@ def test_azure_and_orbbec_keep_the_cameras_own_jpeg(monkeypatch: pytest.MonkeyPa
     assert not np.array_equal(bent, depth_image(1, 576, 640))
 
 
+def test_orbbecs_library_writes_no_log_where_one_works(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recorded(monkeypatch, "orbbec", tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 def test_an_iphone_gives_metres_and_leaves_out_what_is_not_sure(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

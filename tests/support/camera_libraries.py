@@ -169,7 +169,10 @@ def pyk4a(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
 
 
 def pyorbbecsdk(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
-    """Orbbec's SDK: pairs of frames with raw bytes, a unit of depth in mm, translations in mm."""
+    """Orbbec's SDK: pairs of frames with raw bytes, a unit of depth in mm, translations in mm.
+
+    It writes Log/ where one works, unless its logger is turned off.
+    """
     straight = SimpleNamespace(k1=0, k2=0, p1=0, p2=0, k3=0, k4=0, k5=0, k6=0)
 
     def profile(width: int, height: int) -> Any:
@@ -219,6 +222,21 @@ def pyorbbecsdk(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
         get_device_name_by_index=lambda k: "Femto Bolt",
         get_device_serial_number_by_index=lambda k: "CL8",
     )
+
+    class Context:
+        logs = True
+
+        @classmethod
+        def set_logger_to_file(cls, level: str, folder: str) -> None:
+            cls.logs = level != "none"
+
+        def __init__(self) -> None:
+            if self.logs:
+                Path("Log").mkdir(exist_ok=True)
+
+        def query_devices(self) -> SimpleNamespace:
+            return found
+
     install(
         monkeypatch,
         "pyorbbecsdk",
@@ -226,7 +244,8 @@ def pyorbbecsdk(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
         Config=lambda: SimpleNamespace(
             enable_stream=lambda profile: None, set_frame_aggregate_output_mode=lambda mode: None
         ),
-        Context=lambda: SimpleNamespace(query_devices=lambda: found),
+        Context=Context,
+        OBLogLevel=SimpleNamespace(NONE="none"),
         OBSensorType=SimpleNamespace(DEPTH_SENSOR="depth", COLOR_SENSOR="color"),
         OBFormat=SimpleNamespace(MJPG="MJPG"),
         OBFrameAggregateOutputMode=SimpleNamespace(FULL_FRAME_REQUIRE=3),

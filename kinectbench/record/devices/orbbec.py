@@ -25,8 +25,7 @@ class Orbbec(Device):
 
     def plugged_in(self) -> tuple[str, ...]:
         """Their names and serial numbers."""
-        import pyorbbecsdk as ob
-
+        ob = _sdk()
         found = ob.Context().query_devices()
         return tuple(
             f"{found.get_device_name_by_index(k)} {found.get_device_serial_number_by_index(k)}"
@@ -35,8 +34,7 @@ class Orbbec(Device):
 
     def open(self) -> Setup:
         """Start depth and colour in their usual modes, in step; the first frames say the depth's unit."""
-        import pyorbbecsdk as ob
-
+        ob = _sdk()
         if not self.plugged_in():
             raise CaptureError(f"{self.name}: no camera is plugged in")
         pipeline, config = ob.Pipeline(), ob.Config()
@@ -96,6 +94,14 @@ class Orbbec(Device):
             image = self._undistortion.depth(image)
         jpeg = (".jpg", bytes(color.get_data()))
         return Frame(depth.get_timestamp_us() * 1000, image, jpeg, color.get_timestamp_us() * 1000)
+
+
+def _sdk() -> Any:
+    """Orbbec's SDK, which else writes a folder Log/ where one works."""
+    import pyorbbecsdk as ob
+
+    ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")
+    return ob
 
 
 def _camera(said: Any) -> Camera:

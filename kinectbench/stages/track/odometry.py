@@ -183,7 +183,7 @@ class _Follower:
         """Accept a registered frame; after a large motion it becomes the next keyframe."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
-        if not _is_keyframe(followed.registration, self.maps[index]):
+        if not is_keyframe(followed.registration, self.maps[index]):
             return followed
         self.constraints.append(Constraint(followed.keyframe, index, followed.registration, "odometry"))
         return replace(followed, keyframe=index)
@@ -290,7 +290,7 @@ def is_accepted(registration: Registration) -> bool:
     )
 
 
-def _is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
+def is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
     """Whether a frame has moved far enough from its keyframe to become the next one."""
     T = registration.T_target_source
     depth_m = float(np.median(maps[0].points[:, 2]))

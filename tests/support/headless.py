@@ -15,7 +15,8 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 OPTIONS = (
     "--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--no-first-run", "--disable-gpu",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-extensions",
-    "--disable-background-networking", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--disable-background-networking", "--disable-dev-shm-usage",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )  # fmt: skip
 
 
@@ -107,8 +108,13 @@ class Browser:
 
     def open(self, page: Path) -> None:
         """Open a file and wait until it is loaded."""
-        self.call("Page.navigate", url=page.resolve().as_uri())
-        self.wait_for("document.readyState === 'complete' && location.protocol === 'file:'")
+        self.go(page.resolve().as_uri())
+
+    def go(self, url: str) -> None:
+        """Open an address and wait until it is loaded."""
+        self.call("Page.navigate", url=url)
+        kind = url.partition(":")[0]
+        self.wait_for(f"document.readyState === 'complete' && location.protocol === '{kind}:'")
 
     def window(self, width: int, height: int, dark: bool = False, scale: float = 1) -> None:
         """Set the size of the window in CSS pixels, and the colour scheme."""

@@ -1,0 +1,100 @@
+"""What has been seen of the object so far: the package's own stages, coarsely, on the guide's keyframes.
+
+`fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and `find_frontiers` are those of a build.
+The frames are fewer and smaller, and the voxels larger.
+"""
+
+from collections.abc import Sequence as Rows
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float64
+from kinectbench.record.guide.tracker import Keyframe
+from kinectbench.settings.models import FloorCuts, FusionSettings
+from kinectbench.stages.fuse import fuse, observe
+from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.object import find_floor_and_object
+from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
+from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
+from kinectbench.stages.segment.solid.grids import floor_layers, object_grid
+from kinectbench.stages.segment.solid.solid import make_solid
+from kinectbench.stages.track.frame_maps import STORED_PER_M
+
+# The object's longest edge has so many voxels: an opening of a twentieth of it is two voxels wide.
+VOXELS_ALONG, FINEST_M = 40, 0.006
+# Keyframes that are fused, spread over the walk: 60 take 2 s beside the tracker on one core.
+MOST_KEYFRAMES = 60
+LEAST_KEYFRAMES = 3
+FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
+
+
+@dataclass(frozen=True)
+class Look:
+    """The object as far as it was seen.
+
+    Attributes:
+        T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0.
+        box: around the object, floor frame.
+        mesh: the object and what lies near it, floor frame.
+        frontiers: openings that no keyframe saw into, the largest first.
+    """
+
+    T_floor_world: Float64
+    box: OrientedBox
+    mesh: TriangleMesh
+    frontiers: tuple[Frontier, ...]
+
+
+class _Depths:
+    """The store of the keyframes."""
+
+    def __init__(self, keyframes: Rows[Keyframe]) -> None:
+        self._keyframes = keyframes
+
+    def depth_native(self, index: int) -> NDArray[np.uint16]:
+        return self._keyframes[index].depth
+
+    def color_encoded(self, index: int) -> None:
+        return None
+
+
+def look(keyframes: Rows[Keyframe], camera: Camera) -> Look:
+    """Find the object in what the keyframes saw, and what of it they did not see.
+
+    Args:
+        keyframes: at least `LEAST_KEYFRAMES`.
+        camera: of their depth.
+
+    Raises:
+        SegmentationError: there is no floor, or nothing stands where the cameras look.
+        ShapeError, TrackingError: too little was seen.
+    """
+    chosen = np.unique(np.linspace(0, len(keyframes) - 1, MOST_KEYFRAMES).round().astype(int))
+    keyframes = [keyframes[k] for k in chosen]
+    stamps_ns = np.array([each.stamp_ns for each in keyframes])
+    sequence = Sequence(camera, STORED_PER_M, stamps_ns, False, None, _Depths(keyframes))
+    poses = np.array([each.T_world_camera for each in keyframes])
+    trajectory = Trajectory(stamps_ns, poses, "tracked")
+    scene = fuse(sequence, trajectory, FUSION).mesh
+    found = find_floor_and_object(scene, trajectory, None, CUTS, floor_hint(sequence, trajectory))
+    voxel_size_m = max(max(found.box.size_m) / VOXELS_ALONG, FINEST_M)
+    grid = object_grid(found.box, found.floor, voxel_size_m)
+    rules = Rules(floor_layers(found.floor, CUTS, voxel_size_m))
+    seen = observe(sequence, trajectory, range(len(keyframes)), grid, FUSION)
+    evidence = classify_voxels(seen, found.excluded(grid), rules, roughly=True)
+    solid = make_solid(seen, evidence, rules)
+    T_floor_world = found.floor.T_floor_world
+    frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
+    return Look(T_floor_world, found.box, _around(scene, T_floor_world, found.box), frontiers)
+
+
+def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
+    """The faces within half the object's size of its box, floor frame."""
+    mesh = scene.transformed(T_floor_world)
+    near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
+    return mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1)))

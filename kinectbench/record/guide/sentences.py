@@ -1,0 +1,277 @@
+"""What the guide says: one sentence at a time, by a stated rule from what was seen so far.
+
+The first of these that holds is said: the camera is lost; it moves too fast; it is too near, or too far away;
+a side of the ring is unseen; an opening is unseen; openings are left, and a height of the ring is unseen;
+enough. A sentence stays for at least five seconds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.stages.segment.judge.frontiers import Frontier
+from kinectbench.stages.track.odometry import KEYFRAME_SHIFT, KEYFRAME_TURN_RAD
+
+Kind = Literal[
+    "begin", "lost", "slower", "nearer", "farther", "left", "right", "higher", "lower", "top", "enough"
+]
+
+# Directions from the object: 30 degrees apart seen from above, in three heights, as angles above the level.
+SECTORS, HEIGHT_EDGES_RAD = 12, tuple(np.radians([15.0, 45.0]))
+HEIGHTS = ("low", "middle", "high")
+# So many frames from a direction are enough of it: a tenth of a second at 30 Hz.
+FRAMES_ENOUGH = 3
+# Too fast is a keyframe (`stages.track.odometry`) in less than a third of a second. Beyond it the tracker of
+# a build still follows, but pictures blur, and frames overlap less than a loop closure needs.
+FASTEST_SHIFT_PER_S, FASTEST_TURN_RAD_PER_S = 3 * KEYFRAME_SHIFT, 3 * KEYFRAME_TURN_RAD
+# Distances in units of that from which a ball around the object just fits into the picture. Nobody is sent
+# nearer than the least range of a Kinect (0.5 m, with a margin).
+TOO_NEAR, TOO_FAR, LEAST_DISTANCE_M, MARGIN_M = 0.7, 2.0, 0.6, 0.2
+# An opening was looked into by a camera within this angle of where it is best seen from; after so many
+# keyframes from there, what still is not seen cannot be (chosen by hand).
+LOOKED_RAD, LOOKED_ENOUGH = np.radians(20.0), 2
+# Whoever is within these of a direction is there (chosen by hand: half a sector, and a third of a height).
+THERE_TURN_RAD, THERE_RISE_RAD = np.radians(15.0), np.radians(10.0)
+# Steeper than this nobody walks around an opening: it is looked into from where one stands.
+STEEP_RAD = np.radians(60.0)
+# A camera is held no lower than this over the floor. An underside that it would see at a flatter angle than
+# this is left alone: its rays would graze it (chosen by hand).
+LOWEST_M, LOOKS_UP_RAD = 0.2, np.radians(5.0)
+# A sentence stays so long at least, and another one must have held for so long before it is said.
+STAYS_S, HOLDS_S = 5.0, 0.5
+
+
+class Advice(NamedTuple):
+    """A sentence, and what it asks for.
+
+    Attributes:
+        kind: of what.
+        sentence: one line.
+        distance_m: where `nearer` and `farther` end, from the middle of the object: a sentence stays for five
+            seconds, in which whoever goes on would walk into the object.
+    """
+
+    kind: Kind
+    sentence: str
+    distance_m: float | None = None
+
+
+class Ring:
+    """Which directions the object was seen from.
+
+    Attributes:
+        frames: (12, 3) from each sector, counterclockwise from x of the floor frame, and height.
+    """
+
+    def __init__(self) -> None:
+        """Nothing was seen."""
+        self.frames: Int64 = np.zeros((SECTORS, len(HEIGHTS)), np.int64)
+
+    def add(self, towards_rad: float, rise_rad: float) -> None:
+        """Count a frame taken from a direction: seen from above, and above the level."""
+        self.frames[sector_of(towards_rad), height_of(rise_rad)] += 1
+
+    @property
+    def unseen_rad(self) -> Float64:
+        """Middles (n,) of the sectors that no height was seen of, radians."""
+        return _middles_rad(np.asarray((self.frames < FRAMES_ENOUGH).all(axis=1)))
+
+    def unseen_at(self, height: int) -> Float64:
+        """Middles (n,) of the sectors that were not seen from one height, radians."""
+        return _middles_rad(self.frames[:, height] < FRAMES_ENOUGH)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Where the camera is, and what was seen; lengths in metres, floor frame.
+
+    Attributes:
+        lost: the camera has no pose.
+        shift_per_s: how fast it moves, in its distance to the object a second.
+        turn_rad_per_s: how fast it turns.
+        position: (3,) of the camera; None: the object is not known yet.
+        center: (3,) of the object.
+        fits_m: from where a ball around the object just fits into the picture.
+        first_rad: direction from the object to where the recording began, seen from above.
+        ring: directions that were seen.
+        frontiers: openings that no keyframe saw into, the largest first.
+        positions: (n, 3) of the keyframes.
+    """
+
+    lost: bool = False
+    shift_per_s: float = 0.0
+    turn_rad_per_s: float = 0.0
+    position: Float64 | None = None
+    center: Float64 = field(default_factory=lambda: np.zeros(3))
+    fits_m: float = 1.0
+    first_rad: float = 0.0
+    ring: Ring = field(default_factory=Ring)
+    frontiers: Sequence[Frontier] = ()
+    positions: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def advice(now: Situation) -> Advice:
+    """What is to be said of a situation."""
+    if now.lost:
+        return Advice("lost", "lost: go back to where the picture shows")
+    if now.shift_per_s > FASTEST_SHIFT_PER_S or now.turn_rad_per_s > FASTEST_TURN_RAD_PER_S:
+        return Advice("slower", "slower")
+    if now.position is None:
+        return Advice("begin", "point the camera at the object, and go slowly around it")
+    distance_m = float(np.linalg.norm(now.position - now.center))
+    good_m = round(max(now.fits_m, LEAST_DISTANCE_M + MARGIN_M), 1)
+    if distance_m < max(TOO_NEAR * now.fits_m, LEAST_DISTANCE_M):
+        return Advice("farther", f"farther, to {good_m:.1f} m", good_m)
+    if distance_m > TOO_FAR * max(now.fits_m, LEAST_DISTANCE_M):
+        return Advice("nearer", f"nearer, to {good_m:.1f} m", good_m)
+    for rule in (_around, _into_openings, _at_other_heights):
+        found = rule(now, now.position)
+        if found is not None:
+            return found
+    return Advice("enough", "enough")
+
+
+def directions_of(points: Float64, center: Float64) -> tuple[Float64, Float64]:
+    """Directions (n,) from a centre (3,) to points (n, 3): seen from above, and above the level, radians."""
+    x, y, z = (points - center).T
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+
+def sector_of(towards_rad: float) -> int:
+    """The sector of the ring that a direction lies in."""
+    return int(np.floor(towards_rad / (2 * np.pi) * SECTORS)) % SECTORS
+
+
+def height_of(rise_rad: float) -> int:
+    """The height of the ring that a direction lies in."""
+    return int(np.searchsorted(HEIGHT_EDGES_RAD, rise_rad))
+
+
+def _middles_rad(sectors: Bools) -> Float64:
+    return np.asarray((np.flatnonzero(sectors) + 0.5) * 2 * np.pi / SECTORS)
+
+
+def _around(now: Situation, position: Float64) -> Advice | None:
+    """The way to the nearest side that was not seen."""
+    unseen_rad = now.ring.unseen_rad
+    if not len(unseen_rad):
+        return None
+    towards_rad, _ = directions_of(position[None], now.center)
+    return _to_nearest(unseen_rad, float(towards_rad[0]), now.first_rad, "is unseen")
+
+
+def _into_openings(now: Situation, position: Float64) -> Advice | None:
+    """The way to where the largest opening is seen into that nobody tried to look into."""
+    for each in now.frontiers:
+        center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
+        if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
+            continue
+        look = np.array(each.look_from)
+        towards_rad, at_rad = (float(values[0]) for values in directions_of(position[None], center))
+        turn_rad = float(_wrapped(np.arctan2(look[1], look[0]) - towards_rad))
+        at_top, too_high = each.direction == "up", at_rad - rise_rad > THERE_RISE_RAD
+        too_low = rise_rad - at_rad > THERE_RISE_RAD
+        # Tops and undersides are looked at from any side: first the camera goes up, or down.
+        first = (at_top and too_low) or (each.underside and too_high)
+        if rise_rad < STEEP_RAD and abs(turn_rad) > THERE_TURN_RAD and not first:
+            side = _side(towards_rad + turn_rad, now.first_rad)
+            where = "the top" if at_top else side
+            return _sideways(turn_rad, f"an opening at {where} is unseen")
+        if too_low:
+            if at_top:
+                return Advice("top", "look into the opening at the top")
+            return Advice("higher", "hold the camera higher: an opening at the side is unseen")
+        if too_high and not at_top:
+            below = "what lies below is unseen" if rise_rad < 0 else "an opening at the side is unseen"
+            return Advice("lower", f"hold the camera lower: {below}")
+    return None
+
+
+def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
+    """Where openings are left that were looked into in vain: around once more, from low, then from high."""
+    if all(each.obstructed or _rise_rad(each, now.fits_m) is None for each in now.frontiers):
+        return None
+    towards_rad, at_rad = (float(values[0]) for values in directions_of(position[None], now.center))
+    lowest_rad = float(np.arcsin(np.clip((LOWEST_M - now.center[2]) / now.fits_m, -1, 1)))
+    bands: list[tuple[int, Kind]] = [(0, "lower"), (len(HEIGHTS) - 1, "higher")]
+    if lowest_rad > HEIGHT_EDGES_RAD[0] - THERE_RISE_RAD:
+        bands = bands[1:]
+    for height, kind in bands:
+        unseen_rad = now.ring.unseen_at(height)
+        if len(unseen_rad) and height_of(at_rad) != height:
+            return Advice(kind, f"hold the camera {kind}, and go around once more")
+        if len(unseen_rad):
+            return _to_nearest(unseen_rad, towards_rad, now.first_rad, f"is unseen from {HEIGHTS[height]}")
+    return None
+
+
+def _rise_rad(each: Frontier, fits_m: float) -> float | None:
+    """The height from which an opening is looked into, as an angle; None: a camera cannot be so low.
+
+    From low above the floor one looks up into what lies higher, if not as steeply as would be best.
+    """
+    lowest_rad = float(np.arcsin(np.clip((LOWEST_M - each.center_m[2]) / fits_m, -1, 1)))
+    best_rad = float(np.arcsin(np.clip(each.look_from[2], -1, 1)))
+    if each.underside and best_rad < -LOOKS_UP_RAD < lowest_rad:
+        return None
+    return float(min(max(best_rad, lowest_rad), STEEP_RAD))
+
+
+def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
+    """Whether keyframes were taken from where an opening is seen into."""
+    if not len(positions):
+        return False
+    towards_rad, at_rad = directions_of(positions, np.array(each.center_m))
+    turned = np.abs(_wrapped(towards_rad - np.arctan2(each.look_from[1], each.look_from[0])))
+    there = at_rad > rise_rad - LOOKED_RAD
+    if rise_rad < STEEP_RAD:
+        there &= (at_rad < rise_rad + LOOKED_RAD) & (turned < LOOKED_RAD)
+    return int(there.sum()) >= LOOKED_ENOUGH
+
+
+def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: str) -> Advice:
+    """The shorter way to the nearest of some directions."""
+    turns_rad = _wrapped(unseen_rad - towards_rad)
+    nearest = int(np.argmin(np.abs(turns_rad)))
+    return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
+
+
+def _sideways(turn_rad: float, why: str) -> Advice:
+    """Facing the object, whoever goes counterclockwise around it goes to the right."""
+    kind: Kind = "right" if turn_rad > 0 else "left"
+    return Advice(kind, f"go {kind}: {why}")
+
+
+def _side(towards_rad: float, first_rad: float) -> str:
+    """The name of a side of the object, seen from where the recording began."""
+    quarter = round(float(_wrapped(towards_rad - first_rad)) / (np.pi / 2)) % 4
+    return ("the front", "the right side", "the back", "the left side")[quarter]
+
+
+def _wrapped(angle_rad: Float64 | float) -> Float64:
+    return np.asarray(np.angle(np.exp(1j * np.asarray(angle_rad))))
+
+
+class Speaker:
+    """Says one sentence at a time; another one at most every five seconds."""
+
+    def __init__(self) -> None:
+        """Nothing was said."""
+        self.said: Advice | None = None
+        self._since_s = -np.inf
+        self._other: tuple[Advice, float] | None = None
+
+    def hear(self, heard: Advice, now_s: float) -> Advice:
+        """What is said at a time, in seconds that increase, if the rule advises this."""
+        if self.said is None:
+            self.said, self._since_s = heard, now_s
+        if heard == self.said:
+            self._other = None
+        elif self._other is None or self._other[0] != heard:
+            self._other = heard, now_s
+        elif now_s - self._other[1] >= HOLDS_S and now_s - self._since_s >= STAYS_S:
+            self.said, self._since_s, self._other = heard, now_s, None
+        return self.said

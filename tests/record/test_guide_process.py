@@ -1,0 +1,161 @@
+"""The guide beside a recording: in a process of its own, late without harm, and gone without harm."""
+
+import json
+import os
+import signal
+import struct
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from headless import Browser, find_chromium
+from made_once import made_once
+from raising import raises
+from small_benchmark import Run
+from written_frames import read
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.lab.simulate.simulate import simulate
+from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.lab.simulate.truth import truth_folder
+from kinectbench.record.devices.replay import Replay
+from kinectbench.record.guide.guide import Guide
+from kinectbench.record.guide.process import GuideProcess
+from kinectbench.record.interface import Frame, Setup
+from kinectbench.record.recorder import record
+from kinectbench.stages.ingest.readers import open_recording
+
+# Pixels of the ring that were seen.
+PAINTED = """(() => {
+  const c = document.getElementById("above"), pen = c.getContext("2d");
+  const d = pen.getImageData(0, 0, c.width, c.height).data;
+  let n = 0;
+  for (let i = 0; i < d.length; i += 4) n += d[i + 3] > 200 && d[i + 2] > d[i] + 60;
+  return n;
+})()"""
+FRAMES = 60
+# A third of the way around in four seconds.
+SLOWLY = {"frames": FRAMES, "rate_hz": 15.0, "arc_rad": 2.0}
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A chair of 60 frames, a third of the way around it."""
+
+    def make(to: Path) -> None:
+        spec = SimulationSpec.model_validate(
+            {"object": "chair:seed=3", "sensor": {"width": 320, "height": 240}, "path": SLOWLY}
+        )
+        simulate(spec, to / "chair")
+
+    return made_once(tmp_path_factory, "guided", make) / "chair"
+
+
+@pytest.fixture
+def guide() -> Iterator[GuideProcess]:
+    made = GuideProcess()
+    yield made
+    made.close()
+
+
+def fetched(url: str) -> bytes:
+    with urllib.request.urlopen(url, timeout=20) as answer:
+        return bytes(answer.read())
+
+
+def replayed(source: Path) -> tuple[Setup, list[Frame]]:
+    replay = Replay(source, 1000.0)
+    setup = replay.open()
+    frames = [Frame(raw.stamp_ns, raw.depth, raw.color) for raw in read(open_recording(source))]
+    replay.close()
+    return setup, frames
+
+
+def test_the_camera_is_followed_lost_and_found_again(source: Path) -> None:
+    """Poses are those of the truth within 15 mm; a covered lens is lost; the same place is found again."""
+    setup, frames = replayed(source)
+    guide = Guide(setup, beside=False)
+    said = [guide.take(number, each) for number, each in enumerate(frames)]
+    assert not any(each.lost for each in said) and said[-1].looks > 0
+    truth = np.loadtxt(truth_folder(source) / "trajectory.txt")[:, 1:4]
+    moved = np.array([T[:3, 3] for _, T in guide.poses])
+    for first, last in ((0, FRAMES - 1), (10, 40)):
+        walked_m = np.linalg.norm(truth[last] - truth[first])
+        assert abs(np.linalg.norm(moved[last] - moved[first]) - walked_m) < 0.015
+    assert guide.seen is not None and guide.seen.box.size_m[2] == pytest.approx(0.85, abs=0.06)
+    dark = [later(each, 1 + k, covered=True) for k, each in enumerate(frames[-8:])]
+    assert guide.take(FRAMES, dark[0]).lost
+    again = guide.take(FRAMES + 1, later(frames[20], 60))
+    assert not again.lost
+    assert np.linalg.norm(guide.poses[-1][1][:3, 3] - moved[20]) < 0.01
+
+
+def later(frame: Frame, seconds: int, *, covered: bool = False) -> Frame:
+    """The same frame some seconds later; with the hand on the lens."""
+    depth = np.zeros_like(frame.depth) if covered else frame.depth
+    return Frame(frame.stamp_ns + seconds * 10**9, depth, frame.color)
+
+
+def test_the_page_shows_what_was_seen(guide: GuideProcess, source: Path) -> None:
+    setup, frames = replayed(source)
+    assert fetched(guide.url + "state") == b""
+    looks, number = 0, 0
+    while not looks and number < 40 * FRAMES:
+        # The look comes from a thread of its own: the last frame goes on until it is there.
+        frame = frames[min(number, FRAMES - 1)]
+        guide.see(number, later(frame, max(0, number - FRAMES + 1)), setup)
+        number += 1
+        looks = json.loads(fetched(guide.url + "state"))["looks"]
+    state, mesh = json.loads(fetched(guide.url + "state")), fetched(guide.url + "mesh")
+    assert state["sentence"] == guide.sentence != "" and not state["lost"]
+    assert len(state["ring"]) == 12 and np.any(state["ring"]) and state["path"] and state["box"]
+    points, faces = struct.unpack("<II", mesh[:8])
+    assert points > 1000 and len(mesh) == 8 + 12 * points + 12 * faces
+    assert fetched(guide.url + "picture?1")[:2] == b"\xff\xd8"
+    assert [said.number for said in guide.said] == list(range(number))
+
+
+@pytest.mark.skipif(find_chromium() is None, reason="no chromium")
+def test_the_page_draws_the_object_and_obeys_its_policy(
+    guide: GuideProcess, source: Path, tmp_path: Path
+) -> None:
+    """The sentence, the ring and the object are drawn; nothing is loaded from elsewhere, nothing refused."""
+    setup, frames = replayed(source)
+    with Browser(tmp_path / "profile") as browser:
+        browser.window(1280, 800)
+        browser.go(guide.url)
+        number = 0
+        while not browser.evaluate("window.guideFaces > 1000") and number < 40 * FRAMES:
+            frame = frames[min(number, FRAMES - 1)]
+            guide.see(number, later(frame, max(0, number - FRAMES + 1)), setup)
+            number += 1
+        assert browser.evaluate("document.getElementById('sentence').textContent") == guide.sentence
+        assert browser.evaluate(PAINTED) > 1000
+        assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        # The software renderer says that it is slow to be read back.
+        assert [text for text in browser.complaints() if "GPU stall" not in text] == []
+        assert all(url.startswith(guide.url) for url in browser.requested())
+
+
+def test_a_guide_that_dies_costs_no_frame(guide: GuideProcess, source: Path, tmp_path: Path) -> None:
+    os.kill(guide.pid, signal.SIGKILL)
+    done = record(Replay(source), tmp_path / "out", observers=[guide])
+    assert (done.frames, done.missed, done.dropped, done.failure) == (FRAMES, 0, 0, "")
+    assert done.observers == ("the guide's process ended; the recording goes on",)
+
+
+def test_the_command_names_the_page(command: Callable[..., Run], source: Path, tmp_path: Path) -> None:
+    """--json --build is refused before anything is written; --guide names the page on standard error."""
+    given = ("--from", str(source), "--speed", "4", "--guide")
+    assert command(tmp_path, "record", "out", *given, "--build", "--json").status == 2
+    assert not (tmp_path / "out").exists()
+    run = command(tmp_path, "record", "out", *given, "--json")
+    assert run.status == 0 and json.loads(run.out)["frames"] > 0
+    assert "guide: open http://127.0.0.1:" in run.err
+
+
+def test_a_port_of_another_is_refused(guide: GuideProcess) -> None:
+    with raises(SettingsError, "settings.wrong-value", "--port"):
+        GuideProcess(int(guide.url.split(":")[2].split("/")[0]))

@@ -1,0 +1,69 @@
+"""The guide's page: who may read it, and what it may load."""
+
+import http.client
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+from raising import raises
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.record.guide.server import FILES, PageServer
+
+
+@pytest.fixture
+def server() -> Iterator[PageServer]:
+    made = PageServer({"state": lambda: ("application/json", b"{}"), "mesh": lambda: None})
+    yield made
+    made.close()
+
+
+def ask(server: PageServer, path: str, method: str = "GET", **headers: str) -> http.client.HTTPResponse:
+    address = urlsplit(server.url)
+    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
+    connection.request(method, path, headers={"Host": address.netloc, **headers})
+    answer = connection.getresponse()
+    answer.body = answer.read()  # type: ignore[attr-defined]
+    connection.close()
+    return answer
+
+
+def test_files_and_answers_come_with_the_token(server: PageServer) -> None:
+    base = urlsplit(server.url).path
+    for name, (_, kind) in FILES.items():
+        answer = ask(server, base + name)
+        assert answer.status == 200 and answer.headers["Content-Type"] == kind
+    assert ask(server, base + "state").body == b"{}"  # type: ignore[attr-defined]
+    assert ask(server, base + "mesh").status == 204 and ask(server, base + "other").status == 404
+    assert ask(server, base + "picture?3").status == 404
+
+
+def test_without_its_token_nothing_is_served(server: PageServer) -> None:
+    token = urlsplit(server.url).path.strip("/")
+    for path in ("/", "/state", f"/{token[:-1]}/", f"/{token}x/state", "/../", "/%C3%A9/"):
+        assert ask(server, path).status == 403
+    assert len(token) >= 20
+
+
+def test_names_of_other_hosts_and_origins_are_refused(server: PageServer) -> None:
+    """A page elsewhere cannot read it by a name that leads to this machine; a tunnel's port may be any."""
+    base, port = urlsplit(server.url).path, urlsplit(server.url).port
+    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", "", "localhost:x"):
+        assert ask(server, base, Host=host).status == 403
+    for origin in ("http://evil.example", "null", "https://localhost:9000"):
+        assert ask(server, base, Host="localhost:9000", Origin=origin).status == 403
+    assert ask(server, base, Host="localhost:9000", Origin="http://localhost:9000").status == 200
+    assert ask(server, base, Host="127.0.0.1:9000").status == 200
+
+
+def test_the_page_may_load_its_own_files_only(server: PageServer) -> None:
+    answer = ask(server, urlsplit(server.url).path)
+    assert answer.headers["Content-Security-Policy"].startswith("default-src 'self'")
+    assert answer.headers["Referrer-Policy"] == "no-referrer"
+    assert "Access-Control-Allow-Origin" not in answer.headers
+    assert ask(server, urlsplit(server.url).path, "POST").status == 501
+
+
+def test_a_port_that_is_taken_is_one_line(server: PageServer) -> None:
+    with raises(SettingsError, "settings.wrong-value", "--port"):
+        PageServer({}, urlsplit(server.url).port or 0)
