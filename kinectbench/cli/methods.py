@@ -114,7 +114,7 @@ def predict(
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
 ) -> None:
-    """Write a trained network's predictions with method.json; or score them at once."""
+    """Write predictions of a trained network, with method.json; --score writes figures alone."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 

@@ -27,7 +27,10 @@ WANTED = (
 )
 NAME = "poor"
 # Of one part, all of whose sections are compared in one way.
-WHOLE = {"settings.pairs", "distribution", "flow", "recordings.<name>.quality"}
+WHOLE = {
+    *("settings.pairs", "distribution", "flow"),
+    *("recordings.<name>.quality", "recordings.<name>.reference"),
+}
 # No other value of these can be in a release of one part, or each has a test of its own.
 NOT_FORGED = {
     *("format_version", "benchmark_sha256_version", "benchmark_sha256"),

@@ -16,6 +16,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "support"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
 from figures import Figure, arguments, at_least, at_most, equals, run, told
 from replica_scans import BENCHMARK, Scan, forty, four, make, served, sources_yaml
 from scan_server import Fault, ScanServer

@@ -113,7 +113,7 @@ def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Flo
     measured = np.flatnonzero(np.isfinite(rates[:, 0]))
     if len(measured) < 2:
         return np.zeros((n, 12))
-    between = np.column_stack([np.interp(np.arange(n), measured, rates[known, k]) for k in range(6)])
+    between = np.column_stack([np.interp(np.arange(n), measured, rates[measured, k]) for k in range(6)])
     return np.column_stack([between, np.gradient(between, _ascending(stamps_s), axis=0)])
 
 

@@ -61,7 +61,9 @@ def source() -> Source:
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     frames = []
     for i, T in enumerate(poses):
-        mm = np.rint(depth_of([surface, plane((0, 0, 1), 0.0)], CAMERA, T) * 1000).astype(np.uint16)
+        depth_m = depth_of([surface, plane((0, 0, 1), 0.0)], CAMERA, T)
+        # YCB's tenths of a millimetre in 16 bits end at 6.55 m.
+        mm = np.rint(np.where(depth_m < 6.5, depth_m, 0) * 1000).astype(np.uint16)
         bgr = np.dstack([u, v, np.full_like(u, 40 * i)]).astype(np.uint8)
         jpeg = cv2.imencode(".jpg", bgr)[1].tobytes()
         rgb = np.ascontiguousarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1)[..., ::-1])

@@ -38,7 +38,6 @@ from kinectbench.stages.ingest.recording import (
     visible,
     without_color,
 )
-from kinectbench.stages.ingest.registration import ColorRegistration
 
 SENSORS = ("NP1", "NP2", "NP3", "NP4", "NP5")
 CALIBRATION = "calibration.h5"
@@ -126,6 +125,8 @@ class YcbRecording(FileRecording):
         pixels = _bitmap(read_image_file(file), str(file))
         if self.color_calibration is None:
             return np.asarray(pixels == 0)
+        from kinectbench.stages.ingest.registration import ColorRegistration
+
         register = ColorRegistration(self.camera, self.color_calibration)
         if pixels.shape[::-1] != register.color_px:
             raise DamagedImageError(f"{file}: its size is not that of the colour images")
