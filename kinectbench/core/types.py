@@ -14,6 +14,8 @@ Bools = NDArray[np.bool_]
 # A color picture, (height, width, 3), or colors, (n, 3).
 Rgb = NDArray[np.uint8]
 
+MM_PER_M = 1000.0
+
 # Called with (done, total) while something long is at work.
 Progress = Callable[[int, int], None]
 # Called with (name, done, total), where several named things are at work.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.encoded_images import decoded, image_head
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import Bools, Float32, Rgb
+from kinectbench.core.types import MM_PER_M, Bools, Float32, Rgb
 from kinectbench.release.contents import VIEW_IMAGES
 from kinectbench.release.published import published_bytes
 from kinectbench.release.release import Release, Target
@@ -32,7 +32,6 @@ class Kind(NamedTuple):
 DEPTH = Kind(VIEW_IMAGES[0], "PNG of 16-bit depth", (".png", 16, 0))
 MASK = Kind(VIEW_IMAGES[1], "PNG of 8-bit grey", (".png", 8, 0))
 COLOR = Kind(".color.jpg", "JPEG", (".jpg", 8, 2))
-MM_PER_M = 1000
 
 
 def depth_m(release: Release, target: Target) -> Float32:

@@ -35,6 +35,7 @@ SUFFIXES = (".ply", ".obj", ".glb")
 NEAR_M = 0.02
 # Faces within 45 degrees of the vertical look up or down.
 STEEP = np.sqrt(0.5)
+# Of the figures that are written: micrometres, and millionths of a ratio.
 DECIMALS = 6
 
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera, rigid
+from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration
 from kinectbench.stages.ingest.undistortion import Undistortion
 
 # Sizes of NFOV_UNBINNED and of RES_720P.
 DEPTH_PX, COLOR_PX = (640, 576), (1280, 720)
-MM_PER_M = 1000.0
 
 
 class AzureKinect(Device):

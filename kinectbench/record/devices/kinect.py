@@ -7,11 +7,11 @@ import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
+from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import Device, Frame, Setup
 
 # What ROS's openni_launch has for it where nobody calibrated it: depth lies on colour's pixels.
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
-MM_PER_M = 1000.0
 # Its clock counts 60 MHz in 32 bits: it begins again every 72 s (libfreenect, "timestamp").
 TICKS_PER_S, TICKS = 60_000_000, 1 << 32
 

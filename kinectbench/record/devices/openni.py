@@ -9,10 +9,11 @@ import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
+from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 
+# VGA at 30 Hz: the largest mode of a PrimeSense sensor in which depth lies on colour.
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
-MM_PER_M = 1000.0
 
 
 class OpenNI(Device):

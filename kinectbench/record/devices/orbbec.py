@@ -7,11 +7,11 @@ import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera, rigid
+from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration
 from kinectbench.stages.ingest.undistortion import Undistortion
 
-MM_PER_M = 1000.0
 # The order of OpenCV; Orbbec's Brown model has the same coefficients.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 

@@ -78,6 +78,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
+        """Answer with a file of the page, or with what is asked for again and again."""
         name = self._allowed()
         if name is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")

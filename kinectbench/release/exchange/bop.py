@@ -14,11 +14,10 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.storage import pretty_json, write_below
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import MM_PER_M, Float64, Progress
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, unknown_share
 from kinectbench.release import view_images
 from kinectbench.release.exchange.bop_object import (
-    MM_PER_M,
     BopModel,
     model_info,
     model_ply,

@@ -11,10 +11,9 @@ from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid,
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import MM_PER_M, Bools, Float64
 from kinectbench.release.release import Release
 
-MM_PER_M = 1000.0
 # Rows of distances that are held at once.
 CHUNK = 512
 # A surface counts as seen if it lies no deeper behind the measured one (BOP: delta).

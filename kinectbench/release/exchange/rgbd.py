@@ -23,7 +23,7 @@ from kinectbench.core.errors import KinectBenchError, PredictionError, ReleaseEr
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import Bools, Float32, Float64, Progress, Rgb
+from kinectbench.core.types import MM_PER_M, Bools, Float32, Float64, Progress, Rgb
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_parts
 from kinectbench.release import view_images
@@ -70,12 +70,12 @@ class RgbdView:
     @property
     def depth_m(self) -> Float32:
         """(height, width) float32, metres, 0 without a measurement."""
-        return self.depth_mm.astype(np.float32) / np.float32(view_images.MM_PER_M)
+        return self.depth_mm.astype(np.float32) / np.float32(MM_PER_M)
 
     @cached_property
     def pointmap_m(self) -> Float32:
         """(height, width, 3) float32, camera frame, metres, NaN without a measurement."""
-        points = self.camera.backproject(self.depth_mm / view_images.MM_PER_M).astype(np.float32)
+        points = self.camera.backproject(self.depth_mm / MM_PER_M).astype(np.float32)
         points[self.depth_mm == 0] = np.nan
         return points
 
@@ -254,7 +254,7 @@ def read_view(release: Release, target: Target) -> RgbdView:
         ReleaseError: the release has no such images, or a file is damaged or not the published one.
     """
     source = f"views/{target.recording}/{target.view}"
-    depth_mm = np.rint(view_images.depth_m(release, target) * view_images.MM_PER_M).astype(np.uint16)
+    depth_mm = np.rint(view_images.depth_m(release, target) * MM_PER_M).astype(np.uint16)
     mask, color, words = view_images.mask(release, target), None, UNREGISTERED
     if color_registered(release, target.recording):
         has_color = f"{source}{view_images.COLOR.suffix}" in release.sums

@@ -18,11 +18,11 @@ from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewRow
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Grid, invert_rigid
 from kinectbench.core.storage import write_below
+from kinectbench.core.types import MM_PER_M
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.publish.held_back import DECIMALS
 from kinectbench.release.publish.rebuilt import PosedView
-from kinectbench.release.view_images import MM_PER_M
 from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 

@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.geometry.decimate import decimated, surface_distances_m
 from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
 from kinectbench.core.turntable import surface_colors
-from kinectbench.core.types import Float64, Rgb
+from kinectbench.core.types import MM_PER_M, Float64, Rgb
 from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
 
 # Of a build, the mesh of all that was recorded.
@@ -23,7 +23,6 @@ SCENE = "reconstruction/mesh.ply"
 MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
 # x stays, z becomes y.
 T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-MM_PER_M = 1000
 # Vertices whose distance is measured; of 60,000 triangles all of them took half the file's time.
 MEASURED = 5000
 # Decimals of texts in the file: matrices, and thousandths of a millimetre.

@@ -16,11 +16,10 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.geometry import Camera, Grid, invert_rigid, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.listing import spread
-from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.types import MM_PER_M, Bools, Float32, Float64
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, unpack
 from kinectbench.core.voxels.view_grids import depth_cells
-from kinectbench.release.view_images import MM_PER_M
 
 # Of so many views, evenly spread, the cubes are filled: of 8 views of a real cabinet the means
 # over 4 cubes and over all differ by at most 0.01, and 4 take 8 s of two cores that others share.

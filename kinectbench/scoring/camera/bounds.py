@@ -6,12 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.score_figures import AsPapers, Ceiling
-from kinectbench.core.types import Float64
+from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.scoring.camera.surface import Surface
 
 # AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare so many points of each.
 POINTS, SEED = 16_384, 0
-MM_PER_M = 1000.0
 # PCN and AdaPoinTr: distances x 1000, F below 0.01 of their normalised units.
 PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.score_figures import (
     SurfaceMetrics,
     VoxelMetrics,
 )
-from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.types import MM_PER_M, Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
 from kinectbench.scoring.camera import bounds
 from kinectbench.scoring.camera.solid import Solid
@@ -201,7 +201,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
     """Half of both ways, in mm, and F at distances up to its four tolerances: its eval.py (08c1be6)."""
     ways = (there, back)
-    mm = bounds.MM_PER_M
+    mm = MM_PER_M
     return {
         "octmae_chamfer_l1_mm": sum(way.mean(way.distances_m, max) for way in ways) / 2 * mm,
         "octmae_chamfer_l2_mm2": sum(way.mean(way.distances_m**2, max) for way in ways) / 2 * mm**2,

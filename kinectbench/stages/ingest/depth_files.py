@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import PNG_MAGIC, decoded, image_head
-from kinectbench.core.types import Float32
+from kinectbench.core.types import MM_PER_M, Float32
 from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
@@ -25,7 +25,7 @@ TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
 SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS
 # Floats beyond are no metres of a room, but millimetres.
-FARTHEST_M, MM_PER_M = 50.0, 1000.0
+FARTHEST_M = 50.0
 # Of neighbours whose high bytes differ by one, depth in two channels differs by less in nearly all: surfaces
 # are smooth. A picture in false colours does not know of the other channel.
 SMALL_STEP, SMALL_SHARE, LEAST_STEPS = 64, 0.8, 16

@@ -13,7 +13,7 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
-from kinectbench.core.types import Float64
+from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.core.untrusted import quoted
 from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
@@ -30,7 +30,6 @@ LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
 JSON_BYTES = 16 << 20
 # Of one frame among many: apps write a few kilobytes.
 FRAME_JSON_BYTES = 256 << 10
-MM_PER_M = 1000.0
 # No unit of depth images is so long: such a scale is in units a metre.
 MOST_MM_A_UNIT = 100.0
 # Names of librealsense and of Record3D; and keys of a matrix in place of fx, fy, cx and cy.

@@ -11,7 +11,7 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
-from kinectbench.core.types import Float64
+from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.core.untrusted import is_too_large, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
@@ -32,7 +32,6 @@ from kinectbench.stages.ingest.recording import (
 )
 
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
-MM_PER_M = 1000.0
 # Matrices are one camera's if they differ by no more; its images' principal points if they differ by whole
 # pixels, up to this.
 MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
