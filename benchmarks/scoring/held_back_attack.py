@@ -30,7 +30,13 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import PairInput, read_input, read_pair
-from kinectbench.release.publish.rebuilt import PosedView, known_iou, read_posed_view, sampled, solids
+from kinectbench.release.publish.rebuilt import (
+    PosedView,
+    every_fourth,
+    read_posed_view,
+    sampled_known_iou,
+    solids,
+)
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.baselines.inputs import Inputs, up_in_grid
 from kinectbench.scoring.baselines.registry import BASELINES
@@ -166,7 +172,7 @@ def ious(views: Sequence[View], placed: Sequence[Float64], truth: Release) -> Fl
     rows = []
     for view, T in zip(views, placed, strict=True):
         pair = read_pair(truth.folder / view.target.file)
-        rows.append([known_iou(solid, pair) for solid in solids(view.grid(T), images)])
+        rows.append([sampled_known_iou(solid, pair) for solid in solids(view.grid(T), images)])
     return np.asarray(np.mean(rows, axis=0))
 
 
@@ -177,11 +183,11 @@ def single(views: Sequence[View], release: Release, truth: Release) -> dict[str,
         pair = read_pair(truth.folder / view.target.file)
         inputs = Inputs(view.pair, np.nan, up_in_grid(release, view.target, view.pair), None)
         for name in SINGLE:
-            solid = sampled(BASELINES[name](inputs).astype(bool))
-            found.setdefault(name, []).append(known_iou(solid, pair))
+            solid = every_fourth(BASELINES[name](inputs).astype(bool))
+            found.setdefault(name, []).append(sampled_known_iou(solid, pair))
         own = solids(view.pair_grid, [view.image])
         for name, solid in zip(("carved", "hull of depth", "carved hull"), own, strict=True):
-            found.setdefault(name, []).append(known_iou(solid, pair))
+            found.setdefault(name, []).append(sampled_known_iou(solid, pair))
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 

@@ -22,11 +22,11 @@ from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_valu
 from kinectbench.networks.trained import Trained, folder_of, open_trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.baselines.inputs import MEAN_CELLS, Inputs, Training, up_in_grid
+from kinectbench.scoring.baselines.inputs import MEAN_CELLS, Inputs, TrainingTruth, up_in_grid
 from kinectbench.scoring.baselines.registry import BASELINES
 from kinectbench.scoring.counts import protocol_counts, tally
 from kinectbench.scoring.metrics import ious
-from kinectbench.scoring.truth import read_parts, read_truth
+from kinectbench.scoring.truth import read_packed_truth, read_parts
 from kinectbench.scoring.uncertainty import student_interval
 
 PROTOCOL = "known"
@@ -47,7 +47,7 @@ def curves(trained: Trained, release: Release, targets: Sequence[Target]) -> dic
     """IoU at the seventeen thresholds by method: a row a pair."""
     rows: dict[str, list[Float64]] = {name: [] for name in (trained.config.name, *SIMPLE)}
     for target in targets:
-        truth = read_truth(release.pair_path(target), target.sha256)
+        truth = read_packed_truth(release.pair_path(target), target.sha256)
         inputs = inputs_of(release, target)
         predictions = {
             trained.config.name: completed(
@@ -70,12 +70,12 @@ def inputs_of(release: Release, target: Target) -> Inputs:
 
 
 @lru_cache(maxsize=1)  # the pairs of a category follow each other
-def views_to_learn_from(release: Release, category: str) -> Training:
+def views_to_learn_from(release: Release, category: str) -> TrainingTruth:
     """The partial views of a category's training pairs, and where their full shapes are."""
     targets = [target for target in release.split("train") if target.category == category]
     files = tuple((release.pair_path(target), target.sha256) for target in targets)
     partials = np.stack([read_parts(*file, ("partial",))[0] for file in files])
-    return Training(np.zeros((MEAN_CELLS,) * 3, np.float32), partials, files)
+    return TrainingTruth(np.zeros((MEAN_CELLS,) * 3, np.float32), partials, files)
 
 
 def by_object(values: Float64, targets: Sequence[Target]) -> Float64:

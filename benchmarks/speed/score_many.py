@@ -24,7 +24,7 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
-from kinectbench.scoring.pair_result import Job, count_job
+from kinectbench.scoring.pair_result import PairJob, count_job
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import counting_of, score
@@ -103,7 +103,7 @@ def large_table(root: Path) -> tuple[int, float, float, float]:
     release = open_release(root / "benchmark")
     counting = counting_of(release, None, HALF_PIXEL, surface=False)
     counted = [
-        count_job(Job(target, release.pair_path(target), prediction_file(root, target), 0.5, counting))
+        count_job(PairJob(target, release.pair_path(target), prediction_file(root, target), 0.5, counting))
         for target in release.targets
     ]
     results, rng = {}, np.random.default_rng(0)

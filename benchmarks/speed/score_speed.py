@@ -22,8 +22,8 @@ from kinectbench.core.voxels.resample import CORNER_ALIGNED, upsampled_planes
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.metrics import cross_entropy, ious
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.scoring.surface_kernels import cells_of, nearest
-from kinectbench.scoring.truth import Truth
+from kinectbench.scoring.surface_kernels import cells_of, nearest_cells
+from kinectbench.scoring.truth import PackedTruth
 
 SIDE = 256
 
@@ -83,7 +83,7 @@ def one_pair(rounds: int) -> list[Figure]:
     rng = np.random.default_rng(0)
     full = ball((120, 128, 130), 80)
     everything = np.full((SIDE, SIDE, SIDE // 8), 255, np.uint8)
-    truth = Truth(pack(full), everything, pack(ball((128, 128, 20), 120)), 0.004, 0.005)
+    truth = PackedTruth(pack(full), everything, pack(ball((128, 128, 20), 120)), 0.004, 0.005)
     smooth = np.clip(0.6 * full + 0.5 * rng.random(full.shape) - 0.05, 0, 1)
     near = np.array(
         [np.nextafter(np.float32(p), np.float32(s)) for p in THRESHOLDS for s in (0, 1)], np.float32
@@ -109,7 +109,7 @@ def one_pair(rounds: int) -> list[Figure]:
     return [*figures, *from_npz(rounds, smooth.astype(np.float16), full, truth)]
 
 
-def from_npz(rounds: int, values: NDArray[Any], full: Bools, truth: Truth) -> list[Figure]:
+def from_npz(rounds: int, values: NDArray[Any], full: Bools, truth: PackedTruth) -> list[Figure]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "000.npz"
         np.savez_compressed(path, values)
@@ -149,7 +149,7 @@ def surfaces(rounds: int) -> list[Figure]:
 
         def blocks(a: NDArray[Any] = first, b: NDArray[Any] = second) -> list[NDArray[Any]]:
             sets = cells_of(a), cells_of(b)
-            return [np.sort(np.sqrt(nearest(*order)[0])) for order in (sets, sets[::-1])]
+            return [np.sort(np.sqrt(nearest_cells(*order)[0])) for order in (sets, sets[::-1])]
 
         times, (expected, found) = interleaved(rounds, tree, blocks)
         worst = max(float(np.abs(e - f).max()) for e, f in zip(expected, found, strict=True))

@@ -15,9 +15,9 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Bools
 from kinectbench.engine.steps import read_tracked
-from kinectbench.lab.evaluate.build import Build, Registration, read_build, register
+from kinectbench.lab.evaluate.build import Build, BuildRegistration, read_build, register_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
-from kinectbench.lab.evaluate.solid import canonical_cube, compare_on, iou
+from kinectbench.lab.evaluate.solid import canonical_cube, compare_on, grid_iou
 from kinectbench.lab.simulate.truth import Truth, mesh_occupancy, read_truth
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse.reconstruction import observe
@@ -77,7 +77,7 @@ def measure_row(task: Task) -> Row:
     build = task.build
     built, truth = read_build(build), read_truth(task.truth)
     assert built.model is not None
-    registration = register(built, truth)
+    registration = register_build(built, truth)
     pairs = read_json(build / "pairs" / "pairs.json")["pairs"]
     sensor_residual_m, misfit_m = _without_noise(build, built, truth, registration)
     return Row(
@@ -95,14 +95,16 @@ def measure_row(task: Task) -> Row:
     )
 
 
-def _true(model: ObjectModel, truth: Truth, registration: Registration) -> Bools:
+def _true(model: ObjectModel, truth: Truth, registration: BuildRegistration) -> Bools:
     grid = model.shape.grid
     return mesh_occupancy(
         truth.mesh_world, replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid)
     )
 
 
-def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Registration) -> dict[str, float]:
+def _recipes(
+    build: Path, model: ObjectModel, truth: Truth, registration: BuildRegistration
+) -> dict[str, float]:
     """IoU of every recipe above the cut at the floor, where none of the simple ones means anything."""
     built = read_build(build)
     assert built.trajectory is not None
@@ -113,10 +115,10 @@ def _recipes(build: Path, model: ObjectModel, truth: Truth, registration: Regist
     solids = {name: recipe(seen) for name, recipe in RECIPES.items()}
     solids["Poisson"] = poisson(read_own_ply(build / "reconstruction" / "mesh.ply"), seen, above)
     solids[OURS] = model.shape.solid
-    return {name: iou(solid[:, :, above:], true) for name, solid in solids.items()}
+    return {name: grid_iou(solid[:, :, above:], true) for name, solid in solids.items()}
 
 
-def _hull_unknown(model: ObjectModel, truth: Truth, registration: Registration) -> float:
+def _hull_unknown(model: ObjectModel, truth: Truth, registration: BuildRegistration) -> float:
     import trimesh
 
     grid = canonical_cube(truth)
@@ -127,7 +129,7 @@ def _hull_unknown(model: ObjectModel, truth: Truth, registration: Registration) 
 
 
 def _without_noise(
-    folder: Path, built: Build, truth: Truth, registration: Registration
+    folder: Path, built: Build, truth: Truth, registration: BuildRegistration
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What the sensor's noise makes of a residual, and what is left of ours without it; both (pairs,) metres.
 

@@ -17,7 +17,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.path import CameraPath, look_at
-from kinectbench.lab.simulate.simulate import Simulation, prepare, record
+from kinectbench.lab.simulate.simulate import Simulation, prepare, record_frame
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.record.guide.guide import Guide
 from kinectbench.record.guide.sentences import STAYS_S, Advice
@@ -104,7 +104,7 @@ def walked(simulation: Simulation, guided: bool) -> Walked:
     for index in range(FRAMES):
         if guided:
             walk.step(advice)
-        frame = record(simulation, index).frame
+        frame = record_frame(simulation, index).frame
         depth = np.rint(frame.depth_m * SCALE).astype(np.uint16)
         room = simulation.path.poses(np.array([simulation.frames[index].time_s]))[0]
         depths.append(depth)

@@ -12,8 +12,8 @@ from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.engine.steps import read_tracked
-from kinectbench.lab.evaluate.build import read_build, register
-from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.evaluate.build import read_build, register_build
+from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.objects import families
 from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
@@ -89,11 +89,11 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
     fusion = fusion.model_copy(update={"max_depth_m": reach_m})
     odd, even = (observe(sequence, trajectory, frames[k::2], grid, fusion) for k in (0, 1))
     truth = read_truth(truth_folder(recording))
-    registration = register(read_build(build), truth)
+    registration = register_build(read_build(build), truth)
     in_truth = replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid)
     cells = np.stack(np.indices(grid.shape), axis=-1).reshape(-1, 3)
     middles = transform_points(in_truth.T_world_grid, (cells + 0.5) * grid.voxel_size_m)
-    distance_m = Surface(truth.mesh_world).distance_m(middles).astype(np.float32)
+    distance_m = ReferenceSurface(truth.mesh_world).distance_m(middles).astype(np.float32)
     return Observed(
         name=build.name,
         family=family,

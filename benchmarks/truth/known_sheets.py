@@ -32,10 +32,10 @@ from kinectbench.core.pictures import (
 )
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.engine.processes import submit_all, worker_pool
-from kinectbench.lab.evaluate.build import Build, Registration, read_build, register
+from kinectbench.lab.evaluate.build import Build, BuildRegistration, read_build, register_build
 from kinectbench.lab.evaluate.charts import slice_colors
-from kinectbench.lab.evaluate.solid import Solids, canonical_cube, compare_on
-from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.evaluate.solid import EvaluatedSolids, canonical_cube, compare_on
+from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import Truth, read_truth
 from kinectbench.report.unseen import arrows_to, draw_arrow
 from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -58,7 +58,7 @@ class Place:
     build: Build
     model: ObjectModel
     truth: Truth
-    registration: Registration
+    registration: BuildRegistration
     look: Viewpoint
 
     @property
@@ -83,7 +83,7 @@ def place(build_folder: Path, truth_folder: Path) -> Place:
     assert build.model is not None
     vertices = transform_points(invert_rigid(truth.T_world_object), truth.mesh_world.vertices)
     look = viewpoints_around(vertices, [LOOK_DEG])[0]
-    return Place(build, build.model, truth, register(build, truth), look)
+    return Place(build, build.model, truth, register_build(build, truth), look)
 
 
 def pictures(at: Place, build_folder: Path) -> list[Rgb]:
@@ -125,7 +125,9 @@ def error_picture(at: Place) -> Rgb:
     hit = np.isfinite(distance_m)
     points = _hits(at.look, distance_m, size_px)
     error_m = np.where(
-        which[hit] == 0, Surface(true).signed_distance_m(points), -Surface(built).signed_distance_m(points)
+        which[hit] == 0,
+        ReferenceSurface(true).signed_distance_m(points),
+        -ReferenceSurface(built).signed_distance_m(points),
     )
     colors = 255 * colormaps["coolwarm"](0.5 + error_m / (2 * SCALE_M))[:, :3]
     return _drawn(hit, colors, normals_view[hit])
@@ -174,7 +176,7 @@ def _surface_of(cells: Bools, at: Place) -> TriangleMesh:
     return TriangleMesh(transform_points(at.T_object_built, vertices), mesh.faces)
 
 
-def slice_picture(solids: Solids) -> Rgb:
+def slice_picture(solids: EvaluatedSolids) -> Rgb:
     """The upright slice, across x or y, with most cells that are wrong."""
     wrong = solids.true ^ solids.built
     counts = [wrong.sum(axis=(1, 2)), wrong.sum(axis=(0, 2))]

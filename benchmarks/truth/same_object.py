@@ -17,7 +17,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
-from kinectbench.release.triage.same_object import LEAST_AGREEMENT, SIZES_APART, Shape, agreement
+from kinectbench.release.triage.same_object import LEAST_AGREEMENT, SIZES_APART, Shape, shape_agreement
 
 SAMPLES = 12_000
 # Of a surface that was fused, and less on what is small; the sector that no camera saw.
@@ -50,13 +50,13 @@ def measure(options: argparse.Namespace) -> Sequence[Figure]:
     for family in options.families or families():
         subjects = [make_object(family, seed) for seed in range(options.seeds)]
         shapes = [[scanned(s, np.random.default_rng([i, j])) for j in (0, 1)] for i, s in enumerate(subjects)]
-        same += [agreement(one, other) for one, other in shapes]
+        same += [shape_agreement(one, other) for one, other in shapes]
         for i, j in combinations(range(len(subjects)), 2):
             a, b = size_m(subjects[i]), size_m(subjects[j])
             if (np.abs(a - b) > SIZES_APART * np.maximum(a, b)).any():
                 skipped += 1
                 continue
-            others.append(agreement(shapes[i][0], shapes[j][1]))
+            others.append(shape_agreement(shapes[i][0], shapes[j][1]))
             alike.append((others[-1], f"{family}: seeds {i} and {j}, {others[-1]:.2f}"))
         print(family, np.round(same[-len(subjects) :], 2), flush=True)
     false = np.array([*others, *[0.0] * skipped])

@@ -17,7 +17,7 @@ def _known_baselines(incomplete: str) -> list[str]:
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
-def baseline(
+def baseline_command(
     common: Common,
     names: Annotated[
         list[str] | None,
@@ -32,19 +32,19 @@ def baseline(
     Where there are training pairs of every category, mean-shape and nearest too.
     """
     from kinectbench.cli import console
-    from kinectbench.scoring.baselines.predict import check_names, write_baselines
+    from kinectbench.scoring.baselines.predict import check_baseline_names, write_baselines
 
-    check_names(names or ())
+    check_baseline_names(names or ())
     release, rows = find_release(common)
     folder = out or common.beside("predictions")
-    with console.bar("baseline") as progress:
+    with console.progress_bar("baseline") as progress:
         written = write_baselines(release, folder, names, common.workers, progress)
     common.tell_written(*(folder / name for name in written))
     return exit_status(rows)
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
-def check(common: Common, predictions: Predictions) -> int:
+def check_command(common: Common, predictions: Predictions) -> int:
     """Report all faults of a folder of predictions, without scoring.
 
     Of predictions in the camera frame it says how far each is from its view's depth, and what explains it.
@@ -62,7 +62,7 @@ def check(common: Common, predictions: Predictions) -> int:
     problems, notes = list[str](), list[str]()
     for name, folder in methods.items():
         method, lines = read_in_camera(folder), list[str]()
-        with console.bar(f"check {name}") as progress:
+        with console.progress_bar(f"check {name}") as progress:
             if method is None:
                 faults = find_problems(release, folder, progress)
             else:

@@ -34,7 +34,7 @@ OPTIONS = (
 
 
 @takes(*OPTIONS, at_url=True)
-def build(
+def build_command(
     common: Common,
     ids: Ids = None,
     status: Annotated[
@@ -118,7 +118,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
         if left:
             columns = {"recording": "recording", "state": "status", "next": "next stage", "error": "why"}
             shown = [row.json_value() for row in left[:SHOWN_RECORDINGS]]
-            console.out.print(console.table(shown, columns, {}))
+            console.out.print(console.text_table(shown, columns, {}))
         if len(left) > SHOWN_RECORDINGS:
             console.say(f"and {len(left) - SHOWN_RECORDINGS} more; --json lists all")
         console.say(in_words(rows))
@@ -372,5 +372,5 @@ def release_here(benchmark: Path) -> Path:
         return benchmark
     from kinectbench.release.fetch import cached_release
 
-    with console.bar("fetch") as progress:
+    with console.progress_bar("fetch") as progress:
         return cached_release(url, progress)

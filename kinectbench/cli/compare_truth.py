@@ -25,7 +25,7 @@ FORMS = {"f_score_5mm": ".3f", "f_score_10mm": ".3f", "iou": ".3f"}
 
 
 @takes("config", "overrides", "jobs", "as_json")
-def compare_truth(
+def compare_truth_command(
     common: Common,
     ids: Ids = None,
     reference: Annotated[
@@ -46,7 +46,7 @@ def compare_truth(
     built = [row.recording for row in rows if not row.error]
     found: dict[str, ReferenceFile] = {}
     failed = []
-    with console.bar("compare-truth") as progress:
+    with console.progress_bar("compare-truth") as progress:
         for done, name in enumerate(built, 1):
             try:
                 found[name] = compare_reference(common.root / "build" / name, paths[name])
@@ -61,7 +61,7 @@ def compare_truth(
     else:
         shown = [_row(name, each) for name, each in found.items() if not each.refused]
         if shown:
-            console.out.print(console.table(shown, COLUMNS, FORMS))
+            console.out.print(console.text_table(shown, COLUMNS, FORMS))
     console.lines("error", [*refused, *failed], "red")
     return exit_status(rows) or (SOME_FAILED if refused or failed else 0)
 

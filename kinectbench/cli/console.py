@@ -157,7 +157,7 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
         else None
     )
     shown = [row.json_value() | {"estimated_iou": _estimate(row)} for row in rows]
-    return table(shown, columns, FORMATS, caption=medians)
+    return text_table(shown, columns, FORMATS, caption=medians)
 
 
 def _estimate(row: "RecordingSummary") -> str | None:
@@ -168,7 +168,7 @@ def _estimate(row: "RecordingSummary") -> str | None:
     return with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, decimals)
 
 
-def table(
+def text_table(
     rows: Sequence[Mapping[str, Any]],
     columns: Mapping[str, str],
     formats: Mapping[str, str],
@@ -225,7 +225,7 @@ class PlainLines:
 
 
 @contextmanager
-def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar; yields a function of (done, total)."""
     plain = None if err.is_terminal else PlainLines()
     with _bars() as bars:

@@ -10,7 +10,7 @@ from kinectbench.cli.common import Common, takes
 
 
 @takes("config", "overrides", "as_json")
-def evaluate(
+def evaluate_command(
     common: Common,
     recording: Annotated[
         str, typer.Argument(help="a recording's id, a simulated recording, or the folder one was built in")
@@ -33,7 +33,7 @@ def evaluate(
     if status and not (build.build / "sequence").is_dir():
         return status
     target = out or build.build.parent.parent / "evaluation" / build.build.name
-    with console.bar("evaluate") as progress:
+    with console.progress_bar("evaluate") as progress:
         result = evaluate_recording(build.build, build.truth, target, align=align, progress=progress)
     if common.as_json:
         console.say_json(evaluation_json(result))

@@ -16,7 +16,7 @@ Method = Literal["rayst3r", "octmae", "sam3d", "pointr", "patchcomplete"]
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
-def export(
+def export_command(
     common: Common,
     out: Annotated[Path, typer.Argument(help="a new folder, or an earlier export")],
     layout: Annotated[
@@ -41,7 +41,7 @@ def export(
         return _export_views(common, out, method)
     write = getattr(import_module(f"kinectbench.release.exchange.{layout}"), f"export_{layout}")
     release, rows = find_release(common)
-    with console.bar("export") as progress:
+    with console.progress_bar("export") as progress:
         pairs = write(release, out, progress)
     if layout == "bop" and not any(name.endswith(COLOR.suffix) for name in release.sums):
         console.lines("note", [f"the release has no colour images: {HOW_TO_PUBLISH}"], "cyan")
@@ -56,7 +56,7 @@ def _export_views(common: Common, out: Path, method: str | None) -> int:
     from kinectbench.scoring.adapters.registry import export_for
 
     release, rows = find_release(common)
-    with console.bar("export") as progress:
+    with console.progress_bar("export") as progress:
         if method is None:
             views, notes = export_rgbd(release, out, progress)
         else:
@@ -68,7 +68,7 @@ def _export_views(common: Common, out: Path, method: str | None) -> int:
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
-def adapt(
+def adapt_command(
     common: Common,
     method: Annotated[Method, typer.Argument(help="that wrote it")],
     output: Annotated[Path, typer.Argument(help="what it wrote, in the folders of `export --for`")],
@@ -82,7 +82,7 @@ def adapt(
 
     release, rows = find_release(common)
     folder = out or common.beside("predictions") / method
-    with console.bar("adapt") as progress:
+    with console.progress_bar("adapt") as progress:
         count, problems = write_adapted(release, method, output, folder, progress)
     result = {"folder": str(folder), "predictions": count, "problems": console.at_most(problems)}
     common.tell(result, [f"adapted {count} predictions: {folder}"])
@@ -91,7 +91,7 @@ def adapt(
 
 
 @takes("as_json")
-def import_(
+def import_command(
     common: Common,
     folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
     out: Annotated[Path, typer.Argument(help="the release: a new folder")],
@@ -106,6 +106,6 @@ def import_(
     from kinectbench.cli import console
     from kinectbench.release.exchange.recgan import import_recgan
 
-    with console.bar("import") as progress:
+    with console.progress_bar("import") as progress:
         pairs = import_recgan(folder, out, progress, views)
     common.tell({"folder": str(out), "pairs": pairs}, [f"imported {pairs} pairs: {out}"])

@@ -13,7 +13,7 @@ SHOWN = 20
 
 
 @takes("as_json", "jobs")
-def fetch(
+def fetch_command(
     common: Common,
     release: Annotated[
         str,
@@ -68,15 +68,15 @@ def _fetch_release(
 ) -> int:
     from kinectbench.cli import console
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.release.fetch import Part, fetch_release, release_url
+    from kinectbench.release.fetch import ReleasePart, fetch_release, release_url
 
     if split is not None and split not in SPLITS:
         raise SettingsError(f"--split {split}: choose among {', '.join(SPLITS)}")
     url = release_url(release)
-    part = Part(split, tuple(category or ()), views)
+    part = ReleasePart(split, tuple(category or ()), views)
     folder = out or Path(url.rpartition("/")[2])
-    with console.bar("fetch") as progress:
-        fetched = fetch_release(url, folder, None if part == Part() else part, progress)
+    with console.progress_bar("fetch") as progress:
+        fetched = fetch_release(url, folder, None if part == ReleasePart() else part, progress)
     result = {
         "release": str(fetched.folder),
         "benchmark_sha256": fetched.benchmark_sha256,
@@ -93,7 +93,7 @@ def _fetch_release(
 
 
 @takes("config", "as_json", at_url=True)
-def gc(
+def gc_command(
     common: Common,
     delete: Annotated[bool, typer.Option("--delete", help="remove it; without, it is listed")] = False,
     everything: Annotated[

@@ -14,25 +14,25 @@ from typing import Annotated, Any, NoReturn, cast
 import typer
 
 from kinectbench._version import __version__
-from kinectbench.cli.baseline import baseline, check
-from kinectbench.cli.build import STAGE_COMMANDS, build
+from kinectbench.cli.baseline import baseline_command, check_command
+from kinectbench.cli.build import STAGE_COMMANDS, build_command
 from kinectbench.cli.common import Command
-from kinectbench.cli.compare_truth import compare_truth
-from kinectbench.cli.evaluate import evaluate
-from kinectbench.cli.exchange import adapt, export, import_
-from kinectbench.cli.fetch import fetch, gc
-from kinectbench.cli.methods import convert, predict, train
-from kinectbench.cli.publish import publish
-from kinectbench.cli.record import record
-from kinectbench.cli.recordings import formats, init, inspect
-from kinectbench.cli.report import report
-from kinectbench.cli.score import compare, score
-from kinectbench.cli.segment import segment
-from kinectbench.cli.simulate import simulate
-from kinectbench.cli.synthesize import synthesize
-from kinectbench.cli.track import track
-from kinectbench.cli.triage import triage
-from kinectbench.cli.verify import verify
+from kinectbench.cli.compare_truth import compare_truth_command
+from kinectbench.cli.evaluate import evaluate_command
+from kinectbench.cli.exchange import adapt_command, export_command, import_command
+from kinectbench.cli.fetch import fetch_command, gc_command
+from kinectbench.cli.methods import convert_command, predict_command, train_command
+from kinectbench.cli.publish import publish_command
+from kinectbench.cli.record import record_command
+from kinectbench.cli.recordings import formats_command, init_command, inspect_command
+from kinectbench.cli.report import report_command
+from kinectbench.cli.score import compare_command, score_command
+from kinectbench.cli.segment import segment_command
+from kinectbench.cli.simulate import simulate_command
+from kinectbench.cli.synthesize import synthesize_command
+from kinectbench.cli.track import track_command
+from kinectbench.cli.triage import triage_command
+from kinectbench.cli.verify import verify_command
 from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
 from kinectbench.core.extras import missing_extra, missing_module
 from kinectbench.core.storage import remove_half_filled
@@ -60,35 +60,45 @@ STOPPED = "stopped; run the same command again to go on from here"
 
 # The commands as `kinectbench --help` shows them, in the order of their use.
 PANELS: Mapping[str, Mapping[str, Command]] = {
-    "Record": {"record": record},
+    "Record": {"record": record_command},
     "Make a benchmark": {
-        "init": init,
-        "inspect": inspect,
-        "build": build,
+        "init": init_command,
+        "inspect": inspect_command,
+        "build": build_command,
         "ingest": STAGE_COMMANDS["ingest"],
-        "track": track,
+        "track": track_command,
         "fuse": STAGE_COMMANDS["fuse"],
-        "segment": segment,
+        "segment": segment_command,
         "sample-views": STAGE_COMMANDS["sample-views"],
         "pairs": STAGE_COMMANDS["pairs"],
-        "formats": formats,
-        "gc": gc,
+        "formats": formats_command,
+        "gc": gc_command,
     },
-    "Look at what was made": {"report": report, "triage": triage},
-    "Publish it": {"publish": publish, "verify": verify, "fetch": fetch, "export": export, "import": import_},
+    "Look at what was made": {"report": report_command, "triage": triage_command},
+    "Publish it": {
+        "publish": publish_command,
+        "verify": verify_command,
+        "fetch": fetch_command,
+        "export": export_command,
+        "import": import_command,
+    },
     "Score predictions": {
-        "baseline": baseline,
-        "adapt": adapt,
-        "check": check,
-        "score": score,
-        "compare": compare,
+        "baseline": baseline_command,
+        "adapt": adapt_command,
+        "check": check_command,
+        "score": score_command,
+        "compare": compare_command,
     },
-    "Train and run networks": {"train": train, "predict": predict, "convert": convert},
+    "Train and run networks": {
+        "train": train_command,
+        "predict": predict_command,
+        "convert": convert_command,
+    },
     "Work with known truth": {
-        "simulate": simulate,
-        "synthesize": synthesize,
-        "evaluate": evaluate,
-        "compare-truth": compare_truth,
+        "simulate": simulate_command,
+        "synthesize": synthesize_command,
+        "evaluate": evaluate_command,
+        "compare-truth": compare_truth_command,
     },
 }
 

@@ -39,7 +39,7 @@ Release = Annotated[Path, typer.Argument(metavar="RELEASE", help="a published be
 
 
 @takes("wait", "as_json")
-def train(
+def train_command(
     common: Common,
     config: Annotated[
         str,
@@ -74,7 +74,7 @@ def train(
     if unknown := unknown_objects(releases, settings.training.leave_out):
         warning = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
         console.lines(settings.name, [warning], "yellow")
-    with console.bar(f"train {settings.name}") as progress:
+    with console.progress_bar(f"train {settings.name}") as progress:
         state = run(
             settings,
             releases,
@@ -95,7 +95,7 @@ def train(
 
 
 @takes("as_json")
-def predict(
+def predict_command(
     common: Common,
     method: Annotated[
         str,
@@ -142,7 +142,7 @@ def predict(
         return
     for line in notes(trained, benchmark):
         say(line)
-    with console.bar(f"predict {trained.config.name}") as progress:
+    with console.progress_bar(f"predict {trained.config.name}") as progress:
         written = run(
             trained,
             benchmark,
@@ -185,13 +185,13 @@ def _score(
     from kinectbench.networks.score_predicted import as_written, score_predicted
     from kinectbench.report.gallery import loaded_cells
 
-    with console.bar(f"predict and score {trained.config.name}") as progress:
+    with console.progress_bar(f"predict and score {trained.config.name}") as progress:
         table = score_predicted(
             trained, release, run, splits=splits, surface=surface, device=device, progress=progress
         )
     tell_problems([table])
     table.write(folder)
-    with console.bar("gallery") as progress:
+    with console.progress_bar("gallery") as progress:
         # The few views that a page shows are predicted again: all of them would not fit in memory.
         cells = loaded_cells(
             release,
@@ -205,7 +205,7 @@ def _score(
 
 
 @takes("as_json")
-def convert(
+def convert_command(
     common: Common,
     kind: Annotated[
         str, typer.Argument(metavar="KIND", help="recgan: the checkpoint of 3D-RecGAN++'s authors")

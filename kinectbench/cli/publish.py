@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json", at_url=True)
-def publish(
+def publish_command(
     common: Common,
     ids: Ids = None,
     hold_back: Annotated[
@@ -106,7 +106,7 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
     target = store_at(to)
 
     def put(folder: Path) -> "tuple[str, PutSummary]":
-        with console.bar("put") as progress:
+        with console.progress_bar("put") as progress:
             return target.url, put_release(folder, target, progress)
 
     return put
@@ -122,7 +122,7 @@ def _publish_there(common: Common, recordings: list[str], options: "PublishOptio
     from kinectbench.cli import console
     from kinectbench.release.publish.stored import publish_stored
 
-    with console.bar("publish") as progress:
+    with console.progress_bar("publish") as progress:
         return publish_stored(chosen_jobs(common, recordings), common.force, options, progress)
 
 

@@ -44,7 +44,7 @@ def fetch_recipe(
         if stream:
             return _stream(common, recipe, scans)
         try:
-            with console.bar("fetch") as progress:
+            with console.progress_bar("fetch") as progress:
                 rows = recipe.fetch_all(scans, progress)
         except (NoRoomError, StoreGoneError):
             recipe.add_to_benchmark([scan for scan in scans if (recipe.out / recipe.place(scan)).exists()])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @takes("as_json")
-def record(
+def record_command(
     common: Common,
     out: Annotated[Path | None, typer.Argument(help="a new folder for the recording")] = None,
     device: Annotated[
@@ -42,7 +42,7 @@ def record(
 ) -> int:
     """Record with a camera into a folder that `inspect` and `build` read; Ctrl-C ends it."""
     from kinectbench.cli import console
-    from kinectbench.record.devices import chosen
+    from kinectbench.record.devices import device_to_use
     from kinectbench.record.devices.replay import Replay
     from kinectbench.record.recorder import record as record_with
     from kinectbench.settings.models import CameraSettings
@@ -60,7 +60,7 @@ def record(
     if built and common.as_json:
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
-    camera = chosen(device) if replayed is None else Replay(replayed, speed, given)
+    camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     with (
         _guide(port, guided) as guide,
         console.frames_counted(f"record {out}") as progress,
@@ -112,10 +112,10 @@ def _build(common: Common, out: Path, ended_s: float) -> int:
 
     from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
-    from kinectbench.cli.recordings import init
+    from kinectbench.cli.recordings import init_command
 
     quiet = replace(common, as_json=False)
-    init(folder=out)
+    init_command(folder=out)
     status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
@@ -123,10 +123,10 @@ def _build(common: Common, out: Path, ended_s: float) -> int:
 
 
 def _list(common: Common) -> None:
-    from kinectbench.record.devices import listed
+    from kinectbench.record.devices import listed_devices
 
     rows, lines = [], []
-    for each in listed():
+    for each in listed_devices():
         rows.append(each._asdict())
         state = each.absent or ", ".join(each.plugged_in) or "nothing is plugged in"
         lines.append(f"{each.name}: {each.cameras}: {state}")

@@ -30,7 +30,7 @@ STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 
 
 @takes("as_json")
-def init(
+def init_command(
     common: Common,
     folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
     force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
@@ -108,7 +108,7 @@ def _children(folder: Path) -> list[Path]:
 
 
 @takes("as_json")
-def formats(common: Common) -> None:
+def formats_command(common: Common) -> None:
     """List the recording formats, how each is recognised, and on which data it was verified."""
     from kinectbench.stages.ingest.readers import FORMATS, reader_of
 
@@ -123,7 +123,7 @@ def formats(common: Common) -> None:
 
 
 @takes("as_json")
-def inspect(
+def inspect_command(
     common: Common,
     recording: Annotated[str, typer.Argument(help="folder or file, or an id of the benchmark.yaml here")],
     overrides: Annotated[
@@ -156,9 +156,9 @@ def inspect(
         follow_links=follow_links or (known is not None and known.follow_links),
     )
     if page is not None:
-        from kinectbench.doctor.page import write_page
+        from kinectbench.doctor.page import write_diagnosis_page
 
-        write_page(diagnosis, look, page)
+        write_diagnosis_page(diagnosis, look, page)
     if common.as_json:
         findings = [asdict(finding) for finding in diagnosis.findings]
         console.say_json({"verdict": diagnosis.verdict, **diagnosis.facts, "findings": findings})
@@ -180,9 +180,9 @@ def _show(diagnosis: "Diagnosis") -> None:
     from rich.text import Text
 
     from kinectbench.cli import console
-    from kinectbench.doctor.finding import figures
+    from kinectbench.doctor.finding import fact_lines
 
-    console.say(*(f"{name}: {value}" for name, value in figures(diagnosis.facts)))
+    console.say(*(f"{name}: {value}" for name, value in fact_lines(diagnosis.facts)))
     for finding in diagnosis.findings:
         head = Text(f"{finding.severity}: {finding.name}: ", style=STYLES[finding.severity])
         advice = f"; {finding.advice}" if finding.advice else ""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
-def report(
+def report_command(
     common: Common,
     ids: Ids = None,
     scores: Annotated[
@@ -55,16 +55,16 @@ def _paper_table(
 
     from kinectbench.core.storage import replaced_file
     from kinectbench.release.release import open_release
-    from kinectbench.report.paper_table import markdown, paper_tables
-    from kinectbench.report.run import baselines_of, files_named
+    from kinectbench.report.paper_table import paper_markdown, paper_tables
+    from kinectbench.report.run import files_named, kept_baselines
 
     if ids:
         raise SettingsError("report --paper-table: is of score files, not of recordings; name --scores")
     release = None if common.benchmark is None else open_release(release_here(common.benchmark))
     files = files_named(scores, release.benchmark_sha256 if release else None)
-    files += baselines_of(files) if baselines else []
+    files += kept_baselines(files) if baselines else []
     tables = paper_tables([file.table for file in files])
-    text = markdown(tables)
+    text = paper_markdown(tables)
     if out is None:
         common.tell([asdict(table) for table in tables], text.splitlines())
         return 0

@@ -28,7 +28,7 @@ FROM_THE_TABLE = (
 
 
 @takes("benchmark", "config", "overrides", "jobs", "cluster", "shard", "as_json")
-def score(
+def score_command(
     common: Common,
     context: typer.Context,
     predictions: Annotated[
@@ -82,7 +82,7 @@ def score(
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
     if gallery and not in_space(tables):
-        with console.bar("gallery") as progress:
+        with console.progress_bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
     beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
@@ -105,7 +105,7 @@ def _score_part(
         raise SettingsError("score --shard: not with --save-thresholds, which needs all parts")
     folder = out or common.beside("scores")
     given = {name: value for name, value in options.items() if name != "save_thresholds"}
-    with common.executor() as executor, console.bar("count") as progress:
+    with common.executor() as executor, console.progress_bar("count") as progress:
         failed = count_methods(
             open_release(release_here(common.benchmark)),
             predictions,
@@ -176,7 +176,7 @@ def _recheck(
         raise SettingsError(f"--recheck {scores}: holds {len(paths)} tables; name one")
     read_table(paths[0])  # before the benchmark is built
     release, rows = find_release(common)
-    with console.bar("recheck") as progress:
+    with console.progress_bar("recheck") as progress:
         differences = recheck(
             release,
             paths[0],
@@ -208,7 +208,7 @@ def _tables(
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.score import score_methods
 
-    with common.executor() as executor, console.bar("score") as progress:
+    with common.executor() as executor, console.progress_bar("score") as progress:
         if predictions is None:
             tables = score_baselines(release, folder, jobs=common.workers, progress=progress, **known)
         else:
@@ -255,7 +255,7 @@ def baselines_of(
         console.lines("baselines", [line], "yellow")
         return []
     protocols, names = (spatial or tables)[0].settings.protocols, [table.method for table in tables]
-    with console.bar("baselines") as progress:
+    with console.progress_bar("baselines") as progress:
         return baselines_beside(
             release,
             folder,
@@ -281,7 +281,7 @@ def tell_problems(tables: "Sequence[ScoreTable]") -> None:
 
 
 @takes("as_json")
-def compare(
+def compare_command(
     common: Common,
     scores: Annotated[list[Path], typer.Argument(help="scores.json files, or folders that hold them")],
     metric: Annotated[str, typer.Option(help="such as iou, ce, f1, chamfer_mm, surface_dice")] = "iou",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json")
-def segment(
+def segment_command(
     common: Common,
     ids: Ids = None,
     suggest: Annotated[

@@ -10,7 +10,7 @@ from kinectbench.core.errors import SettingsError
 
 
 @takes("overrides", "jobs", "as_json")
-def simulate(
+def simulate_command(
     common: Common,
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
     object_name: Annotated[str | None, typer.Option("--object", help="such as chair:seed=3")] = None,

@@ -10,7 +10,7 @@ from kinectbench.cli.common import Common, takes
 
 
 @takes("overrides", "jobs", "as_json")
-def synthesize(
+def synthesize_command(
     common: Common,
     out: Annotated[Path, typer.Argument(help="a new folder")],
     models: Annotated[

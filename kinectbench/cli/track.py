@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kinectbench.core.sequence import GivenTrajectory
     from kinectbench.core.trajectory.clock_offset import ClockOffset
     from kinectbench.engine.summary import RecordingSummary
-    from kinectbench.stages.track.comparison import Comparison
+    from kinectbench.stages.track.comparison import TrajectoryComparison
 
 # The figures of a comparison that are shown, by their key.
 COMPARED = {
@@ -46,7 +46,7 @@ class _Compared:
     """
 
     recording: str
-    comparison: "Comparison"
+    comparison: "TrajectoryComparison"
     with_itself: bool
     picture: Path
 
@@ -57,7 +57,7 @@ class _Compared:
 
 
 @takes("config", "overrides", "jobs", "force", "wait", "as_json")
-def track(
+def track_command(
     common: Common,
     ids: Ids = None,
     compare: Annotated[
@@ -97,9 +97,9 @@ def track(
 
 def _reference(path: Path) -> "GivenTrajectory":
     from kinectbench.cli import console
-    from kinectbench.core.trajectory.trajectory_file import read_trajectory
+    from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 
-    reference, warnings = read_trajectory(path)
+    reference, warnings = read_trajectory_file(path)
     console.lines("warning", warnings, "yellow")
     return reference
 
@@ -162,7 +162,7 @@ def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
     rows = [one.json_value() for one in compared]
     shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in rows]
     formats = {key: ".1f" if key == "tracked_percent" else ".2f" for key in COMPARED}
-    console.out.print(console.table(shown, COMPARED, formats, title=f"against {reference}"))
+    console.out.print(console.text_table(shown, COMPARED, formats, title=f"against {reference}"))
     for one in compared:
         if one.with_itself:
             console.say(

@@ -11,7 +11,7 @@ COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first re
 
 
 @takes("config", "overrides", "jobs", "as_json")
-def triage(common: Common, ids: Ids = None) -> int:
+def triage_command(common: Common, ids: Ids = None) -> int:
     """Build what is not up to date, and sort all into accept, look and reject: triage/, a page with pictures.
 
     Of recordings that are named the decisions are shown, and nothing is written to triage/.
@@ -32,7 +32,7 @@ def triage(common: Common, ids: Ids = None) -> int:
         page.parent.mkdir(exist_ok=True)
         with replaced_file(page.parent / result.FILE) as temporary:
             temporary.write_text(result.text(), encoding="utf-8")
-        with console.bar("triage") as progress:
+        with console.progress_bar("triage") as progress:
             write_triage_page(settings.name, result, root / "build", page, progress)
     console.lines("warning", [pair.line for pair in result.same_object], "yellow")
     shown = [
@@ -40,7 +40,7 @@ def triage(common: Common, ids: Ids = None) -> int:
         for row in result.rows
     ]
     if not common.as_json:
-        console.out.print(console.table(shown[:SHOWN_RECORDINGS], COLUMNS, {}))
+        console.out.print(console.text_table(shown[:SHOWN_RECORDINGS], COLUMNS, {}))
     counts = ", ".join(f"{decision} {count}" for decision, count in result.counts.items())
     common.tell(result.json_value(), [counts, *([] if ids else [f"wrote {page.resolve()}"])])
     return exit_status(rows)

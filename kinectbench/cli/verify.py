@@ -13,7 +13,7 @@ from kinectbench.core.store.address import shown, url_of
 
 
 @takes("jobs", "as_json")
-def verify(
+def verify_command(
     common: Common,
     release: Annotated[
         Path, typer.Argument(help="the release's folder or URL, or its .zip, .tar or .tar.gz")
@@ -53,7 +53,7 @@ def verify(
             # The folder itself holds the lock by which it is known to be in use.
             folder = stack.enter_context(scratch_folder()) / "release"
             problems = [] if checksums else _brought(url, folder)
-        with console.bar("verify") as progress:
+        with console.progress_bar("verify") as progress:
             if url is not None and checksums:
                 problems = verify_checksums(url, folder, progress)
             else:
@@ -72,7 +72,7 @@ def _brought(url: str, folder: Path) -> list[str]:
     from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release
 
-    with console.bar("fetch") as progress:
+    with console.progress_bar("fetch") as progress:
         others = mirror_release(url, folder, progress)
     return [f"{printable(name, 200)}: not part of the release" for name in others]
 

@@ -65,7 +65,7 @@ def image_head(data: bytes) -> ImageHead:
     raise ValueError("neither a PNG nor a JPEG image" if data else "the file is empty")
 
 
-def decoded(data: bytes, mode: int) -> NDArray[np.generic]:
+def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
     """The pixels of an image whose head was read, in a mode of `cv2.imdecode`.
 
     Raises:

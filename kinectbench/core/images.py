@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import decoded, image_head
+from kinectbench.core.encoded_images import decoded_image, image_head
 from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
@@ -101,7 +101,7 @@ def _decode(path: Path, mode: int) -> NDArray[np.generic]:
     try:
         data = read_plain(path, IMAGE_BYTES)
         image_head(data)
-        return decoded(data, mode)
+        return decoded_image(data, mode)
     except (OSError, ValueError) as error:
         raise _unreadable(path) from error
 

@@ -145,7 +145,7 @@ def render_pieces(
     return shrunk(np.clip(picture, 0, 255).astype(np.uint8), size_px)
 
 
-def silhouette(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
+def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
     """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of its centre."""
     import cv2
 
@@ -173,7 +173,7 @@ def block_density(packed: NDArray[np.uint8]) -> Float32:
     return counts.astype(np.float32) * np.float32(1 / 64)
 
 
-def smoothed(density: Float32) -> Float32:
+def blurred_density(density: Float32) -> Float32:
     """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its surface has no steps."""
     result = np.pad(density, 1)
     for axis in range(3):

@@ -82,7 +82,7 @@ def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]
             yield entry
 
 
-def listed(
+def listed_paths(
     folder: Path, most: int = MOST_LISTED, wanted: Callable[[str], object] | None = None
 ) -> Iterator[Path]:
     """The paths of `scanned`.

@@ -72,7 +72,7 @@ def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
-def figures(facts: Mapping[str, object]) -> list[tuple[str, str]]:
+def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
     """The known facts as (name, value), in order, to print.
 
     Args:

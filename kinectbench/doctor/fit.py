@@ -119,7 +119,7 @@ def _of_unit(unit_m: float) -> Iterator[PoseConvention]:
 
 
 @dataclass(frozen=True)
-class Pair:
+class FramePair:
     """Two frames that should show the same surface.
 
     Attributes:
@@ -136,7 +136,7 @@ class Pair:
     camera: Camera
 
 
-def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
+def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     """Choose pairs of frames with poses, evenly over the recording, near and distant.
 
     Near means near in time. If the poses (n, 4, 4) are in no order of time, it is the angle between views,
@@ -158,7 +158,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[Pair, ...]:
             z = probe.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
             points = (rays * z[..., None])[z > 0]
             if len(points):
-                pairs.append(Pair(first, second, points, probe.frames[second].depth_m, camera))
+                pairs.append(FramePair(first, second, points, probe.frames[second].depth_m, camera))
     return tuple(pairs)
 
 
@@ -174,7 +174,7 @@ def _beside(first: int, poses: Float64) -> list[int]:
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
 
 
-def fits(residual_m: float, pairs: Sequence[Pair]) -> bool:
+def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
     """Whether a residual, metres, is small enough to be a fit, compared with the depth noise.
 
     Args:
@@ -186,12 +186,12 @@ def fits(residual_m: float, pairs: Sequence[Pair]) -> bool:
     return bool(residual_m <= min(FITTING_NOISES * noise_m, MOST_FITTING_M))
 
 
-def frames_of(pairs: Sequence[Pair]) -> NDArray[np.int64]:
+def frames_of(pairs: Sequence[FramePair]) -> NDArray[np.int64]:
     """The frames in pairs, increasing."""
     return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
 
 
-def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
+def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float64:
     """Disagreement of poses and depth: 0 to 1, the mean error over the points of pairs of frames.
 
     The error of a point is the difference of its distance and the measurement at its pixel, divided by a
@@ -218,7 +218,7 @@ def disagreements(pairs: Sequence[Pair], T_world_camera: Float64) -> Float64:
     return residuals
 
 
-def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
+def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:
     """Median point-to-plane distance of points to the surface, metres; NaN if no point overlaps."""
     all_m = [np.zeros(0)]
     for pair in pairs:
@@ -234,7 +234,7 @@ def residual_m(pairs: Sequence[Pair], T_world_camera: Float64) -> float:
 
 
 def _project(
-    pair: Pair, T_world_camera: Float64
+    pair: FramePair, T_world_camera: Float64
 ) -> tuple[Float64, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Project points (..., m, 3) of the first frame into the second by poses (..., n, 4, 4).
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinectbench.core.types import Float64
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import Pair, disagreements
+from kinectbench.doctor.fit import FramePair, disagreements
 from kinectbench.doctor.probe import Probe
 
 # Step factor of the search over depth scale and focal length, and the largest number of steps.
@@ -42,7 +42,7 @@ class Lengths:
         return self.left < MIN_RATIO_LEFT
 
 
-def fit_lengths(pairs: Sequence[Pair], T_world_camera: Float64) -> Lengths:
+def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
     """Try other depth scales and focal lengths under given poses: downhill, in steps of 5 percent.
 
     Args:
@@ -69,7 +69,7 @@ def fit_lengths(pairs: Sequence[Pair], T_world_camera: Float64) -> Lengths:
     return Lengths(STEP ** at[0], STEP ** at[1], cost(at) / max(cost((0, 0)), 1e-9))
 
 
-def _with(pair: Pair, depth: float, focal: float) -> Pair:
+def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
     """A pair with scaled depth and focal lengths."""
     camera = replace(pair.camera, fx=pair.camera.fx * focal, fy=pair.camera.fy * focal)
     points = pair.points * (depth * np.array([1 / focal, 1 / focal, 1]))

@@ -11,7 +11,7 @@ from kinectbench.core.images import data_uri, depth_picture, shrunk
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
 from kinectbench.doctor.color import depth_jumps
-from kinectbench.doctor.finding import Diagnosis, figures
+from kinectbench.doctor.finding import Diagnosis, fact_lines
 from kinectbench.doctor.probe import Probe, WholeFrame
 
 FRAMES, WIDTH_PX = 8, 320
@@ -28,7 +28,7 @@ class Picture:
     uri: str
 
 
-def write_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
+def write_diagnosis_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
     """Write the page.
 
     Raises:
@@ -38,7 +38,7 @@ def write_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
     shown = {
         "title": Path(str(diagnosis.facts["path"])).name or str(diagnosis.facts["path"]),
         "diagnosis": diagnosis,
-        "figures": figures(diagnosis.facts),
+        "figures": fact_lines(diagnosis.facts),
         "tones": TONES,
         "tone": "bad" if "stops" in grave else "warn" if "warning" in grave else "good",
         "pictures": [] if probe is None else list(_pictures(probe)),

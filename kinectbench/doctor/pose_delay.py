@@ -10,7 +10,7 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import Pair, PoseConvention, disagreements, frames_of
+from kinectbench.doctor.fit import FramePair, PoseConvention, disagreements, frames_of
 from kinectbench.doctor.probe import Probe
 
 # Up to half a second either way, for clocks that were synchronised by the network.
@@ -32,7 +32,7 @@ MAX_GAP_S = 0.2
 
 
 def check_trajectory_delay(
-    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> Iterator[Finding]:
     """Report given poses that fit the depth better at other times."""
     delay_ns = trajectory_delay_ns(probe, given, convention, pairs)
@@ -56,7 +56,7 @@ def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
 
 
 def trajectory_delay_ns(
-    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[Pair, ...]
+    probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> int | None:
     """The delay of the poses' stamps at which they fit the depth best; None: not clear.
 
@@ -114,7 +114,9 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
     return int(lags_ns[best]) - round(float(slope / (2 * bend)) * FINE_STEP_NS)
 
 
-def _poses(probe: Probe, given: GivenTrajectory, pairs: tuple[Pair, ...], lag_ns: int) -> NDArray[np.float64]:
+def _poses(
+    probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
+) -> NDArray[np.float64]:
     """Poses of the frames in pairs at stamps later by a lag: (n, 4, 4), NaN for all other frames."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import decoded
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
@@ -203,6 +203,6 @@ def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
     flags = (cv2.IMREAD_REDUCED_GRAYSCALE_8, cv2.IMREAD_REDUCED_GRAYSCALE_4, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     fitting = (flag for flag, by in zip(flags, (8, 4, 2), strict=True) if width >= by * GRAY_COLUMNS)
     try:
-        return np.asarray(decoded(data, next(fitting, cv2.IMREAD_GRAYSCALE)), np.uint8)
+        return np.asarray(decoded_image(data, next(fitting, cv2.IMREAD_GRAYSCALE)), np.uint8)
     except ValueError as error:
         raise DamagedImageError(f"{name}: {error}") from error

@@ -15,7 +15,7 @@ from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
     MOST_FITTING_M,
-    Pair,
+    FramePair,
     PoseConvention,
     choose_pairs,
     disagreements,
@@ -23,7 +23,7 @@ from kinectbench.doctor.fit import (
     frames_of,
     further_conventions,
     likely_conventions,
-    residual_m,
+    pair_residual_m,
 )
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
@@ -75,7 +75,7 @@ class PoseFit:
     residual_m: float
     fits: bool
     proven: bool
-    pairs: tuple[Pair, ...]
+    pairs: tuple[FramePair, ...]
     T_world_camera: NDArray[np.float64]
     arc_rad: float | None
     lengths: Lengths
@@ -108,7 +108,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     chosen = _simplest(conventions, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
     read = conventions[chosen].apply(poses)
-    left_m = residual_m(usable, read)
+    left_m = pair_residual_m(usable, read)
     still = float(unmoved[fitting].mean())
     scaled = min(cost for convention, cost in zip(conventions, costs, strict=True) if convention.unit_m != 1)
     fit = fits(left_m, usable)
@@ -130,7 +130,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 
 
 def _disagreements(
-    conventions: list[PoseConvention], pairs: tuple[Pair, ...], poses: NDArray[np.float64]
+    conventions: list[PoseConvention], pairs: tuple[FramePair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Disagreement of each convention with each pair: (conventions, pairs)."""
     paired = np.full_like(poses, np.nan)

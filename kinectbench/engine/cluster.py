@@ -19,7 +19,7 @@ from urllib.request import ProxyHandler, build_opener
 from kinectbench.core.errors import ClusterError, SettingsError
 from kinectbench.core.untrusted import printable, read_plain_text
 from kinectbench.core.untrusted_text import strict_json
-from kinectbench.engine.cluster_run import Run, one_line
+from kinectbench.engine.cluster_run import Run, dask_line
 from kinectbench.engine.executor import Listener, Outcomes, Result, SendMessage, Task
 from kinectbench.engine.interrupts import interrupts_held
 
@@ -82,7 +82,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
             first: BaseException = error
             while first.__cause__ is not None:
                 first = first.__cause__
-            why, of_files = one_line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
+            why, of_files = dask_line(first), isinstance(first, ssl.SSLError | FileNotFoundError)
             hint = TLS_HINT if of_files or re.search("TLS|encryption", why) else ""
             raise ClusterError(
                 f"--cluster {address}: no scheduler answers there ({why}){hint}", what="no-answer"

@@ -190,7 +190,7 @@ class Run(Generic[Task, Result]):
             if future.status != "error":
                 raise self.gone() from error
             raise ClusterError(
-                f"a worker could not carry out its task ({type(error).__name__}: {one_line(error)}); every "
+                f"a worker could not carry out its task ({type(error).__name__}: {dask_line(error)}); every "
                 f"worker needs kinectbench {self.versions['kinectbench']} and the packages of this machine"
             ) from error
 
@@ -201,6 +201,6 @@ class Run(Generic[Task, Result]):
         self.running.clear()
 
 
-def one_line(error: BaseException) -> str:
+def dask_line(error: BaseException) -> str:
     """The message of a Dask error, in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

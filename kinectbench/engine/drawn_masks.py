@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, Views
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import replaced_file
-from kinectbench.core.untrusted import listed, printable
+from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import Job
@@ -90,7 +90,7 @@ class DrawnMasks:
                 what="stale-masks",
             )
         by_frames = job.recording.segment_by == "masks"
-        named = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed(folder))
+        named = ((path.name, mask_name(path.name, plain_of_frame=by_frames)) for path in listed_paths(folder))
         names = {file: name for file, name in sorted(named) if name is not None}
         stored = MasksFile.read_if_there(folder)
         return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on, by_frames)
@@ -339,7 +339,7 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
 
 def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
     """A line about PNGs beside masks whose names denote no frame or view, if any."""
-    pngs = (path.name for path in listed(drawn.folder) if path.suffix.lower() == ".png")
+    pngs = (path.name for path in listed_paths(drawn.folder) if path.suffix.lower() == ".png")
     others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
     if not others:
         return ()

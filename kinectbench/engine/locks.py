@@ -21,7 +21,7 @@ from typing import IO
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import open_to_add, storage_errors
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 
 LOCK = ".lock"
 # Seconds in which whoever has just taken a lock will have written who it is.
@@ -75,7 +75,7 @@ def sweep(path: Path) -> None:
     def is_left(name: str) -> bool:
         return any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
 
-    for leftover in list(listed(path.parent, wanted=is_left)) if path.parent.is_dir() else []:
+    for leftover in list(listed_paths(path.parent, wanted=is_left)) if path.parent.is_dir() else []:
         original = leftover.with_name(leftover.name[1:].rsplit(".", 2)[0])
         if leftover.suffix == ".old" and not original.exists():
             leftover.rename(original)

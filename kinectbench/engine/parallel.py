@@ -29,7 +29,7 @@ from kinectbench.engine.time_limit import watched
 MOST_THREADS = 8
 
 
-class Watcher(Protocol):
+class ProgressWatcher(Protocol):
     """Receives the progress of recordings."""
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
@@ -57,7 +57,7 @@ def build(
     upto: str = "pairs",
     force: Sequence[str] = (),
     workers: int = 1,
-    watcher: Watcher | None = None,
+    watcher: ProgressWatcher | None = None,
     *,
     wait_for_others: bool = True,
     limit_s: float | None = None,
@@ -130,7 +130,7 @@ def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
 class _Outcomes:
     """The outcomes of recordings so far."""
 
-    watcher: Watcher
+    watcher: ProgressWatcher
     by_id: dict[str, Outcome] = field(default_factory=dict)
 
     def heard(self, message: tuple[str, str, int, int]) -> None:

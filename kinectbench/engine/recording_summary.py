@@ -3,10 +3,10 @@
 from pydantic import Field, field_serializer
 
 from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW, FrontierPart
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 
 
-class RecordingSummary(Part):
+class RecordingSummary(StoredPart):
     """The result of a run on one recording; a figure is null unless its stage is current."""
 
     recording: str = Field(description="its id")

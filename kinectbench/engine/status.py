@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.store.store import in_parallel
 from kinectbench.engine.place import status_of
 from kinectbench.engine.stages import STAGES, Job
@@ -14,7 +14,7 @@ from kinectbench.engine.stages import STAGES, Job
 State = Literal["done", "failed", "missing"]
 
 
-class RecordingStatus(Part):
+class RecordingStatus(StoredPart):
     """The progress of one recording."""
 
     recording: str = Field(description="its id")

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.manifest import Manifest, Timing
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, sha256_file, sha256_text
 from kinectbench.core.store.attempts import MissingObjectError
-from kinectbench.core.store.packed import pack, unpack
+from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import MOST_OBJECT_BYTES, Store, fetch_all, in_parallel
 from kinectbench.core.untrusted import below
 from kinectbench.engine.artefact import Artefact
@@ -66,7 +66,7 @@ def _put_files(store: Store, where: str, artefact: Artefact, manifest: Manifest)
             files[Timing.FILE] = artefact.folder / Timing.FILE
         if packed:
             files[ARCHIVE] = Path(scratch) / ARCHIVE
-            pack(artefact.folder, packed, files[ARCHIVE])
+            pack_files(artefact.folder, packed, files[ARCHIVE])
         in_parallel(partial(store.put, f"{where}/{name}", path) for name, path in files.items())
 
 
@@ -92,7 +92,7 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
         except MissingObjectError as error:
             raise StorageError(f"{store.place(where)}: a file is missing; {REBUILD}") from error
         if packed:
-            unpack(archive, folder, sizes)
+            unpack_files(archive, folder, sizes)
     if any((folder / name).stat().st_size != size for name, size in manifest.files.items()) or (
         manifest.content is not None and manifest.content != _content(folder, manifest)
     ):

@@ -22,7 +22,7 @@ from kinectbench.networks.config_file import find_config
 from kinectbench.networks.recae import BOTTOM_CELLS, DECODER, ENCODER
 from kinectbench.networks.recgan import CHANNELS
 from kinectbench.networks.registry import make_network
-from kinectbench.networks.run_folder import prepare
+from kinectbench.networks.run_folder import prepare_folder
 from kinectbench.networks.tensor_bundle import StoredTensor, TensorBundle, open_bundle
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.weights import FILE, write_weights
@@ -143,11 +143,13 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
     config = fitting_config(bundle.tensors, bundle.index)
     shapes = {n: tuple(v.shape) for n, v in make_network(config.network, device="meta").state_dict().items()}
     names = mapping()
-    problems = misfits(bundle.tensors, {name: to.stored_shape(shapes[to.name]) for name, to in names.items()})
+    problems = tensor_misfits(
+        bundle.tensors, {name: to.stored_shape(shapes[to.name]) for name, to in names.items()}
+    )
     if problems:
         raise StorageError(*(f"{bundle.index}: {problem}" for problem in problems))
     arrays = {to.name: to.arranged(bundle.read(name)) for name, to in names.items()}
-    prepare(out, config)
+    prepare_folder(out, config)
     write_weights({name: arrays[name] for name in shapes}, out / FILE)
     _write_training(bundle, arrays, config, out)
     open_trained(out)  # what was written is a method
@@ -196,7 +198,7 @@ def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSe
     return MethodSettings.model_validate(values)
 
 
-def misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tuple[int, ...]]) -> list[str]:
+def tensor_misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tuple[int, ...]]) -> list[str]:
     """A line for each tensor that is missing or of another shape."""
     lines = []
     for name, shape in wanted.items():

@@ -156,10 +156,10 @@ def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
     """A pair's partial view, full shape and, if the unknown is masked, the known cells."""
     names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
     parts = read_parts(pair.path, pair.sha256, names)
-    return [turned(unpack(part), config) for part in parts]
+    return [turned_axes(unpack(part), config) for part in parts]
 
 
-def turned(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
+def turned_axes(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
     """A grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 

@@ -68,7 +68,7 @@ class Upward(nn.Module):
         return self.last(x)
 
 
-class Views(nn.Module):
+class SixSides(nn.Module):
     """Depth images of the partial view from six sides, one after another through an LSTM."""
 
     def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
@@ -85,7 +85,7 @@ class Views(nn.Module):
 
     def forward(self, partial: Tensor) -> Tensor:
         """Context (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
-        x = depth_images(partial).flatten(0, 1)
+        x = six_depth_images(partial).flatten(0, 1)
         for layer in self.convolutions:
             x = functional.relu(layer(x))
         vectors = functional.relu(self.to_vector(x.flatten(1))).unflatten(0, (len(partial), 6))
@@ -103,7 +103,7 @@ class HanLike(Network):
             tuple(narrowed(count, divisor) for count in counts)
             for counts in (GLOBAL_CHANNELS, LOCAL_CHANNELS, IMAGE_CHANNELS)
         )
-        self.views = Views(images, divisor)
+        self.views = SixSides(images, divisor)
         self.volume_down = Downward(1, wide)
         bottom = wide[-1] + narrowed(CONTEXT_CHANNELS, divisor)
         self.volume_up = Upward(bottom, wide)
@@ -165,7 +165,7 @@ class HanLike(Network):
         return out
 
 
-def depth_images(partial: Tensor) -> Tensor:
+def six_depth_images(partial: Tensor) -> Tensor:
     """Distance to the first set cell from six sides, in [0, 1], 1 without a cell: (b, 6, 1, n, n)."""
     count = partial.shape[-1]
     images = []

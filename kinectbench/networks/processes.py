@@ -41,7 +41,7 @@ def chosen_device(asked: str | None) -> str:
 
 
 @contextmanager
-def joined(device: str) -> Iterator[tuple[int, int]]:
+def joined_processes(device: str) -> Iterator[tuple[int, int]]:
     """Connect the processes of torchrun within the block; yields rank and size."""
     rank, size = rank_and_size()
     if size == 1:

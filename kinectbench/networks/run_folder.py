@@ -85,7 +85,7 @@ def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]
             yield before + key, value
 
 
-def prepare(folder: Path, config: MethodSettings) -> None:
+def prepare_folder(folder: Path, config: MethodSettings) -> None:
     """Create the folder, or check that it has the same configuration.
 
     Raises:

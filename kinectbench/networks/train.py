@@ -25,14 +25,14 @@ from kinectbench.networks.data import (
     training_targets,
     validation_pairs,
 )
-from kinectbench.networks.processes import agreed, chosen_device, joined, mean_of_all, wait_for_all
+from kinectbench.networks.processes import agreed, chosen_device, joined_processes, mean_of_all, wait_for_all
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.run_folder import (
     State,
     check_weights_are_there,
     hardware,
     make_folder,
-    prepare,
+    prepare_folder,
     restore,
     save,
 )
@@ -124,11 +124,11 @@ def train(
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
     make_folder(folder)
-    with memory_kept(), _deterministic(where), joined(where) as part:
+    with memory_kept(), _deterministic(where), joined_processes(where) as part:
         _check_shared(config.training.batch, part[1])
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
-                prepare(folder, config)
+                prepare_folder(folder, config)
             wait_for_all(part[1])  # only now is the folder nobody else's
             network = make_network(config.network, config.training.seed, where)
             learner = Learner(network, config, where, part)

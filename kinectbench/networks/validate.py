@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.data import PairFile, as_tensor, turned
+from kinectbench.networks.data import PairFile, as_tensor, turned_axes
 from kinectbench.networks.network import Network
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.metrics import ious
-from kinectbench.scoring.truth import read_parts, read_truth
+from kinectbench.scoring.truth import read_packed_truth, read_parts
 
 PROTOCOL = "known"
 
@@ -23,12 +23,12 @@ def completed(
     """The prediction (n, n, n) float16 in [0, 1] of a partial view (64, 64, 64), both in the grid's axes."""
     network.eval()
     with torch.inference_mode():
-        tensor = as_tensor(turned(partial, config)[None], device)
+        tensor = as_tensor(turned_axes(partial, config)[None], device)
         wanted = config.training.precision == "bfloat16"
         with torch.autocast(device.partition(":")[0], torch.bfloat16, enabled=wanted):
             probability = network.completed(tensor)
     values: NDArray[np.float16] = probability[0, 0].half().cpu().numpy()
-    return np.ascontiguousarray(turned(values, config))
+    return np.ascontiguousarray(turned_axes(values, config))
 
 
 def validation_iou(
@@ -46,7 +46,7 @@ def validation_iou(
     for path, sha256 in pairs:
         (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
-        counted = tally(prediction, read_truth(path, sha256))
+        counted = tally(prediction, read_packed_truth(path, sha256))
         curves.append(ious(protocol_counts(counted, PROTOCOL)))
     mean = np.mean(curves, axis=0)
     best = int(np.argmax(mean))

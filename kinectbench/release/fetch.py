@@ -37,7 +37,7 @@ BY_RECORDING = ("pairs", "views", "objects")
 
 
 @dataclass(frozen=True)
-class Part:
+class ReleasePart:
     """The requested part of a release; None: all.
 
     Attributes:
@@ -94,7 +94,9 @@ def release_url(name: str | Path) -> str:
     return joined(base, str(name))
 
 
-def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progress | None = None) -> Fetched:
+def fetch_release(
+    url: str, out: Path, part: ReleasePart | None = None, progress: Progress | None = None
+) -> Fetched:
     """Download a release, or part of it, into a folder; resumes a stopped download.
 
     The small files are always those of the whole release. Another part may be added to the same folder.
@@ -120,8 +122,8 @@ def fetch_release(url: str, out: Path, part: Part | None = None, progress: Progr
         raise ReleaseError(_changed(store, BENCHMARK_JSON), what="changed")
     _refuse_other(out, text)
     table = _checked_text(store, TARGETS_CSV, sums.get(TARGETS_CSV))
-    wanted = part or Part()
-    targets = chosen(parse_targets(table, store.place(TARGETS_CSV)), wanted)
+    wanted = part or ReleasePart()
+    targets = chosen_targets(parse_targets(table, store.place(TARGETS_CSV)), wanted)
     absent = sorted(set(wanted.categories) - {target.category for target in targets})
     if absent or not targets:
         named = f" ({printable(', '.join(absent))})" if absent else ""
@@ -199,7 +201,7 @@ def cached_release(url: str, progress: Progress | None = None) -> Path:
     return fetch_release(url, base / "releases" / info.benchmark_sha256, progress=progress).folder
 
 
-def chosen(targets: Collection[Target], part: Part) -> tuple[Target, ...]:
+def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Target, ...]:
     """The targets of a part, in the order of recordings and views."""
     found: dict[str, list[Target]] = {}
     for target in sorted(targets):
@@ -208,7 +210,7 @@ def chosen(targets: Collection[Target], part: Part) -> tuple[Target, ...]:
     return tuple(target for rows in found.values() for target in rows[: part.views])
 
 
-def wanted_names(names: Collection[str], targets: Collection[Target], part: Part | None) -> list[str]:
+def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
     """The release's files of a part; files of no recording or view always belong to it."""
     if part is None:
         return list(names)

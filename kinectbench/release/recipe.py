@@ -22,7 +22,7 @@ from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import open_plain, read_plain_text
 from kinectbench.engine.locks import locked
-from kinectbench.release.unpack import unpack
+from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import SOURCES_YAML, Scan, SourcesSettings, chosen_scans, read_sources
@@ -140,10 +140,16 @@ class Recipe:
         try:
             if (scan.unpacked or is_zip) and folder.is_dir() and scan.file in self._locked:
                 return FetchedScan(scan, False)
-            check = partial(unpack, folder=folder) if scan.unpacked else _check_zip if is_zip else _no_check
+            check = (
+                partial(unpack_archive, folder=folder)
+                if scan.unpacked
+                else _check_zip
+                if is_zip
+                else _no_check
+            )
             came = self._bring(scan.file, archive, self.sources.bases, room=room, check=check)
             if is_zip and not self.is_read(archive):
-                unpack(archive, folder)
+                unpack_archive(archive, folder)
             if folder.is_dir():
                 archive.unlink()
         except (NoRoomError, StoreGoneError):

@@ -49,7 +49,7 @@ class _Member(tarfile.TarInfo):
         return member
 
 
-def unpack(archive: Path, folder: Path) -> None:
+def unpack_archive(archive: Path, folder: Path) -> None:
     """Unpack a .tar, .tgz or .zip, whatever its name's ending; an enclosing folder is left out.
 
     The target appears whole or not at all. Links, devices and hidden files are passed over.

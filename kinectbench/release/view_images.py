@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import decoded, image_head
+from kinectbench.core.encoded_images import decoded_image, image_head
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Bools, Float32, Rgb
@@ -102,6 +102,6 @@ def _decoded(content: bytes, where: str, kind: Kind) -> NDArray[Any]:
         head = image_head(content)
         if (head.suffix, head.bits, head.color_type) != kind.format:
             raise ValueError("another kind of image")
-        return decoded(content, cv2.IMREAD_COLOR if kind is COLOR else cv2.IMREAD_UNCHANGED)
+        return decoded_image(content, cv2.IMREAD_COLOR if kind is COLOR else cv2.IMREAD_UNCHANGED)
     except ValueError as error:
         raise ReleaseError(f"{where}: not a {kind.words} ({error}); run `verify`") from error

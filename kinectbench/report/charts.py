@@ -12,7 +12,7 @@ from kinectbench.core.listing import spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 from kinectbench.report.plan import svg_path
-from kinectbench.report.tables import shown
+from kinectbench.report.tables import shown_figure
 from kinectbench.scoring.counts import THRESHOLDS
 
 WIDTH, HEIGHT = 340.0, 240.0
@@ -51,8 +51,8 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]
                 interval, words = None, ""
                 if between := score.intervals.get("iou"):
                     interval = between[0] * scale, (between[1] - between[0]) * scale
-                    words = f"{shown(between[0])}–{shown(between[1])}"
-                bar = Bar(method, shown(score.iou), score.iou * scale, interval, words)
+                    words = f"{shown_figure(between[0])}–{shown_figure(between[1])}"
+                bar = Bar(method, shown_figure(score.iou), score.iou * scale, interval, words)
                 groups.setdefault(category, []).append(bar)
     return groups
 
@@ -201,19 +201,19 @@ def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str
     """A curve as a sentence: the IoU at the threshold used, and the best IoU."""
     best = max(range(len(curve)), key=lambda step: curve[step])
     at = (
-        f"{shown(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "
+        f"{shown_figure(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "
         if used in THRESHOLDS
         else ""
     )
-    return f"{method}: IoU {at}at best {shown(curve[best])} at {THRESHOLDS[best]:g}."
+    return f"{method}: IoU {at}at best {shown_figure(curve[best])} at {THRESHOLDS[best]:g}."
 
 
 def _scatter_words(method: str, points: Float64) -> str:
     """The points of a method in a sentence."""
     (low, worst), (high, best) = points.min(axis=0), points.max(axis=0)
     return (
-        f"{method}: {len(points)} pairs, {shown(low)} to {shown(high)} of the shape seen, "
-        f"IoU {shown(worst)} to {shown(best)}, mean {shown(float(points[:, 1].mean()))}."
+        f"{method}: {len(points)} pairs, {shown_figure(low)} to {shown_figure(high)} of the shape seen, "
+        f"IoU {shown_figure(worst)} to {shown_figure(best)}, mean {shown_figure(float(points[:, 1].mean()))}."
     )
 
 

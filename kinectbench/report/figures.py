@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 
 UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
@@ -26,7 +26,7 @@ TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}
 
 
 @dataclass(frozen=True)
-class Figures:
+class StageFigures:
     """The figures of one stage, ready to be shown.
 
     Attributes:
@@ -50,18 +50,18 @@ class Figures:
     advice: tuple[str, ...] = ()
 
 
-def health_figures(health: TrajectoryHealth) -> Figures:
+def health_figures(health: TrajectoryHealth) -> StageFigures:
     """A trajectory's figures, coloured by its grade."""
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
-    return Figures(health.verdict, tone, health.grade, health.warnings, _shown(health, HIDDEN))
+    return StageFigures(health.verdict, tone, health.grade, health.warnings, _shown(health, HIDDEN))
 
 
-def quality_figures(quality: QualityFile) -> Figures:
+def quality_figures(quality: QualityFile) -> StageFigures:
     """An object's figures, good if they have no warning; advice is no warning beside itself."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
-    return Figures(
+    return StageFigures(
         quality.verdict or "",
         tone,
         "",
@@ -73,7 +73,7 @@ def quality_figures(quality: QualityFile) -> Figures:
     )
 
 
-def _shown(part: Part, hidden: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+def _shown(part: StoredPart, hidden: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     values = part.json_value()
     return tuple(_rows({key: value for key, value in values.items() if key not in hidden}, ""))
 

@@ -46,7 +46,7 @@ VIEW_PX = 200
 DRAWN_SHARE = 0.25
 
 
-def choose_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
+def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
     """The pairs of a method that a page shows, sorted.
 
     Args:
@@ -57,7 +57,7 @@ def choose_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
     return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *(every[i] for i in spread)})
 
 
-def reduced(packed: Packed) -> Packed:
+def reduced_packed(packed: Packed) -> Packed:
     """(256, 256, 32) packed to (64, 64, 8) packed: cells at least a quarter set."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
@@ -164,7 +164,7 @@ def _chosen(release: Release, table: ScoreTable) -> dict[Target, float]:
         name for _, name in sorted((row.iou, name) for name, row in rows.items() if row.iou is not None)
     ]
     targets = {target.name: target for target in release.split("test")}
-    shown = choose_pairs(rising, list(targets))
+    shown = shown_pairs(rising, list(targets))
     return {targets[name]: rows[name].threshold for name in shown if name in rows}
 
 
@@ -172,7 +172,7 @@ def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed
     """A prediction as (64, 64, 8) packed cells; None is an empty grid."""
     if grid is None:
         return np.zeros(CELLS_SHAPE, np.uint8)
-    return reduced(occupied(grid, threshold, upsampling))
+    return reduced_packed(occupied(grid, threshold, upsampling))
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     names = ("partial", "full", "known", "T_world_grid")
     partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
     up = _up_grid(release, target.recording, T_world_grid)
-    drawn = reduced(full)
+    drawn = reduced_packed(full)
     unseen = _unseen(full, known) & drawn
     return PairTruth(
         target.category, target.object, up, partial, drawn, _sampled(known), unseen, _picture(release, target)

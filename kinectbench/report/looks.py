@@ -33,7 +33,7 @@ def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
     R_floor_view = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
     viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
     center = viewpoint.center_m[:2]
-    return [center + o * np.array([1, -1]) for o in pictures.silhouette(mesh_floor, viewpoint, 256)]
+    return [center + o * np.array([1, -1]) for o in pictures.mesh_outlines(mesh_floor, viewpoint, 256)]
 
 
 def pair_picture(
@@ -51,8 +51,10 @@ def pair_picture(
         (TILE_PX, 2 * TILE_PX, 3) uint8 RGB.
     """
     cell_m = voxel_size_m * BLOCK
-    shown = pictures.voxel_mesh(pictures.smoothed(unpack(partial).astype(np.float32)), cell_m, PARTIAL_LEVEL)
-    whole = pictures.voxel_mesh(pictures.smoothed(pictures.block_density(full)), cell_m, FULL_LEVEL)
+    shown = pictures.voxel_mesh(
+        pictures.blurred_density(unpack(partial).astype(np.float32)), cell_m, PARTIAL_LEVEL
+    )
+    whole = pictures.voxel_mesh(pictures.blurred_density(pictures.block_density(full)), cell_m, FULL_LEVEL)
     points = np.concatenate([shown.vertices, whole.vertices])
     if not len(points):
         points = np.array([[0.0, 0, 0], [1.0, 1, 1]]) * cell_m * partial.shape[0]

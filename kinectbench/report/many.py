@@ -57,8 +57,8 @@ def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
         (health.grade if health else None) or "",
         str(len(rows)),
         str(refused),
-        per_cent(median(row.containment for row in rows)),
-        millimetres(median(row.residual_m for row in rows)),
+        per_cent(known_median(row.containment for row in rows)),
+        millimetres(known_median(row.residual_m for row in rows)),
     )
 
 
@@ -83,7 +83,7 @@ def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
     return dict(settings) | ({"recordings": recordings[:SHOWN]} if left_out else {}), left_out
 
 
-def median(values: Iterable[float | None]) -> float | None:
+def known_median(values: Iterable[float | None]) -> float | None:
     """The median of those that are known; None of none."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None

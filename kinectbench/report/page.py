@@ -168,7 +168,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
     return {
         # Of the benchmarks that the predictions were scored against: one, if all is well.
         "hashes": sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256}),
-        "tables": [tables.score_table(parsed, p, groups.get(p)) for p in protocols],
+        "tables": [tables.protocol_table(parsed, p, groups.get(p)) for p in protocols],
         "groups": beside.groups,
         "details": tables.details(ordered),
         "detail_names": list(tables.DETAILS),

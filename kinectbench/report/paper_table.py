@@ -117,7 +117,7 @@ def _of_four(figures: Sequence[float], categories: Sequence[str]) -> dict[str, f
     return {name: of for name, of in zip(CATEGORIES, figures, strict=True) if name in categories}
 
 
-def markdown(tables: Sequence[PaperTable]) -> str:
+def paper_markdown(tables: Sequence[PaperTable]) -> str:
     """The tables as Markdown: a row for each method, IoU of each category and then the cross-entropies."""
     return "\n\n".join("\n".join(_lines(table)) for table in tables) + "\n"
 

@@ -22,8 +22,8 @@ from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.report import looks
-from kinectbench.report.figures import Figures, health_figures, per_cent, quality_figures, text_of
-from kinectbench.report.many import median, millimetres
+from kinectbench.report.figures import StageFigures, health_figures, per_cent, quality_figures, text_of
+from kinectbench.report.many import known_median, millimetres
 from kinectbench.report.plan import draw_plan
 from kinectbench.report.unseen import ObjectPicture, object_pictures, unseen_faces
 from kinectbench.settings.models import RecordingSettings
@@ -65,8 +65,8 @@ class RecordingPart:
     """
 
     settings: RecordingSettings
-    health: Figures | None
-    quality: Figures | None
+    health: StageFigures | None
+    quality: StageFigures | None
     turntable: str | None
     plan: Markup | None
     object_pictures: tuple[ObjectPicture, ...]
@@ -134,8 +134,8 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         frames=frames,
         tiles=tuple(_tile(folder / "pairs", row, T_floor_world) for row in rows),
         refused=tuple((row.view or "", text_of(row.frame), row.reason) for row in refused),
-        containment=per_cent(median(row.containment for row in rows)),
-        residual=millimetres(median(row.residual_m for row in rows)),
+        containment=per_cent(known_median(row.containment for row in rows)),
+        residual=millimetres(known_median(row.residual_m for row in rows)),
         missing=tuple(name for name, stage, is_absent in absent if is_absent and stage not in old),
         outdated=tuple(name for name, stage, is_absent in absent if is_absent and stage in old),
         failed=": ".join(filter(None, (failed.stage, failed.error))) if failed else "",

@@ -94,7 +94,7 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
     return files
 
 
-def baselines_of(files: Sequence[ScoreFile]) -> list[ScoreFile]:
+def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     """The baselines that `score` kept beside score files, with equal truth and counting; one of each name.
 
     One that was scored as a method is not shown twice.
@@ -259,7 +259,7 @@ def _scores(
         files, warnings = files_in(scores, sha256)
     else:
         files = files_named(scores, sha256)
-    files += baselines_of(files) if baselines else []
+    files += kept_baselines(files) if baselines else []
     if release is not None:
         files, others = _of_release(files, release, refuse=not isinstance(scores, Path))
         warnings += others

@@ -54,7 +54,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class MethodRow:
     """One method of a table.
 
     Attributes:
@@ -98,7 +98,7 @@ class Table:
     protocol: str
     note: str
     categories: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[MethodRow, ...]
     base_rate: tuple[str, ...]
     grouped: bool
     unknown: tuple[str, ...] = ()
@@ -130,7 +130,7 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
     return sorted(tables, key=key)
 
 
-def score_table(
+def protocol_table(
     tables: Sequence[ScoreTable], protocol: str, groups: Mapping[str, str] | None = None
 ) -> Table:
     """The table of one protocol; `groups` are the letters of each method, if known."""
@@ -212,11 +212,11 @@ def _table(
             tuple(_cell(row[c][key], of[c], row[c].intervals.get(key), decimals) for c in columns)
             for of, (key, _, decimals) in zip(best, figures, strict=True)
         )
-        rows.append(Row(method, "", first, second))
+        rows.append(MethodRow(method, "", first, second))
     rates = [
         [row[c].base_rate_ce for row in cells.values() if row[c].base_rate_ce is not None] for c in columns
     ]
-    base_rate = tuple(shown(of[0] if of else None) for of in rates) if any(rates) else ()
+    base_rate = tuple(shown_figure(of[0] if of else None) for of in rates) if any(rates) else ()
     headings = (figures[0][1], figures[1][1])
     return Table(title, protocol, note, columns, tuple(rows), base_rate, grouped=False, figures=headings)
 
@@ -227,7 +227,7 @@ def _best(choose: Callable[[list[float]], float], values: list[float | None], de
     return choose(rounded) if rounded else None
 
 
-def shown(value: float | None, decimals: int = DECIMALS) -> str:
+def shown_figure(value: float | None, decimals: int = DECIMALS) -> str:
     """A share, a cross-entropy or a length as text."""
     return "–" if value is None else f"{value:.{decimals}f}"
 
@@ -235,14 +235,14 @@ def shown(value: float | None, decimals: int = DECIMALS) -> str:
 def _cell(value: float | None, best: float | None, interval: Sequence[float] | None, decimals: int) -> Cell:
     if value is None:
         return Cell("–", "", False, "")
-    between = "" if interval is None else "–".join(shown(end, decimals) for end in interval)
-    return Cell(shown(value, decimals), repr(value), round(value, decimals) == best, between)
+    between = "" if interval is None else "–".join(shown_figure(end, decimals) for end in interval)
+    return Cell(shown_figure(value, decimals), repr(value), round(value, decimals) == best, between)
 
 
 def _base_rate(averages: Averages) -> str:
     """The cross-entropy of the base rate, and the split that the rate is from."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
-    return " ".join(filter(None, (shown(averages.base_rate_ce), source)))
+    return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
@@ -253,23 +253,23 @@ def _truth_iou(averages: Averages) -> str | None:
 
 def _surface(name: str) -> Callable[[Averages], str]:
     decimals = DECIMALS if name in SHARES else METRE_DECIMALS if name.endswith("_m") else LENGTH_DECIMALS
-    return lambda averages: shown(getattr(averages, name), decimals)
+    return lambda averages: shown_figure(getattr(averages, name), decimals)
 
 
 # The columns of the table of details. Of the surface metrics it has those with a heading.
 DETAILS: Mapping[str, Callable[[Averages], str]] = {
-    "IoU": lambda of: shown(of.iou),
-    CEILING: lambda of: shown(of.ceiling_iou),
-    "precision": lambda of: shown(of.precision),
-    "recall": lambda of: shown(of.recall),
-    "F1": lambda of: shown(of.f1),
-    "CE": lambda of: shown(of.ce),
+    "IoU": lambda of: shown_figure(of.iou),
+    CEILING: lambda of: shown_figure(of.ceiling_iou),
+    "precision": lambda of: shown_figure(of.precision),
+    "recall": lambda of: shown_figure(of.recall),
+    "F1": lambda of: shown_figure(of.f1),
+    "CE": lambda of: shown_figure(of.ce),
     "base-rate CE": _base_rate,
     **{field.title: _surface(name) for name, field in fields_of(SurfaceMetrics).items() if field.title},
     "voxels counted": lambda of: per_cent(of.coverage_voxels),
     "shape counted": lambda of: per_cent(of.coverage_shape),
     "truth's IoU, estimated": lambda of: _truth_iou(of) or "–",
-    "repeatability": lambda of: shown(of.truth_repeatability_iou),
+    "repeatability": lambda of: shown_figure(of.truth_repeatability_iou),
     "truth unknown": lambda of: per_cent(of.truth_unknown_share),
     "pairs": lambda of: text_of(of.pairs),
     "objects": lambda of: text_of(of.objects),

@@ -16,7 +16,7 @@ from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.dataset import Dataset as Dataset
 from kinectbench.scoring.dataset import load as load
-from kinectbench.scoring.pair_result import Job, count, count_job
+from kinectbench.scoring.pair_result import PairJob, count, count_job
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
@@ -30,7 +30,7 @@ from kinectbench.scoring.thresholds import (
     searched_thresholds,
     thresholds_for,
 )
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 
 
 class Scorer:
@@ -115,7 +115,7 @@ class Scorer:
         if target.split == "test":
             threshold = self._fixed().of[target.category]
         values = checked(np.asarray(prediction), pair_id)
-        truth = read_truth(self._release.pair_path(target), target.sha256, self._counting.distrusted)
+        truth = read_packed_truth(self._release.pair_path(target), target.sha256, self._counting.distrusted)
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:
@@ -151,7 +151,7 @@ class Scorer:
         for target in self._left(split) if self._missing == "empty" else ():
             threshold = None if thresholds is None else thresholds.of[target.category]
             path = self._release.pair_path(target)
-            result = count_job(Job(target, path, None, threshold, self._counting))
+            result = count_job(PairJob(target, path, None, threshold, self._counting))
             assert isinstance(result, PairResult)  # there is no file that could be wrong
             grids[target] = result
         return grids

@@ -17,7 +17,7 @@ from kinectbench.scoring.counts import (
     THRESHOLDS,
     is_all_unknown,
     protocol_counts,
-    unknown_share,
+    tally_unknown_share,
 )
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
@@ -157,7 +157,7 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
         cells=result.cells,
         ceiling_iou=result.ceilings[protocol],
         **asdict(surface),
-        unknown_share=unknown_share(result.tally),
+        unknown_share=tally_unknown_share(result.tally),
         iou_by_threshold=curve,
     )
 

@@ -25,7 +25,7 @@ LOOKED_AT = 5
 
 
 @dataclass(frozen=True)
-class CameraFile:
+class CameraPredictionFile:
     """The file of one prediction.
 
     Attributes:
@@ -46,7 +46,7 @@ def names_of(target: Target, hypotheses: int) -> list[str]:
 
 def find_files(
     folder: Path, targets: Iterable[Target], method: MethodFile
-) -> Iterator[tuple[Target, str, CameraFile | str | None]]:
+) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
     """Each view's predictions by name: its file, why it cannot be used, or None where there is none."""
     root = folder.resolve()
     for target in targets:
@@ -67,10 +67,10 @@ def find_files(
                     f"{name}{present[0].suffix}: a link out of the folder; put the file itself",
                 )
             else:
-                yield target, name, CameraFile(target, name, present[0])
+                yield target, name, CameraPredictionFile(target, name, present[0])
 
 
-def load_camera_shape(file: CameraFile, method: MethodFile) -> CameraShape:
+def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
     """The shape of a prediction in its view's camera frame, metres (or of free size, if that is declared).
 
     Raises:
@@ -86,7 +86,7 @@ def load_camera_shape(file: CameraFile, method: MethodFile) -> CameraShape:
     return shape.transformed(similarity_to_camera(method, file.name, file.target.name))
 
 
-def view_agreement(release: Release, file: CameraFile, method: MethodFile) -> Agreement | None:
+def view_agreement(release: Release, file: CameraPredictionFile, method: MethodFile) -> Agreement | None:
     """The relation of a prediction to its view's depth; None if that has no point of the object.
 
     Raises:
@@ -127,7 +127,7 @@ def check_camera(
     compared, answered = dict[str, Agreement](), 0
     is_compared = method.scale == "metric" and not _without_depth(release)
     for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
-        if isinstance(found, CameraFile):
+        if isinstance(found, CameraPredictionFile):
             answered += 1
             try:
                 if not is_compared:
@@ -150,7 +150,7 @@ def check_camera(
     return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
 
 
-def depth_warnings(release: Release, files: Sequence[CameraFile], method: MethodFile) -> list[str]:
+def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:
     """A line if some predictions look like an error of unit or axes; else none.
 
     A few of them are looked at, as all usually have the same slip: 0.1 s each.

@@ -16,7 +16,7 @@ from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
 from kinectbench.scoring.protocols import PROTOCOLS
-from kinectbench.scoring.truth import Truth
+from kinectbench.scoring.truth import PackedTruth
 
 Prediction = NDArray[np.bool_] | NDArray[np.float16] | NDArray[np.float32]
 
@@ -45,7 +45,7 @@ class ProtocolCounts:
     ce_sum: float
 
 
-def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) -> Tally:
+def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIXEL) -> Tally:
     """Count a prediction against the truth in one pass.
 
     Args:
@@ -70,7 +70,7 @@ def tally(prediction: Prediction, truth: Truth, upsampling: str = HALF_PIXEL) ->
 
 
 def tallies(
-    prediction: Prediction, truth: Truth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
+    prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
     """The tally of a prediction, and {protocol: tally} for protocols that trust less of the truth."""
     less = {name: truth.distrusting(PROTOCOLS[name].distrusts) for name in protocols}
@@ -112,7 +112,7 @@ def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
     )
 
 
-def unknown_share(tally: Tally) -> float:
+def tally_unknown_share(tally: Tally) -> float:
     """Share of the true shape's voxels that are not known; 0 of an empty shape."""
     shape = int(tally.voxels[1::2].sum())
     return int(tally.voxels[1::2][[0, 2]].sum()) / shape if shape else 0.0
@@ -153,8 +153,8 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
     return np.packbits(prediction > cut, axis=-1)
 
 
-def ceiling(
-    truth: Truth, side: int, protocols: Sequence[str], upsampling: str
+def ceiling_tallies(
+    truth: PackedTruth, side: int, protocols: Sequence[str], upsampling: str
 ) -> tuple[Tally, Mapping[str, Tally]]:
     """The tallies of the truth, each cell of `side`^3 the occupied share of its volume, as of a prediction.
 

@@ -112,7 +112,7 @@ def agreement(
 
     rng = np.random.default_rng(SEED)
     seen = depth_points_m[rng.permutation(len(depth_points_m))[:DEPTH_POINTS]]
-    tree = cKDTree(surface_points(shape))
+    tree = cKDTree(shape_points(shape))
     diagonal = float(np.linalg.norm(np.ptp(depth_points_m, axis=0)))
 
     def distance(T: Float64) -> float:
@@ -169,7 +169,7 @@ def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> f
         T_grid_camera: (4, 4).
         side_m: of the cube, metres.
     """
-    away = transform_points(T_grid_camera, surface_points(shape)) - side_m / 2
+    away = transform_points(T_grid_camera, shape_points(shape)) - side_m / 2
     return float((np.abs(away).max(axis=1) > side_m).mean())
 
 
@@ -221,7 +221,7 @@ def _both(unit: str, axes: str) -> str:
     return " and ".join(part for part in (unit, axes) if part)
 
 
-def surface_points(shape: CameraShape) -> Float64:
+def shape_points(shape: CameraShape) -> Float64:
     """Points (m, 3) of a shape's surface, `SHAPE_POINTS` at most; of a mesh spread evenly over its area."""
     rng = np.random.default_rng(SEED)
     if len(shape.faces):

@@ -46,7 +46,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
     _refuse_far(vertices, grid)
     if ((vertices.max(axis=0) <= 0) | (vertices.min(axis=0) >= grid.size_m)).any():
         raise _outside(vertices, grid)
-    vertices, faces = joined(vertices, faces)
+    vertices, faces = joined_vertices(vertices, faces)
     if costs_too_much(vertices[:, :2] / voxel_size_m, faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(
             f"{len(faces)} faces across each other; simplify the mesh, or submit a grid", what="too-large"
@@ -76,7 +76,7 @@ def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
     return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[triangles]
 
 
-def joined(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
+def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
     """The mesh with vertices at the same place made one: the first of them."""
     places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
     order = np.lexsort(places.T).astype(np.int32)

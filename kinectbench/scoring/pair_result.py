@@ -18,14 +18,14 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import Prediction, ceiling, occupied, protocol_counts, tallies
+from kinectbench.scoring.counts import Prediction, ceiling_tallies, occupied, protocol_counts, tallies
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.protocols import distrusted
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.surface import surface_metrics
-from kinectbench.scoring.truth import Truth, read_truth, read_voxel_size
+from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
 
 EMPTY_CELLS = 16
 # Some kilobytes for each pair.
@@ -67,7 +67,7 @@ class Counting:
 
 
 @dataclass(frozen=True)
-class Job:
+class PairJob:
     """One pair to count.
 
     Attributes:
@@ -96,7 +96,7 @@ class Job:
         return sha256_text(canonical_json([VERSIONS["score"], self.target.sha256, digest, settings]))
 
 
-def count_job(job: Job) -> PairResult | str:
+def count_job(job: PairJob) -> PairResult | str:
     """Count one pair; the reason if its prediction cannot be scored.
 
     Raises:
@@ -119,7 +119,7 @@ def count_job(job: Job) -> PairResult | str:
         earlier = None
     if earlier is not None and not job.check:
         return earlier.result
-    truth = read_truth(job.truth, job.target.sha256, job.counting.distrusted)
+    truth = read_packed_truth(job.truth, job.target.sha256, job.counting.distrusted)
     result = count(prediction, truth, job.counting, job.threshold)
     cells = 0 if job.file is None else result.cells
     result = replace(result, digest=digest, cells=cells, outside_share=outside)
@@ -134,7 +134,9 @@ def count_job(job: Job) -> PairResult | str:
     return result
 
 
-def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None) -> PairResult:
+def count(
+    prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
+) -> PairResult:
     """Count a prediction in memory; `threshold` is for the surface metrics, None leaves them out."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
@@ -144,7 +146,7 @@ def count(prediction: Prediction, truth: Truth, counting: Counting, threshold: f
 
 
 def surfaces(
-    prediction: Prediction, truth: Truth, counting: Counting, threshold: float | None
+    prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> Mapping[str, SurfaceMetrics]:
     """The surface metrics under each protocol; none without a threshold or request."""
     if not counting.surface or threshold is None:
@@ -153,11 +155,11 @@ def surfaces(
     return surface_metrics(packed, truth, counting.protocols)
 
 
-def ceilings(truth: Truth, side: int, counting: Counting) -> Mapping[str, float]:
+def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
     """{protocol: the IoU that a prediction of this side can reach}; 1 from 256 on."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
-    best, others = ceiling(truth, side, counting.protocols, counting.upsampling)
+    best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)
     of = {name: protocol_counts(others.get(name, best), name) for name in counting.protocols}
     return {name: float(ious(counts).max()) for name, counts in of.items()}
 
@@ -189,7 +191,7 @@ class Journal:
         """Whether to count a pair again to check an earlier run's result."""
         return pair in self._checked
 
-    def add(self, job: Job, result: PairResult) -> None:
+    def add(self, job: PairJob, result: PairResult) -> None:
         """Add a result.
 
         Raises:

@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import lies_below, listed, printable
+from kinectbench.core.untrusted import lies_below, listed_paths, printable
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
@@ -181,7 +181,9 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
     with _readable(folder):
         if _answers(folder, recordings):
             return {folder.resolve().name: folder}
-        methods = [path for path in sorted(listed(folder)) if path.is_dir() and _answers(path, recordings)]
+        methods = [
+            path for path in sorted(listed_paths(folder)) if path.is_dir() and _answers(path, recordings)
+        ]
     if not methods:
         raise PredictionError(
             f"{folder}: no predictions there; expected <recording>/<view>.npy, .npz, .ply or .obj, or a "

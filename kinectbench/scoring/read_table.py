@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import printable
 from kinectbench.scoring.contradictions import contradictions
@@ -121,7 +121,7 @@ def _below(key: str, name: object) -> str:
 
 def _plain(value: Any) -> Any:
     """A model or dataclass as a mapping; other values unchanged."""
-    if isinstance(value, Part):
+    if isinstance(value, StoredPart):
         return value.json_value()
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 

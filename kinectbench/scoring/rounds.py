@@ -14,7 +14,7 @@ from kinectbench.core.types import Progress
 from kinectbench.engine.executor import Executor, SendMessage, WorkerLost
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
+from kinectbench.scoring.pair_result import Counting, Journal, PairJob, count_job
 from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line
 from kinectbench.scoring.thresholds import Thresholds, nearest_step, searched_thresholds, thresholds_for
 from kinectbench.scoring.workers import run_tasks
@@ -149,7 +149,7 @@ class Rounds:
     ) -> dict[Target, PairResult | str]:
         """Count some pairs; surface metrics only with thresholds."""
         jobs = [
-            Job(
+            PairJob(
                 target,
                 self.release.pair_path(target),
                 file,
@@ -163,7 +163,7 @@ class Rounds:
 
         results: dict[Target, PairResult | str] = {}
 
-        def keep(job: Job, result: PairResult | str) -> None:
+        def keep(job: PairJob, result: PairResult | str) -> None:
             """Record a result at once, so that it survives a kill."""
             if isinstance(result, PairResult):
                 self.journal.add(job, result)
@@ -187,10 +187,10 @@ class _Silent:
 
 
 def _by_recording(
-    executor: Executor, jobs: Sequence[Job], keep: Callable[[Job, PairResult | str], None]
+    executor: Executor, jobs: Sequence[PairJob], keep: Callable[[PairJob, PairResult | str], None]
 ) -> None:
     """Count pairs by an executor, one task per recording, as a single pair is too short for a task."""
-    by_id: dict[str, list[Job]] = {}
+    by_id: dict[str, list[PairJob]] = {}
     for job in jobs:
         by_id.setdefault(job.target.recording, []).append(_elsewhere(job))
     with closing(executor.outcomes(_count_all, list(by_id.values()), _Silent(), slowest_twice=True)) as ended:
@@ -203,12 +203,12 @@ def _by_recording(
                 keep(job, result)
 
 
-def _elsewhere(job: Job) -> Job:
+def _elsewhere(job: PairJob) -> PairJob:
     """The job in a form for processes with other working folders."""
     return replace(job, truth=job.truth.absolute(), file=None if job.file is None else job.file.absolute())
 
 
-def _count_all(jobs: Sequence[Job], say: SendMessage) -> list[PairResult | str]:
+def _count_all(jobs: Sequence[PairJob], say: SendMessage) -> list[PairResult | str]:
     return [count_job(job) for job in jobs]
 
 

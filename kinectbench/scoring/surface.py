@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.types import Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed
 from kinectbench.scoring.protocols import PROTOCOLS
-from kinectbench.scoring.truth import Truth
+from kinectbench.scoring.truth import PackedTruth
 
 if TYPE_CHECKING:  # numba is slow to load
     from kinectbench.scoring.surface_kernels import Spread
@@ -62,7 +62,9 @@ class Distances:
         return int(cells[self.mm <= tolerance_mm].sum()) / int(cells.sum())
 
 
-def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -> dict[str, SurfaceMetrics]:
+def surface_metrics(
+    predicted: Packed, truth: PackedTruth, protocols: Sequence[str]
+) -> dict[str, SurfaceMetrics]:
     """The surface metrics under each protocol.
 
     Args:
@@ -74,9 +76,9 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
         By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
         is the grid's diagonal.
     """
-    from kinectbench.scoring.surface_kernels import spreads, surface_of
+    from kinectbench.scoring.surface_kernels import solid_surface, spreads
 
-    ours, theirs = surface_of(predicted), surface_of(truth.full)
+    ours, theirs = solid_surface(predicted), solid_surface(truth.full)
     # Several protocols cut both surfaces to the same cells.
     cut = {name: (PROTOCOLS[name].known, PROTOCOLS[name].distrusts) for name in protocols}
     keys = list(dict.fromkeys(cut.values()))
@@ -91,7 +93,7 @@ def surface_metrics(predicted: Packed, truth: Truth, protocols: Sequence[str]) -
     }
 
 
-def _metrics(forward: "Spread", back: "Spread", truth: Truth) -> SurfaceMetrics:
+def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMetrics:
     """The metrics of the prediction's surface cells and of the truth's; `truth` is for its lengths."""
     if not len(forward) and not len(back):
         return SAME

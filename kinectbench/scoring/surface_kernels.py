@@ -44,7 +44,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Surface:
+class SolidSurface:
     """Surface cells of a solid.
 
     Attributes:
@@ -57,14 +57,14 @@ class Surface:
     cells: Cells
     moments: NDArray[np.int16]
 
-    def within(self, mask: Packed) -> "Surface":
+    def within(self, mask: Packed) -> "SolidSurface":
         """The part of it that lies in a packed mask; itself if all of it does."""
         packed = self.packed & mask
         if np.array_equal(packed, self.packed):
             return self
-        return Surface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
+        return SolidSurface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
-    def parts(self) -> Iterator["Surface"]:
+    def parts(self) -> Iterator["SolidSurface"]:
         """Pieces of whole blocks, of about `_PART_CELLS` cells."""
         start, block = self.cells.start, 0
         while block < len(self.cells.box):
@@ -73,7 +73,7 @@ class Surface:
             end = min(max(end, block + 1), len(self.cells.box))
             of = slice(first, start[end])
             cells = Cells(self.cells.index[of], start[block : end + 1] - first, self.cells.box[block:end])
-            yield Surface(self.packed, cells, self.moments[of])
+            yield SolidSurface(self.packed, cells, self.moments[of])
             block = end
 
 
@@ -101,7 +101,7 @@ class Spread:
 
 
 def spreads(
-    queries: Surface, targets: Surface, masks: Sequence[Packed], hidden: Packed
+    queries: SolidSurface, targets: SolidSurface, masks: Sequence[Packed], hidden: Packed
 ) -> list[tuple[Spread, Spread]]:
     """Distances of one surface to another, counted by parts of the grid.
 
@@ -127,27 +127,27 @@ def spreads(
         for mask, forward, (whole, occluded) in zip(masks, cut, results, strict=True):
             chosen, squared, cosines = is_set(mask, index), everywhere.copy(), agreed.copy()
             again = chosen & ~is_set(mask, targets.cells.index[position]) if len(targets.cells) else chosen
-            some = Surface(part.packed, part.cells.chosen(again), part.moments[again])
+            some = SolidSurface(part.packed, part.cells.chosen(again), part.moments[again])
             squared[again], _, cosines[again] = _matched(some, forward)
             whole.add(squared[chosen], cosines[chosen])
             occluded.add(squared[chosen & behind], cosines[chosen & behind])
     return results
 
 
-def surface_of(solid: Packed) -> Surface:
+def solid_surface(solid: Packed) -> SolidSurface:
     """The surface of a packed solid, (256, 256, 32) uint8: its cells with an empty 6-neighbour."""
     packed = packed_shell(solid)
     cells = cells_of(packed)
-    return Surface(packed, cells, moments(solid, cells.index))
+    return SolidSurface(packed, cells, moments(solid, cells.index))
 
 
-def _matched(queries: Surface, targets: Surface) -> tuple[Int32, Int32, Float64]:
+def _matched(queries: SolidSurface, targets: SolidSurface) -> tuple[Int32, Int32, Float64]:
     """Squared distance, position in `targets` and |n . n'| of the nearest to each query; zeros if none is."""
     n = len(queries.cells)
     if not n or not len(targets.cells):
         return np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n)
-    squared, position = nearest(queries.cells, targets.cells)
-    return squared, position, agreement(queries.moments, targets.moments, position)
+    squared, position = nearest_cells(queries.cells, targets.cells)
+    return squared, position, normal_agreement(queries.moments, targets.moments, position)
 
 
 def is_set(packed: Packed, index: Int32) -> Bools:
@@ -169,7 +169,7 @@ def cells_of(packed: Packed) -> Cells:
     return Cells(*_sorted_cells(np.ascontiguousarray(packed)))
 
 
-def nearest(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
+def nearest_cells(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
     """The nearest target of every query; of several the first in C order.
 
     Args:
@@ -316,7 +316,7 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def agreement(first, second, rows):  # type: ignore[no-untyped-def]
+def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
     """(n,) float64: |n . n'| of moments (n, 3) and the rows `rows` of others.
 
     1 where neither has a normal (both moments are zero), 0 where one has none.

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from kinectbench.core.artefacts.score_figures import fields_of
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.untrusted import printable
 
 ROUNDING = 1e-9  # a share that was summed may be above 1 by 1e-15
@@ -33,7 +33,7 @@ def _in_field(value: Any, extra: Mapping[str, Any], key: str) -> Iterator[str]:
     """Faults of one field's value and its parts."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
-    elif isinstance(value, Part) or (is_dataclass(value) and not isinstance(value, type)):
+    elif isinstance(value, StoredPart) or (is_dataclass(value) and not isinstance(value, type)):
         for name, of in _bounded(type(value)):
             yield from _in_field(getattr(value, name), of, f"{key}.{name}")
     elif isinstance(value, Mapping):
@@ -66,11 +66,11 @@ def _outside(value: Any, extra: Mapping[str, Any]) -> str:
 @cache
 def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, Any]], ...]:
     """The fields of a class, with their bounds."""
-    names = kind.model_fields if issubclass(kind, Part) else fields_of(kind)
+    names = kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind)
     return tuple((name, _extra(kind, name)) for name in names)
 
 
 def _extra(kind: type, name: str) -> Mapping[str, Any]:
     """The bounds that a field adds to the schema."""
-    info: FieldInfo = (kind.model_fields if issubclass(kind, Part) else fields_of(kind))[name]
+    info: FieldInfo = (kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

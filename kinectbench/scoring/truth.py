@@ -16,7 +16,7 @@ GRIDS = ("full", "known", "seen")
 
 
 @dataclass(frozen=True)
-class Truth:
+class PackedTruth:
     """Packed truth (see pair_file.py): each (256, 256, 32) uint8, C order.
 
     Attributes:
@@ -39,14 +39,14 @@ class Truth:
         """`full`, `known` and `seen` as (v / 8,) bytes."""
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
-    def distrusting(self, name: str | None) -> "Truth":
+    def distrusting(self, name: str | None) -> "PackedTruth":
         """A copy whose `known` lacks another grid's cells; itself if that grid is empty."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])
 
 
-def read_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Truth:
+def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> PackedTruth:
     """Read the truth of one pair of a release.
 
     Args:
@@ -60,7 +60,7 @@ def read_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Truth:
     names = (*GRIDS, *NUMBERS, *others)
     full, known, seen, voxel_size_m, surface_sigma_m, *more = read_parts(path, sha256, names)
     further = dict(zip(others, more, strict=True))
-    return Truth(full, known, seen, float(voxel_size_m), float(surface_sigma_m), further)
+    return PackedTruth(full, known, seen, float(voxel_size_m), float(surface_sigma_m), further)
 
 
 def read_voxel_size(path: Path, sha256: str) -> float:

@@ -166,9 +166,9 @@ def test_completion_is_shown_for_bash(tmp_path: Path) -> None:
 
 def test_defaults_that_the_command_line_repeats_are_those_of_scoring() -> None:
     """It spells them out: their modules are imported late, for a fast --help."""
-    shown, own = (inspect.signature(function).parameters for function in (score.compare, compare))
+    shown, own = (inspect.signature(function).parameters for function in (score.compare_command, compare))
     assert all(shown[name].default == own[name].default for name in ("metric", "protocol"))
-    assert inspect.signature(score.score).parameters["upsampling"].default == HALF_PIXEL
+    assert inspect.signature(score.score_command).parameters["upsampling"].default == HALF_PIXEL
 
 
 def test_a_message_that_quotes_without_end_is_cut_in_its_middle() -> None:

@@ -68,7 +68,7 @@ def test_a_flood_of_messages_is_cut(terminal: io.StringIO, capsys: pytest.Captur
 def test_tables_and_titles(terminal: io.StringIO) -> None:
     rows = [{"recording": EVIL, "status": f"{EVIL}"}]
     console.out.print(
-        console.table(rows, {"recording": "recording", "status": EVIL}, {}, title=EVIL, caption=EVIL)
+        console.text_table(rows, {"recording": "recording", "status": EVIL}, {}, title=EVIL, caption=EVIL)
     )
     table = Table(title=EVIL)
     table.add_column(EVIL)
@@ -87,7 +87,7 @@ def test_no_table_shortens_an_id_or_a_number(width: int, name: str) -> None:
     numbers = {key: number + 0.125 for number, key in enumerate(keys)}
     row = {"recording": name, **numbers, "estimated_iou": "0.82 (0.59 to 0.95)", "status": "made " * 12}
     made = console.SafeConsole(width=width, record=True, file=io.StringIO())
-    made.print(console.table([row], columns, {}))
+    made.print(console.text_table([row], columns, {}))
     text = made.export_text()
     assert "…" not in text and all(len(line) <= width for line in text.splitlines())
     cells = "".join(line.strip("│").split("│")[0].strip() for line in text.splitlines() if "│" in line)
@@ -106,7 +106,7 @@ def test_colours_and_progress_of_ours_are_left(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(console, "err", made)
     console.lines("error", ["a"], "red")
     assert "\x1b[31m" in shown.getvalue()
-    with console.bar("score") as update:
+    with console.progress_bar("score") as update:
         update(1, 2)
     assert "\x1b[?25" in shown.getvalue()
 

@@ -12,7 +12,7 @@ from small_benchmark import Run, copied, hashes, small_spec
 
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_text
 from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import Job
 from kinectbench.lab.simulate.simulate import simulate
@@ -52,7 +52,7 @@ def here(tracked: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def given(here: Path) -> GivenTrajectory:
-    return read_trajectory(here / "recordings/chair/groundtruth.txt")[0]
+    return read_trajectory_file(here / "recordings/chair/groundtruth.txt")[0]
 
 
 def write(path: Path, stamps_ns: np.ndarray, T_world_camera: np.ndarray) -> None:

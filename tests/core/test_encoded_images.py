@@ -8,7 +8,7 @@ import pytest
 from bounds import within
 from raising import raises
 
-from kinectbench.core.encoded_images import decoded, image_head
+from kinectbench.core.encoded_images import decoded_image, image_head
 from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.images import read_color, read_gray
 from kinectbench.release.view_images import depth_mm
@@ -47,11 +47,11 @@ def test_what_a_head_says(dtype: type) -> None:
     data = cv2.imencode(".png", image)[1].tobytes()
     head = image_head(data)
     assert (head.suffix, head.width, head.height, head.is_gray16) == (".png", 5, 3, dtype is np.uint16)
-    assert decoded(data, cv2.IMREAD_UNCHANGED).dtype == dtype
+    assert decoded_image(data, cv2.IMREAD_UNCHANGED).dtype == dtype
     jpeg = image_head(cv2.imencode(".jpg", image.astype(np.uint8))[1].tobytes())
     assert (jpeg.suffix, jpeg.width, jpeg.height, jpeg.is_gray16) == (".jpg", 5, 3, False)
 
 
 def test_what_is_damaged_behind_its_head() -> None:
     with pytest.raises(ValueError, match="cannot be decoded"):
-        decoded(b"\x89PNG\r\n\x1a\n" + bytes(100), cv2.IMREAD_UNCHANGED)
+        decoded_image(b"\x89PNG\r\n\x1a\n" + bytes(100), cv2.IMREAD_UNCHANGED)

@@ -15,8 +15,8 @@ from kinectbench.core.storage import append_plain, name_problem, replaced_file, 
 from kinectbench.core.untrusted import (
     below,
     cell,
-    listed,
     listed_below,
+    listed_paths,
     open_plain,
     printable,
     quoted,
@@ -134,7 +134,7 @@ def test_values_are_quoted_in_short(value):
     assert quoted(value).isprintable() and len(quoted(value)) <= 80
 
 
-@pytest.mark.parametrize("walk", [scanned, listed, listed_below])
+@pytest.mark.parametrize("walk", [scanned, listed_paths, listed_below])
 def test_a_folder_is_listed_as_far_as_a_bound(tmp_path, walk):
     for number in range(5):
         (tmp_path / f"{number}").mkdir()

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from small_benchmark import Run
 
-from kinectbench.doctor.finding import Diagnosis, Finding, figures
-from kinectbench.doctor.page import write_page
+from kinectbench.doctor.finding import Diagnosis, Finding, fact_lines
+from kinectbench.doctor.page import write_diagnosis_page
 
 CHAIR = Path(__file__).parents[2] / "recordings" / "chair_01"
 
@@ -29,7 +29,7 @@ def test_words() -> None:
         "pose_residual_mm": 3.11,
         "arc_deg": 356,
     }
-    assert figures(facts) == [
+    assert fact_lines(facts) == [
         ("path", "a/True.bag"),
         ("frames", "120"),
         ("rate", "29.97 Hz"),
@@ -63,7 +63,7 @@ def test_findings_of_the_page_are_one_column(tmp_path: Path) -> None:
         Finding("depth_scale", "stops", "the scale is 5000", "depth/0.png", "put 256"),
         Finding("no_trajectory", "note", "no trajectory", "."),
     )
-    write_page(Diagnosis({"path": "a"}, found), None, tmp_path / "page.html")
+    write_diagnosis_page(Diagnosis({"path": "a"}, found), None, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text().split("<h2>Findings</h2>")[1].split("<h2>")[0]
     assert "<table" not in text
     said = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text)).strip()

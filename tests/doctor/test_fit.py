@@ -4,7 +4,7 @@ import numpy as np
 
 from kinectbench.core.geometry import Camera, invert_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.types import Float64
-from kinectbench.doctor.fit import Pair, disagreements
+from kinectbench.doctor.fit import FramePair, disagreements
 
 CAMERA = Camera(16, 12, 14.0, 15.0, 7.4, 5.8)
 RNG = np.random.default_rng(0)
@@ -15,13 +15,13 @@ def some_poses(count: int, spread: float) -> Float64:
     return np.stack([rigid(turn, spread * RNG.normal(size=3)) for turn in turns])
 
 
-def some_pair(first: int, second: int) -> Pair:
+def some_pair(first: int, second: int) -> FramePair:
     depth_m = RNG.uniform(1.0, 1.1, (12, 16)).astype(np.float32) * (RNG.random((12, 16)) > 0.2)
     points = CAMERA.rays().reshape(-1, 3) * RNG.uniform(1.0, 1.1, (192, 1))
-    return Pair(first, second, points, depth_m, CAMERA)
+    return FramePair(first, second, points, depth_m, CAMERA)
 
 
-def plain(pair: Pair, T_world_camera: Float64) -> float:
+def plain(pair: FramePair, T_world_camera: Float64) -> float:
     """Point after point."""
     T_second_first = invert_rigid(T_world_camera[pair.second]) @ T_world_camera[pair.first]
     wrong, counted = 0.0, 0
@@ -46,7 +46,7 @@ def test_all_poses_at_once_are_point_after_point() -> None:
 
 def test_what_nothing_was_measured_of_says_nothing() -> None:
     pair = some_pair(0, 1)
-    blind = Pair(0, 1, pair.points, np.zeros_like(pair.depth_m), CAMERA)
+    blind = FramePair(0, 1, pair.points, np.zeros_like(pair.depth_m), CAMERA)
     poses = np.stack([np.tile(np.eye(4), (2, 1, 1)), some_poses(2, 0.3)])
     inside, outside = disagreements([blind], poses)[:, 0]
     assert inside == plain(blind, poses[0]) and outside == plain(blind, poses[1]) == 1.0

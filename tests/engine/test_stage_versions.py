@@ -22,7 +22,7 @@ from kinectbench.release.publish.current import publish_if_stale
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.baselines.registry import LEARNED
-from kinectbench.scoring.pair_result import Counting, Job
+from kinectbench.scoring.pair_result import Counting, PairJob
 
 pytestmark = pytest.mark.xdist_group("stage versions")  # the sample is made once
 
@@ -230,7 +230,7 @@ def test_another_version_synthesises_a_model_again(tmp_path: Path, monkeypatch: 
 
 def test_another_version_counts_again(release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
     target = release.targets[0]
-    job = Job(target, release.pair_path(target), None, None, Counting(("paper",)))
+    job = PairJob(target, release.pair_path(target), None, None, Counting(("paper",)))
     before = job.key("digest")
     monkeypatch.setitem(VERSIONS, "score", VERSIONS["score"] + 1)
     assert job.key("digest") != before

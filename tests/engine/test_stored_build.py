@@ -24,7 +24,7 @@ from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import storage_errors
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
-from kinectbench.core.store.packed import pack, unpack
+from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.checkout import checkout, files_of_recording, named_as_there
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
@@ -327,19 +327,19 @@ def test_an_archive_holds_what_is_listed_and_nothing_else(tmp_path: Path) -> Non
         (folder / name).write_bytes(bytes([number]) * number * 1000)
     sizes = {name: (folder / name).stat().st_size for name in names}
     for archive in ("a.tar", "b.tar"):
-        pack(folder, sorted(names), tmp_path / archive)
+        pack_files(folder, sorted(names), tmp_path / archive)
     assert (tmp_path / "a.tar").read_bytes() == (tmp_path / "b.tar").read_bytes()
-    unpack(tmp_path / "a.tar", tmp_path / "to", sizes)
+    unpack_files(tmp_path / "a.tar", tmp_path / "to", sizes)
     assert hashes(tmp_path / "to") == hashes(folder)
     for wrong in ({**sizes, "more": 1}, {**sizes, names[0]: 5}, {names[0]: sizes[names[0]]}):
         with raises(StorageError, "storage.damaged", match=r"a\.tar: "):
-            unpack(tmp_path / "a.tar", tmp_path / "wrong", wrong)
+            unpack_files(tmp_path / "a.tar", tmp_path / "wrong", wrong)
     with tarfile.open(tmp_path / "link.tar", "w") as tar:
         entry = tarfile.TarInfo("x")
         entry.type, entry.linkname = tarfile.SYMTYPE, "/etc/passwd"
         tar.addfile(entry)
     with raises(StorageError, "storage.damaged", match="is not what manifest"):
-        unpack(tmp_path / "link.tar", tmp_path / "wrong", {"x": 0})
+        unpack_files(tmp_path / "link.tar", tmp_path / "wrong", {"x": 0})
 
 
 # --- what nothing names -------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import s3, s3_server
 
 from kinectbench.core.errors import StorageError
-from kinectbench.core.store.packed import pack
+from kinectbench.core.store.packed import pack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.checkout import checkout
@@ -114,7 +114,7 @@ def test_an_artefact_beside_its_manifest_is_read(small: Path, tmp_path: Path, s3
     artefact = artefacts_upto(jobs_of(small)[0], LAST)[LAST]
     where = stored_folder("chair", artefact)
     names = sorted(path.name for path in artefact.folder.glob("*.npz"))
-    pack(artefact.folder, names, tmp_path / ARCHIVE)
+    pack_files(artefact.folder, names, tmp_path / ARCHIVE)
     for path in (tmp_path / ARCHIVE, *artefact.folder.glob("*.json")):
         store.put(f"{where}/{path.name}", path)
     assert unnamed(store, young=True) == []

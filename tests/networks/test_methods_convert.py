@@ -34,7 +34,7 @@ def test_the_released_index_holds_the_networks_of_the_paper() -> None:
     }
     assert sorted(to.name for to in names.values()) == sorted(shapes)
     wanted = {name: to.stored_shape(shapes[to.name]) for name, to in names.items()}
-    assert conversion.misfits(bundle.tensors, wanted) == []
+    assert conversion.tensor_misfits(bundle.tensors, wanted) == []
     counts = dict.fromkeys(("aeu", "dis"), 0)
     for name in names:
         counts[name[:3]] += int(np.prod(bundle.tensors[name].shape))

@@ -187,7 +187,7 @@ def test_patches_see_what_the_whole_grid_would_show() -> None:
 def test_depth_images_are_distances_from_six_sides() -> None:
     partial = torch.zeros(1, 1, 64, 64, 64)
     partial[0, 0, 10, 20, 30] = 1
-    images = han_like.depth_images(partial)
+    images = han_like.six_depth_images(partial)
     assert images.shape == (1, 6, 1, 64, 64)
     wanted = [10, 53, 20, 43, 30, 33]
     places = [(20, 30), (20, 30), (10, 30), (10, 30), (10, 20), (10, 20)]

@@ -72,7 +72,7 @@ def test_a_batch_that_cannot_be_shared_is_told(
 
     from kinectbench.networks import train as module
 
-    monkeypatch.setattr(module, "joined", lambda device: nullcontext((0, 3)))
+    monkeypatch.setattr(module, "joined_processes", lambda device: nullcontext((0, 3)))
     with raises(SettingsError, "settings.wrong-value", match=r"2.*3"):
         train(read_config(tiny()), [learning], tmp_path / "run", device="cpu")
 

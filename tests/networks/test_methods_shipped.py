@@ -10,7 +10,7 @@ from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.lab.synthesize.mesh_check import load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair
+from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
 from kinectbench.networks.config_file import find_config
 from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
@@ -27,7 +27,7 @@ def unseen_pair(family: str, view: int) -> Pair:
     """A pair of an object that no release of `synthesize` holds."""
     model = load_model(Model(family, f"{family}-{UNSEEN:05d}", seed=UNSEEN), SETTINGS.max_faces)
     eye = DepthCamera(model.mesh, virtual_camera(SETTINGS.image_px))
-    pair, reason = make_pair(model, eye, all_views(SETTINGS.sv_steps)[view], SETTINGS)
+    pair, reason = make_synthetic_pair(model, eye, all_views(SETTINGS.sv_steps)[view], SETTINGS)
     assert reason is None
     return pair
 

@@ -17,7 +17,7 @@ from small_recipe import SOURCES, write_recipe
 from kinectbench.core.errors import StorageError
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
 from kinectbench.release import recipe as recipes
-from kinectbench.release.unpack import unpack
+from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.sources import chosen_scans, read_sources
 
@@ -360,7 +360,7 @@ def test_a_zip_says_less_than_it_unpacks_to(tmp_path: Path) -> None:
     lying = whole.replace((1 << 20).to_bytes(4, "little"), (10).to_bytes(4, "little"))
     (tmp_path / "a.zip").write_bytes(lying)
     with pytest.raises(StorageError, match="cannot be unpacked"):
-        unpack(tmp_path / "a.zip", tmp_path / "a")
+        unpack_archive(tmp_path / "a.zip", tmp_path / "a")
     assert not (tmp_path / "a").exists()
 
 

@@ -26,7 +26,7 @@ from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.release import Release, open_release
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 
 PAIR, RECORDING = "pairs/chair_01/000.npz", "chair_01"
 MESH, VOLUME = f"objects/{RECORDING}/mesh.ply", f"objects/{RECORDING}/volume.npz"
@@ -137,7 +137,7 @@ def refused_everywhere(release: Release, tmp_path: Path, line: str) -> None:
     target = next(target for target in release.targets if target.file == PAIR)
     dataset = kinectbench.load(release.folder)
     readers: list[Callable[[], object]] = [
-        lambda: read_truth(release.pair_path(target), target.sha256),
+        lambda: read_packed_truth(release.pair_path(target), target.sha256),
         lambda: dataset[dataset.targets.index(target)],
         lambda: export_webdataset(release, tmp_path / "shards"),
         lambda: export_bop(release, tmp_path / "bop"),

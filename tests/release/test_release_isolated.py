@@ -21,10 +21,10 @@ from kinectbench.cli.publish import publish_options
 from kinectbench.core.artefacts.benchmark import PublishOptions, ReleaseInfo
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import pair_bytes, read_input, read_pair, unpack
-from kinectbench.release.check.rebuild import Source, rebuild_plan
+from kinectbench.release.check.rebuild import LocalRecording, rebuild_plan
 from kinectbench.release.check.verify import verify
 from kinectbench.release.opening import open_contents
-from kinectbench.release.publish.isolate import drawn
+from kinectbench.release.publish.isolate import isolate
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.release.release import open_release
 from kinectbench.scoring.baselines.predict import write_baselines
@@ -100,10 +100,10 @@ def test_one_view_of_each_object(parts: PublishSummary) -> None:
 
 def test_the_view_is_drawn_by_the_seed(root: Path) -> None:
     found = {
-        tuple(sorted(drawn(settings_of(seed), root / "build", TEST).views.items())) for seed in range(20)
+        tuple(sorted(isolate(settings_of(seed), root / "build", TEST).views.items())) for seed in range(20)
     }
     assert len(found) > 4
-    one, again = (drawn(settings_of(3), root / "build", names) for names in (TEST, TEST[:2]))
+    one, again = (isolate(settings_of(3), root / "build", names) for names in (TEST, TEST[:2]))
     # Other objects do not change what is drawn of one.
     assert {name: one.views[name] for name in again.views} == again.views
 
@@ -253,6 +253,6 @@ def test_what_cannot_be_isolated() -> None:
 def test_a_rebuild_leaves_them_out(parts: PublishSummary, root: Path) -> None:
     assert parts.private is not None
     with open_contents(parts.private) as contents:
-        plan = rebuild_plan(contents, {name: Source(root) for name in NAMES})
+        plan = rebuild_plan(contents, {name: LocalRecording(root) for name in NAMES})
     assert [target.recording for target in plan.targets] == ["table_02"]
     assert any("its pair is not compared" in note for note in plan.notes)

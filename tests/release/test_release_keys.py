@@ -13,7 +13,7 @@ from test_release_forged import sealed
 
 from kinectbench.core.artefacts.benchmark import PublishOptions, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.publish import publish
 
@@ -39,12 +39,14 @@ NOT_FORGED = {
 Change = Callable[[dict[str, Any]], object]
 
 
-def keys(model: type[Part], before: str = "") -> Iterator[str]:
+def keys(model: type[StoredPart], before: str = "") -> Iterator[str]:
     """Every key of a model, with dots; those of a recording below `recordings.<name>`."""
     for name, field in model.model_fields.items():
         key = f"{before}{name}"
         parts = [each for each in (field.annotation, *get_args(field.annotation)) if isinstance(each, type)]
-        below = next((part for part in parts if issubclass(part, Part) and part is not QualityFile), None)
+        below = next(
+            (part for part in parts if issubclass(part, StoredPart) and part is not QualityFile), None
+        )
         if below is None or key in WHOLE:
             yield key
         elif below is RecordingInfo:

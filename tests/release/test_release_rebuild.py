@@ -19,8 +19,8 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.errors import ReleaseError, SettingsError
 from kinectbench.core.voxels.npz import load_arrays, packed_npz_bytes
 from kinectbench.release.check.rebuild import (
+    LocalRecording,
     RebuildPlan,
-    Source,
     differences,
     find_sources,
     rebuild_plan,
@@ -33,7 +33,7 @@ from kinectbench.release.publish import publish
 
 
 @pytest.fixture
-def sources(tmp_path: Path) -> dict[str, Source]:
+def sources(tmp_path: Path) -> dict[str, LocalRecording]:
     for name, *_ in RECORDINGS:
         (tmp_path / "recordings" / name).mkdir(parents=True)
     return find_sources(tmp_path / "recordings")
@@ -45,7 +45,7 @@ def again(analytic: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(analytic / "build", tmp_path / "again"))
 
 
-def compare(analytic: Path, sources: dict[str, Source], build: Path) -> list[str]:
+def compare(analytic: Path, sources: dict[str, LocalRecording], build: Path) -> list[str]:
     with open_contents(analytic / "benchmark") as contents:
         plan = rebuild_plan(contents, sources)
         assert plan.notes == () and len(plan.targets) == 7
@@ -56,11 +56,11 @@ def change(path: Path, **values: object) -> None:
     path.write_bytes(packed_npz_bytes({**load_arrays(path), **values}))
 
 
-def test_the_same(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+def test_the_same(analytic: Path, sources: dict[str, LocalRecording], again: Path) -> None:
     assert compare(analytic, sources, again) == []
 
 
-def test_what_differs_and_where(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+def test_what_differs_and_where(analytic: Path, sources: dict[str, LocalRecording], again: Path) -> None:
     pair = load_arrays(again / "chair_01" / "pairs" / "001.npz")
     full, T = pair["full"].copy(), pair["T_world_grid"].copy()
     full[0, 0, 0] ^= 0b1010_0000
@@ -83,7 +83,7 @@ def test_what_differs_and_where(analytic: Path, sources: dict[str, Source], agai
 
 
 def test_what_was_made_again_may_have_any_size(
-    analytic: Path, sources: dict[str, Source], again: Path
+    analytic: Path, sources: dict[str, LocalRecording], again: Path
 ) -> None:
     large = {
         "objects/table_01/mesh.ply": "object/mesh.ply",
@@ -99,7 +99,7 @@ def test_what_was_made_again_may_have_any_size(
 
 
 def test_a_recording_that_failed_and_other_packing(
-    analytic: Path, sources: dict[str, Source], again: Path
+    analytic: Path, sources: dict[str, LocalRecording], again: Path
 ) -> None:
     shutil.rmtree(again / "table_01" / "pairs")
     path = again / "table_02" / "pairs" / "000.npz"
@@ -111,7 +111,11 @@ def test_a_recording_that_failed_and_other_packing(
 
 
 def test_of_very_many_files_one_hash_is_kept(
-    analytic: Path, sources: dict[str, Source], again: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    analytic: Path,
+    sources: dict[str, LocalRecording],
+    again: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(publish, "MOST_NAMED_FILES", 2 * len(RECORDINGS))
     root = tmp_path / "many"
@@ -131,7 +135,7 @@ def test_of_very_many_files_one_hash_is_kept(
     assert compare(root, sources, again) == []
 
 
-def test_another_recording(analytic: Path, sources: dict[str, Source], again: Path) -> None:
+def test_another_recording(analytic: Path, sources: dict[str, LocalRecording], again: Path) -> None:
     path = again / "chair_02" / "sources.json"
     content = json.loads(path.read_text())
     name = next(iter(content))
@@ -143,27 +147,29 @@ def test_another_recording(analytic: Path, sources: dict[str, Source], again: Pa
 
 def test_a_sample_of_objects_needs_only_their_recordings(analytic: Path, tmp_path: Path) -> None:
     with open_contents(analytic / "benchmark") as contents:
-        every = rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS})
+        every = rebuild_plan(contents, {name: LocalRecording(tmp_path) for name, *_ in RECORDINGS})
         objects = {target.object for target in every.targets}
-        drawn = rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS}, 1)
+        drawn = rebuild_plan(contents, {name: LocalRecording(tmp_path) for name, *_ in RECORDINGS}, 1)
         assert {target.object for target in drawn.targets} < objects and len(drawn.notes) == 1
         assert drawn.notes[0].startswith(f"1 of {len(objects)} objects are made again: ")
         wanted = {target.recording for target in drawn.targets}
-        again = rebuild_plan(contents, {name: Source(tmp_path) for name in wanted}, 1)
+        again = rebuild_plan(contents, {name: LocalRecording(tmp_path) for name in wanted}, 1)
         assert again.targets == drawn.targets
         assert {row.id for row in again.settings.recordings} == wanted
-        assert rebuild_plan(contents, {name: Source(tmp_path) for name, *_ in RECORDINGS}, 99) == every
+        assert (
+            rebuild_plan(contents, {name: LocalRecording(tmp_path) for name, *_ in RECORDINGS}, 99) == every
+        )
 
 
 def test_missing_recordings_and_other_releases(
-    analytic: Path, sources: dict[str, Source], tmp_path: Path
+    analytic: Path, sources: dict[str, LocalRecording], tmp_path: Path
 ) -> None:
     del sources["chair_02"]
     shutil.rmtree(sources["table_01"].path)
     with open_contents(analytic / "benchmark") as contents:
         with raises(SettingsError, "settings.no-recording", match="chair_02, table_01"):
             rebuild_plan(contents, sources)
-        everything = {name: Source(tmp_path) for name, *_ in RECORDINGS}
+        everything = {name: LocalRecording(tmp_path) for name, *_ in RECORDINGS}
         text = contents.text("benchmark.json")
 
         def released(**values: object) -> RebuildPlan:
@@ -208,7 +214,7 @@ def test_where_recordings_are_looked_for(tmp_path: Path) -> None:
         "name: x\nrecordings:\n  - {id: one, path: rec/one, category: chair, masks: m}\n"
     )
     for path in (tmp_path, tmp_path / "benchmark.yaml"):
-        assert find_sources(path) == {"one": Source(tmp_path / "rec/one", tmp_path / "m")}
+        assert find_sources(path) == {"one": LocalRecording(tmp_path / "rec/one", tmp_path / "m")}
     with raises(SettingsError, "settings.no-file"):
         find_sources(tmp_path / "nowhere")
 

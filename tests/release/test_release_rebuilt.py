@@ -10,7 +10,14 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.geometry import rigid
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack
-from kinectbench.release.publish.rebuilt import PosedView, known_iou, rebuilt, rebuilt_line, sampled, solids
+from kinectbench.release.publish.rebuilt import (
+    PosedView,
+    every_fourth,
+    rebuilt,
+    rebuilt_line,
+    sampled_known_iou,
+    solids,
+)
 
 
 def posed(category: str, view: int) -> PosedView:
@@ -35,22 +42,22 @@ def test_several_views_of_a_box() -> None:
 def test_nothing_of_a_truth_is_carved_away() -> None:
     pair = pair_of("000")
     carved, hull, inside = solids(pair.grid, [posed("table", view) for view in (0, 1)])
-    full = sampled(unpack(pair.full))
+    full = every_fourth(unpack(pair.full))
     assert (full & ~carved).sum() < 0.02 * full.sum()
     np.testing.assert_array_equal(inside, carved & hull)
 
 
 def test_only_what_is_known_counts() -> None:
     pair = pair_of("000")
-    full = sampled(unpack(pair.full))
-    assert known_iou(full, pair) == 1 and known_iou(~full, pair) == 0
+    full = every_fourth(unpack(pair.full))
+    assert sampled_known_iou(full, pair) == 1 and sampled_known_iou(~full, pair) == 0
     half = np.zeros((256, 256, 256), np.bool_)
     half[:128] = True
     half_known = replace(pair, known=pack(half))
     wrong = full.copy()
     wrong[32:] = True
-    assert known_iou(wrong, pair) < 0.9 and known_iou(wrong, half_known) == 1
-    assert known_iou(full, replace(pair, known=pack(half & False))) == 1
+    assert sampled_known_iou(wrong, pair) < 0.9 and sampled_known_iou(wrong, half_known) == 1
+    assert sampled_known_iou(full, replace(pair, known=pack(half & False))) == 1
 
 
 @pytest.mark.parametrize("held", [True, False])

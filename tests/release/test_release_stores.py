@@ -24,7 +24,14 @@ from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsErro
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.store.address import shown
 from kinectbench.core.store.store import Store
-from kinectbench.release.fetch import Part, cached_release, chosen, fetch_release, mirror_release, release_url
+from kinectbench.release.fetch import (
+    ReleasePart,
+    cached_release,
+    chosen_targets,
+    fetch_release,
+    mirror_release,
+    release_url,
+)
 from kinectbench.release.release import Release, open_release
 
 __all__ = ["proxied", "s3", "s3_server", "url"]
@@ -50,22 +57,22 @@ def web(release: Release) -> Iterator[str]:
 
 def test_parts_are_chosen(release: Release) -> None:
     every = release.targets
-    assert chosen(every, Part()) == tuple(sorted(every))
-    test = chosen(every, Part(split="test"))
+    assert chosen_targets(every, ReleasePart()) == tuple(sorted(every))
+    test = chosen_targets(every, ReleasePart(split="test"))
     assert test and {target.split for target in test} == {"test"}
     category = test[0].category
-    assert {t.category for t in chosen(every, Part(categories=(category,)))} == {category}
-    one = chosen(every, Part(views=1))
+    assert {t.category for t in chosen_targets(every, ReleasePart(categories=(category,)))} == {category}
+    one = chosen_targets(every, ReleasePart(views=1))
     assert set(Counter(target.recording for target in one).values()) == {1}
     assert {target.view for target in one} == {min(t.view for t in every)}
 
 
 def test_a_part_is_enough_for_its_split(release: Release, web: str, tmp_path: Path) -> None:
     out = tmp_path / "got"
-    found = fetch_release(web, out, Part(split="test", views=1))
+    found = fetch_release(web, out, ReleasePart(split="test", views=1))
     opened = open_release(out)
     assert found.benchmark_sha256 == opened.benchmark_sha256 == release.benchmark_sha256
-    wanted = chosen(release.targets, Part(split="test", views=1))
+    wanted = chosen_targets(release.targets, ReleasePart(split="test", views=1))
     assert {path.relative_to(out).as_posix() for path in out.glob("pairs/*/*")} == {t.file for t in wanted}
     recordings = {target.recording for target in wanted}
     there = {path.name for path in (out / "objects").iterdir()}

@@ -8,8 +8,8 @@ from synthetic_release import synthetic_settings, write_json
 from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo, SettingsInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.types import Underside
-from kinectbench.release.check.rebuild import Source, _settings
-from kinectbench.release.publish.card import figures, underside_line
+from kinectbench.release.check.rebuild import LocalRecording, _settings
+from kinectbench.release.publish.card import card_figures, underside_line
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.publish import _public_settings
 from kinectbench.release.publish.publish_recording import _stage
@@ -59,7 +59,7 @@ def test_one_line_says_whose_word_it_is(words: tuple[Underside | None], begins: 
 
 def test_card_and_datasheet_say_it() -> None:
     infos = {"a": recording("closed", 0.125), "b": recording("unseen", 0.0), "c": recording(None)}
-    card = figures(ReleaseInfo.model_construct(recordings=infos))
+    card = card_figures(ReleaseInfo.model_construct(recordings=infos))
     table = card.splitlines()
     assert table[0].endswith("| seen from below only, of the solid | underside, as stated |")
     assert table[2].endswith("| 12.5 % | closed |") and table[4].endswith("|  |  |")
@@ -86,7 +86,7 @@ def test_each_recording_of_a_release_has_its_word_and_a_hidden_one_has_none() ->
 def test_it_is_made_again_with_these_words_though_a_category_is_missing(tmp_path: Path) -> None:
     stated = SettingsInfo.model_validate(_public_settings(settings_by_category(), (), []))
     info = ReleaseInfo.model_construct(name="x", license="CC0-1.0", package_version="1", settings=stated)
-    again = _settings(info, {"chair_02": Source(tmp_path)}, {"chair_02"})
+    again = _settings(info, {"chair_02": LocalRecording(tmp_path)}, {"chair_02"})
     assert [again.underside_of(each) for each in again.recordings] == ["closed"]
 
 

@@ -13,21 +13,23 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Bools
 from kinectbench.lab.simulate.objects import make_object
-from kinectbench.release.triage.same_object import LEAST_AGREEMENT, Shape, agreement, same_objects
+from kinectbench.release.triage.same_object import LEAST_AGREEMENT, Shape, same_objects, shape_agreement
 
 
 @pytest.mark.parametrize("family", ["chair", "bench", "mug"])
 def test_one_object_agrees_with_itself_and_not_with_another(family: str) -> None:
     one, other = (make_object(family, seed) for seed in (0, 1))
     first, again = (scanned(one, np.random.default_rng(seed)) for seed in (1, 2))
-    assert agreement(first, again) >= LEAST_AGREEMENT
-    assert agreement(first, scanned(other, np.random.default_rng(3))) < LEAST_AGREEMENT
+    assert shape_agreement(first, again) >= LEAST_AGREEMENT
+    assert shape_agreement(first, scanned(other, np.random.default_rng(3))) < LEAST_AGREEMENT
 
 
 def test_order_and_pose_do_not_matter() -> None:
     first, again = (scanned(make_object("chair", 0), np.random.default_rng(seed)) for seed in (1, 2))
     moved = Shape.of(*(p @ yaw_rotation(2.0).T + [3, -1, 0] for p in (again.measured, again.surface)))
-    assert agreement(first, moved) >= LEAST_AGREEMENT and agreement(moved, first) >= LEAST_AGREEMENT
+    assert (
+        shape_agreement(first, moved) >= LEAST_AGREEMENT and shape_agreement(moved, first) >= LEAST_AGREEMENT
+    )
 
 
 def write_object(folder: Path, solid: Bools) -> Path:

@@ -23,11 +23,11 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.report import gallery
 from kinectbench.report.gallery import (
     PairTruth,
-    choose_pairs,
     gallery_cells,
     gallery_json,
     read_pair_truth,
-    reduced,
+    reduced_packed,
+    shown_pairs,
 )
 from kinectbench.report.run import page_of_release, write_galleries
 from kinectbench.scoring.score import score_methods
@@ -50,19 +50,19 @@ def test_a_quarter_of_a_cell_is_enough() -> None:
     grid[4, 0, 0] = False  # 15 of 64
     grid |= ball((150, 140, 120), 40)
     plain = grid.reshape(64, 4, 64, 4, 64, 4).sum(axis=(1, 3, 5)) >= 16
-    np.testing.assert_array_equal(unpack(reduced(pack(grid))), plain)
+    np.testing.assert_array_equal(unpack(reduced_packed(pack(grid))), plain)
     assert plain[0, 0, 0] and not plain[1, 0, 0]
 
 
 def test_the_best_the_worst_and_some_that_all_methods_share() -> None:
     every = [f"r/{n:03d}" for n in range(100)]
     rising = [every[n] for n in RNG.permutation(100)]
-    chosen = choose_pairs(rising, every)
+    chosen = shown_pairs(rising, every)
     assert chosen == sorted(set(chosen)) and len(chosen) <= 24
     assert {*rising[:6], *rising[-6:]} <= set(chosen)
     assert {every[0], every[9], every[99]} <= set(chosen)
-    assert choose_pairs(every[1::-1], every[:2]) == every[:2]
-    assert choose_pairs([], []) == []
+    assert shown_pairs(every[1::-1], every[:2]) == every[:2]
+    assert shown_pairs([], []) == []
 
 
 def test_a_file_comes_back_and_belongs_to_its_scores(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_truth_of_a_pair(release: Release) -> None:
     target = release.split("test")[0]
     pair, found = read_pair(release.pair_path(target)), read_pair_truth(release, target)
     np.testing.assert_array_equal(found.partial, pair.partial)
-    np.testing.assert_array_equal(found.full, reduced(pair.full))
+    np.testing.assert_array_equal(found.full, reduced_packed(pair.full))
     np.testing.assert_array_equal(unpack(found.known), unpack(pair.known)[2::4, 2::4, 2::4])
     # What nobody knows of it is a slab of ten voxels along x, from 200 on: two and a half cells of its shape.
     unseen = unpack(found.unseen)

@@ -14,7 +14,7 @@ from small_benchmark import Run
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
-from kinectbench.report.paper_table import markdown, paper_tables
+from kinectbench.report.paper_table import paper_markdown, paper_tables
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.score import score_methods
 
@@ -63,7 +63,7 @@ def test_real_recordings_have_one_table() -> None:
     assert [of.method for of in two[0].rows[:2]] == ["net", "net #2"]
     assert found.rows[0].iou == pytest.approx(dict.fromkeys(categories, 0.5))
     assert found.rows[0].ce == pytest.approx(dict.fromkeys(categories, 0.5))
-    lines = markdown([found]).splitlines()
+    lines = paper_markdown([found]).splitlines()
     assert lines[2] == "| method | IoU bench | IoU table | IoU cabinet | CE bench | CE table | CE cabinet |"
     assert lines[4] == "| better | 0.500 | 0.500 | 0.500 | 0.500 | 0.500 | 0.500 |"
     published = "| *3D-RecGAN++; real recordings: published, not comparable* |"

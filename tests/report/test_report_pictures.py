@@ -91,7 +91,7 @@ def test_block_density_counts_every_cell() -> None:
 def test_smoothed_spreads_one_cell_over_its_neighbours() -> None:
     density = np.zeros((5, 5, 5), np.float32)
     density[2, 2, 2] = 1
-    result = pictures.smoothed(density)
+    result = pictures.blurred_density(density)
     assert result[2, 2, 2] == 1 / 8 and result[1, 2, 2] == 1 / 16 and result[1, 1, 1] == 1 / 64
     assert result.sum() == 1 and density.sum() == 1
 

@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.report import charts, tables
 from kinectbench.report.page import Groups
-from kinectbench.report.run import baselines_of, files_in, files_named, grouped
+from kinectbench.report.run import files_in, files_named, grouped, kept_baselines
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.counts import THRESHOLDS
 
@@ -39,7 +39,7 @@ def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None 
 
 def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
     parsed = parsed_tables([made("a", 0.41001, 12.5), made("c", None, None), made("b", 0.40999, 2.25)])
-    table = tables.score_table(parsed, "known")
+    table = tables.protocol_table(parsed, "known")
     assert table.categories == ("overall", "chair")
     assert [row.method for row in table.rows] == ["a", "b", "c"]
     assert [(row.iou[0].text, row.iou[0].best) for row in table.rows] == [
@@ -59,7 +59,7 @@ def test_what_every_baseline_is_marked_with_stands_above_the_table() -> None:
     fixed = {"thresholds": {"chair": 0.5}, "threshold_source_by_category": {"chair": "fixed"}}
     names = ("net", "hull", "partial")
     parsed = parsed_tables([made(name, 0.4, 1.0) | (fixed if name != "net" else {}) for name in names])
-    table = tables.score_table(parsed, "known")
+    table = tables.protocol_table(parsed, "known")
     assert len(table.shared) == 1 and len(table.of_baselines) == 1 and "fixed" in table.of_baselines[0]
     assert {row.method: row.marks for row in table.rows} == {
         "net": (),
@@ -76,7 +76,7 @@ def test_a_first_click_sorts_the_best_first() -> None:
 
 def test_intervals_and_groups() -> None:
     parsed = parsed_tables([made("a", 0.5, 1.0, [0.25, 0.7504]), made("b", 0.4, 1.0), made("c", 0.1, 1.0)])
-    table = tables.score_table(parsed, "known", {"a": "a", "b": "ab", "c": "b"})
+    table = tables.protocol_table(parsed, "known", {"a": "a", "b": "ab", "c": "b"})
     assert [row.group for row in table.rows] == ["a", "ab", "b"] and table.grouped
     assert [row.iou[0].interval for row in table.rows] == ["0.250–0.750", "", ""]
 
@@ -211,7 +211,7 @@ def test_scores_of_an_older_version_are_left_out_or_refused(tmp_path: Path) -> N
         f"{unknown}: scores of an older version, left out of the page; score again",
         f"{first}: scores of an older version, left out of the page; score again",
     ]
-    assert [file.table.method for file in baselines_of(files)] == ["hull2"]
+    assert [file.table.method for file in kept_baselines(files)] == ["hull2"]
     with raises(SettingsError, "settings.other-scores", match=r"b1/scores\.json.*1.*2"):
         files_named([second, first], None)
     assert [file.path for file in files_named([first, unknown], None)] == [first, unknown]

@@ -93,14 +93,14 @@ def test_scorer_gives_what_files_give_where_a_category_has_no_validation(
 
 def test_an_option_has_one_default() -> None:
     """The command, both functions behind it and the scorer count alike unless they are told otherwise."""
-    ways = (commands_score.score, score_methods, score, kinectbench.Scorer)
+    ways = (commands_score.score_command, score_methods, score, kinectbench.Scorer)
     for name in ("surface", "upsampling", "missing", "thresholds_file"):
         defaults = [
             parameters[name].default for way in ways if name in (parameters := signature(way).parameters)
         ]
         assert len(defaults) >= 3 and all(default == defaults[0] for default in defaults), name
     assert signature(compare_tables).parameters["protocol"].default == PRIMARY
-    assert signature(commands_score.compare).parameters["protocol"].default == PRIMARY
+    assert signature(commands_score.compare_command).parameters["protocol"].default == PRIMARY
 
 
 def test_scorer_refuses(release: Release) -> None:

@@ -12,7 +12,7 @@ from kinectbench.core.geometry import Grid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.scoring.camera.align import KINDS, register
+from kinectbench.scoring.camera.align import KINDS, register_surface
 from kinectbench.scoring.camera.surface import Surface, mesh_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
 from kinectbench.scoring.camera.view import Scored, asked_rows, score_shape
@@ -90,7 +90,7 @@ def test_what_was_done_to_a_shape_is_undone(name: str, kind: str) -> None:
     mesh = MESHES[name]
     for seed in range(6):
         T = drawn(seed, kind, mesh)
-        found = register(TRUTHS[name], surface(mesh, T), kind)
+        found = register_surface(TRUTHS[name], surface(mesh, T), kind)
         rest = found.T @ T
         moved = np.linalg.norm(transform_points(rest, mesh.vertices) - mesh.vertices, axis=1)
         turn = np.degrees(rotation_angle_rad(rest[:3, :3] / similarity_scale(rest)))
@@ -105,7 +105,7 @@ def test_largest_turns_and_scales_are_within_reach() -> None:
     for axis in np.eye(3):
         for scale in (0.5, 2.0):
             T = similarity(mesh, np.array([0.115, -0.115, 0.115]), scale, np.radians(30) * axis)
-            rest = register(TRUTHS["chair"], surface(mesh, T), "R+t+s").T @ T
+            rest = register_surface(TRUTHS["chair"], surface(mesh, T), "R+t+s").T @ T
             assert np.abs(transform_points(rest, mesh.vertices) - mesh.vertices).max() < 1e-3
 
 
@@ -156,9 +156,9 @@ def test_rows_say_what_was_needed() -> None:
 def test_a_free_size_is_ok_whatever_its_unit(scale: float) -> None:
     """Of a shape in millimetres, or a thousandth of its size, the registration comes to rest as of others."""
     mesh = MESHES["corner"]
-    found = register(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t+s")
+    found = register_surface(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t+s")
     assert found.ok and similarity_scale(found.T) == pytest.approx(1 / scale, rel=0.005)
-    assert not register(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t").ok
+    assert not register_surface(TRUTHS["corner"], surface(mesh, similarity(mesh, np.zeros(3), scale)), "t").ok
 
 
 def test_only_known_truth_is_looked_at_and_the_result_is_the_same_each_time() -> None:
@@ -167,17 +167,17 @@ def test_only_known_truth_is_looked_at_and_the_result_is_the_same_each_time() ->
     known = np.ones((SIDE,) * 3, bool)
     known[: SIDE // 3] = False
     truth, T = truth_of(mesh, pack(known)), drawn(1, "R+t+s", mesh)
-    first = register(truth, surface(mesh, T), "R+t+s")
+    first = register_surface(truth, surface(mesh, T), "R+t+s")
     rest = first.T @ T
     assert np.abs(transform_points(rest, mesh.vertices) - mesh.vertices).max() < 5e-3
-    assert np.array_equal(register(truth, surface(mesh, T), "R+t+s").T, first.T)
+    assert np.array_equal(register_surface(truth, surface(mesh, T), "R+t+s").T, first.T)
 
 
 def test_failures_are_said() -> None:
     """Nothing of the truth is known: nothing is registered."""
     mesh = MESHES["corner"]
     truth = truth_of(mesh, np.zeros_like(EVERYWHERE))
-    found = register(truth, surface(mesh, np.eye(4)), "t")
+    found = register_surface(truth, surface(mesh, np.eye(4)), "t")
     assert not found.ok and np.array_equal(found.T, np.eye(4))
 
 

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rigid
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.camera_predictions import CameraFile, check_camera, load_camera_shape
+from kinectbench.scoring.camera_predictions import CameraPredictionFile, check_camera, load_camera_shape
 from kinectbench.scoring.camera_shape import (
     CameraShape,
     distance_shape,
@@ -241,7 +241,7 @@ def test_scores_refuse_what_only_check_knows(published: Release, tmp_path: Path)
     assert read_in_camera(folder) is None and read_method(folder) is not None
     file = folder / f"{published.targets[0].name}.ply"
     shape = load_camera_shape(
-        CameraFile(published.targets[0], "a", file), MethodFile(name="net", frame="camera")
+        CameraPredictionFile(published.targets[0], "a", file), MethodFile(name="net", frame="camera")
     )
     assert len(shape.faces) == len(read_ply(file.read_bytes())[1])
 

@@ -8,7 +8,7 @@ import trimesh
 
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.voxels.pair_file import pack, unpack
-from kinectbench.scoring.camera.metrics import Figures, figures_by_part
+from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
 from kinectbench.scoring.camera.solid import closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import cell_surface, mesh_surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
@@ -41,7 +41,7 @@ def truth() -> SpaceTruth:
     return space_truth(pack(ball_cells()), EVERYWHERE, pack(seen), T_CAMERA, VOXEL_M)
 
 
-def figures(truth: SpaceTruth, shape: CameraShape) -> tuple[dict[str, Figures], float]:
+def figures(truth: SpaceTruth, shape: CameraShape) -> tuple[dict[str, PartFigures], float]:
     T = truth.T_grid_camera
     solid = solid_in(truth, shape, closed_mesh(shape), T)
     return figures_by_part(truth, surface_of(shape).transformed(T), solid)

@@ -14,7 +14,7 @@ from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, reduced, tallies, tally
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.protocols import PROTOCOLS
-from kinectbench.scoring.truth import Truth
+from kinectbench.scoring.truth import PackedTruth
 
 Bools = NDArray[np.bool_]
 SIDE = 256
@@ -28,8 +28,10 @@ def grids() -> tuple[Bools, Bools, Bools]:
     return full, known, seen
 
 
-def truth_of(full: Bools, known: Bools, seen: Bools, **others: Bools) -> Truth:
-    return Truth(pack(full), pack(known), pack(seen), 0.004, 0.005, {n: pack(of) for n, of in others.items()})
+def truth_of(full: Bools, known: Bools, seen: Bools, **others: Bools) -> PackedTruth:
+    return PackedTruth(
+        pack(full), pack(known), pack(seen), 0.004, 0.005, {n: pack(of) for n, of in others.items()}
+    )
 
 
 def plain_metrics(y: NDArray[np.float64], full: Bools, mask: Bools, p: float) -> dict[str, float]:

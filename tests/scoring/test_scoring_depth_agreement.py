@@ -22,7 +22,7 @@ from kinectbench.scoring.depth_agreement import (
     beyond_share,
     likeliest,
     remedy,
-    surface_points,
+    shape_points,
 )
 
 CAMERA = Camera(320, 240, 262.5, 260.0, 157.5, 121.0)
@@ -107,7 +107,7 @@ AXES = {
 @pytest.mark.parametrize("number", OBJECTS)
 def test_every_wrong_unit_and_axis_is_named(number: int) -> None:
     one = scene(number)
-    for form in (one.mesh, cloud(surface_points(one.mesh)[:2048])):
+    for form in (one.mesh, cloud(shape_points(one.mesh)[:2048])):
         for factor, words in UNITS.items():
             found = one.judged(form.transformed(scaled(factor)))
             assert (
@@ -147,7 +147,7 @@ def test_a_room_is_no_object(number: int) -> None:
     T_grid_camera, side_m = invert_rigid(one.T_world_grid) @ one.T_world_camera, 1.2
     walls = trimesh.sample.sample_surface(trimesh.creation.box(extents=(5, 5, 5)), 5000, seed=1)[0]
     middle = transform_points(invert_rigid(T_grid_camera), np.full(3, side_m / 2))
-    room = cloud(np.concatenate([walls + middle, surface_points(one.mesh)[:5000]]))
+    room = cloud(np.concatenate([walls + middle, shape_points(one.mesh)[:5000]]))
     assert beyond_share(room, T_grid_camera, side_m) > SCENE
     assert beyond_share(one.mesh, T_grid_camera, side_m) == 0
 
@@ -180,7 +180,7 @@ def test_right_ones_raise_no_alarm(number: int) -> None:
     one, rng = scene(number), np.random.default_rng(100 + number)
     exact = one.judged(one.mesh)
     assert exact.distance_m < 0.5 * SMALL * exact.diagonal_m and not exact.is_large
-    points = surface_points(one.mesh)
+    points = shape_points(one.mesh)
     size_m = 0.04
     low = points.min(axis=0) - size_m
     cells = np.zeros(np.ceil((points.max(axis=0) + size_m - low) / size_m).astype(int), bool)
@@ -192,7 +192,7 @@ def test_right_ones_raise_no_alarm(number: int) -> None:
         "off by 5 cm": cloud(points + np.array([0.03, -0.03, 0.03])),
         "seen part alone": cloud(one.depth_points_m[::7]),
         "5 % too large": cloud((points - points.mean(axis=0)) * 1.05 + points.mean(axis=0)),
-        "its box": cloud(surface_points(box_around(points))),
+        "its box": cloud(shape_points(box_around(points))),
     }
     assert [kind for kind, shape in others.items() if one.judged(shape).slips] == []
 
@@ -204,7 +204,7 @@ def box_around(points: np.ndarray) -> CameraShape:
 
 def test_a_distance_that_nothing_explains_is_said() -> None:
     one = scene(0)
-    found = one.judged(cloud(surface_points(one.mesh) + np.array([0.7, 0.9, -0.2])))
+    found = one.judged(cloud(shape_points(one.mesh) + np.array([0.7, 0.9, -0.2])))
     assert slip(found) == "" and found.distance_m > LARGE * found.diagonal_m and found.is_large
 
 

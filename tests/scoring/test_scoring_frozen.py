@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
-from kinectbench.scoring.pair_result import LEAST_CHECKED, Job, count_job
+from kinectbench.scoring.pair_result import LEAST_CHECKED, PairJob, count_job
 from kinectbench.scoring.score import score, score_methods
 from kinectbench.scoring.thresholds import read_thresholds
 
@@ -114,7 +114,7 @@ def test_a_killed_run_resumes(
 ) -> None:
     counted: list[str] = []
 
-    def dies_after_five(job: Job) -> PairResult | str:
+    def dies_after_five(job: PairJob) -> PairResult | str:
         if len(counted) == 5:
             raise KeyboardInterrupt
         counted.append(job.target.name)

@@ -15,7 +15,7 @@ from kinectbench.core.errors import StorageError
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
 from kinectbench.scoring.baselines.beside import baselines_beside
-from kinectbench.scoring.pair_result import CHECKED_SHARE, LEAST_CHECKED, Job, count_job, drawn
+from kinectbench.scoring.pair_result import CHECKED_SHARE, LEAST_CHECKED, PairJob, count_job, drawn
 from kinectbench.scoring.score import score
 
 Command = Callable[..., Run]
@@ -38,7 +38,7 @@ def journal(release: Release, predictions: Path, tmp_path: Path, monkeypatch: py
     """What a run without surface metrics leaves that is stopped before its last pair."""
     counted: list[str] = []
 
-    def stopped(job: Job) -> object:
+    def stopped(job: PairJob) -> object:
         if len(counted) == len(release.targets) - 1:
             raise KeyboardInterrupt
         counted.append(job.target.name)

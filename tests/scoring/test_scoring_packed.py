@@ -15,7 +15,7 @@ from kinectbench.release.release import open_release
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
 from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 
 ONE = 0x3C00
 RECORDINGS: Recordings = (("chair_01", "chair", "chair_a", "test", 1),)
@@ -46,7 +46,7 @@ def test_a_score_of_packed_predictions(tmp_path: Path) -> None:
     """A network that is unsure near surfaces: all counts are equal, the cross-entropy within 0.1 %."""
     release = open_release(publish_synthetic(tmp_path, RECORDINGS).folder)
     (target,) = release.split("test")
-    truth = read_truth(release.pair_path(target), target.sha256)
+    truth = read_packed_truth(release.pair_path(target), target.sha256)
     noise = np.random.default_rng(0).normal(0, 2, (256,) * 3)
     logits = np.where(unpack(truth.full), 1.5, -6) + noise
     probability = (1 / (1 + np.exp(-logits))).astype(np.float16)

@@ -21,7 +21,7 @@ from kinectbench.scoring.protocols import PRIMARY, PROTOCOLS, protocols_of
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
 from kinectbench.scoring.score import score, score_methods
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 
 CHAIRS = (
     ("chair_01", "chair", "red_chair", "test", 1),
@@ -77,9 +77,11 @@ def test_rows_are_those_of_their_masks(told: Release, scores: Path) -> None:
             assert row.unknown_share == whole[row.pair].unknown_share and row.iou != whole[row.pair].iou
             # Counted as `known` is, of a truth that is known there.
             path = told.pair_path(target)
-            plain = read_truth(path, target.sha256)
+            plain = read_packed_truth(path, target.sha256)
             again = replace(plain, known=np.packbits(mask, axis=-1))
-            assert np.array_equal(read_truth(path, target.sha256, ("interior", "said")).known, plain.known)
+            assert np.array_equal(
+                read_packed_truth(path, target.sha256, ("interior", "said")).known, plain.known
+            )
             assert row.iou == pytest.approx(iou(scores / "moved", target.name, again, row.threshold))
     by = {protocol: table.overall[protocol].coverage_shape for protocol in table.settings.protocols}
     assert by["measured"] < by["known-unsaid"] < by["known"] < by["paper"]
@@ -157,4 +159,4 @@ def test_one_recording_that_does_not_tell_takes_them_from_all(told: Release, tmp
     with raises(SettingsError, "settings.wrong-value", match=f"of {target.recording} do"):
         protocols_of(mixed, ["measured"])
     with raises(ReleaseError, "release.damaged", match="'interior'"):
-        read_truth(path, targets[told.targets.index(target)].sha256, ("interior",))
+        read_packed_truth(path, targets[told.targets.index(target)].sha256, ("interior",))

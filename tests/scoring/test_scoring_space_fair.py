@@ -12,7 +12,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring import camera_shape
 from kinectbench.scoring.camera import surface
-from kinectbench.scoring.camera.metrics import Figures, figures_by_part
+from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
 from kinectbench.scoring.camera.solid import closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import mesh_surface, point_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
@@ -31,7 +31,7 @@ def truth() -> SpaceTruth:
     return space_truth(pack(full), all_of_it, np.zeros_like(all_of_it), np.eye(4), VOXEL_M)
 
 
-def scored(truth: SpaceTruth, shape: CameraShape) -> Figures:
+def scored(truth: SpaceTruth, shape: CameraShape) -> PartFigures:
     own = surface.surface_of(shape)
     solid = solid_in(truth, shape, closed_mesh(shape), truth.T_grid_camera)
     return figures_by_part(truth, own.transformed(truth.T_grid_camera), solid)[0]["whole"]

@@ -23,7 +23,7 @@ from kinectbench.core.errors import PredictionError, StorageError
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
-from kinectbench.scoring.pair_result import Counting, Job, Journal, count_job
+from kinectbench.scoring.pair_result import Counting, Journal, PairJob, count_job
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import (
     NAMED,
@@ -279,14 +279,14 @@ def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) 
     target = release.split("test")[0]
     path = tmp_path / "000.npy"
     np.save(path, np.ones((4, 4, 4), bool))
-    job = Job(target, release.pair_path(target), path, 0.5, Counting(("known",)))
+    job = PairJob(target, release.pair_path(target), path, 0.5, Counting(("known",)))
     result = count_job(job)
     assert not isinstance(result, str)
     keys = {
         job.key(result.digest),
         job.key("0" * 64),
-        Job(target, job.truth, path, 0.4, job.counting).key(result.digest),
-        Job(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.digest),
+        PairJob(target, job.truth, path, 0.4, job.counting).key(result.digest),
+        PairJob(target, job.truth, path, 0.5, Counting(("known",), surface=False)).key(result.digest),
     }
     assert len(keys) == 4
 
@@ -294,7 +294,7 @@ def test_the_journal_key_follows_what_matters(release: Release, tmp_path: Path) 
 def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_path: Path) -> None:
     target = release.split("test")[0]
     np.save(tmp_path / "000.npy", np.random.default_rng(0).random((8, 8, 8), np.float32))
-    job = Job(target, release.pair_path(target), tmp_path / "000.npy", 0.5, Counting(("known", "paper")))
+    job = PairJob(target, release.pair_path(target), tmp_path / "000.npy", 0.5, Counting(("known", "paper")))
     result = count_job(job)
     assert not isinstance(result, str)
     Journal(tmp_path).add(job, result)
@@ -328,7 +328,7 @@ def test_a_journal_that_is_no_plain_file_is_not_written(release: Release, tmp_pa
     target, path, outside = release.split("test")[0], tmp_path / JOURNAL, tmp_path / "outside"
     outside.write_text("mine")
     {"a pipe": os.mkfifo, "a link": lambda to: to.symlink_to(outside), "a folder": Path.mkdir}[kind](path)
-    result = count_job(job := Job(target, release.pair_path(target), None, None, Counting(("known",))))
+    result = count_job(job := PairJob(target, release.pair_path(target), None, None, Counting(("known",))))
     assert not isinstance(result, str)
     with raises(StorageError, "storage.no-plain-file"):
         Journal(tmp_path).add(job, result)

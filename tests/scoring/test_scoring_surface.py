@@ -14,8 +14,8 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack, unpack
 from kinectbench.scoring.counts import occupied
 from kinectbench.scoring.surface import SAME, SurfaceMetrics, size_cells, surface_metrics
-from kinectbench.scoring.surface_kernels import agreement, cells_of, moments, nearest
-from kinectbench.scoring.truth import Truth
+from kinectbench.scoring.surface_kernels import cells_of, moments, nearest_cells, normal_agreement
+from kinectbench.scoring.truth import PackedTruth
 
 Bools = NDArray[np.bool_]
 CUBE = (256, 256, 256)
@@ -33,11 +33,13 @@ def box(*corners: int) -> Bools:
 NOTHING, EVERYTHING = np.zeros(CUBE, bool), np.ones(CUBE, bool)
 
 
-def truth_of(full: Bools, known: Bools = EVERYTHING, seen: Bools = NOTHING, sigma_m: float = 0.005) -> Truth:
-    return Truth(pack(full), pack(known), pack(seen), 0.004, sigma_m)
+def truth_of(
+    full: Bools, known: Bools = EVERYTHING, seen: Bools = NOTHING, sigma_m: float = 0.005
+) -> PackedTruth:
+    return PackedTruth(pack(full), pack(known), pack(seen), 0.004, sigma_m)
 
 
-def measured(predicted: Bools, truth: Truth, protocol: str = "known") -> SurfaceMetrics:
+def measured(predicted: Bools, truth: PackedTruth, protocol: str = "known") -> SurfaceMetrics:
     return surface_metrics(pack(predicted), truth, [protocol])[protocol]
 
 
@@ -47,7 +49,7 @@ def test_nearest_is_exact_and_the_first_of_several(share: float) -> None:
     first[0, 0, 0] = second[255, 255, 255] = second[7, 9, 250] = True  # never empty
     queries, targets = cells_of(pack(first)), cells_of(pack(second))
     np.testing.assert_array_equal(np.sort(queries.index), np.flatnonzero(first))
-    squared, found = nearest(queries, targets)
+    squared, found = nearest_cells(queries, targets)
     points = np.argwhere(second)
     for n in RNG.integers(len(queries), size=60):
         offsets = points - np.unravel_index(queries.index[n], CUBE)
@@ -83,7 +85,7 @@ def test_normals_agree_whatever_their_lengths_and_signs() -> None:
     first = np.array([row for (row,), _ in pairs], np.int16)
     second = np.array([row for _, (row,) in pairs], np.int16)
     back = np.arange(len(pairs))[::-1]
-    cosines = agreement(first, second[::-1], back)
+    cosines = normal_agreement(first, second[::-1], back)
     np.testing.assert_allclose(cosines, [1, 1, 0.8, 0, 0, 1], rtol=1e-15)
 
 
@@ -101,7 +103,7 @@ def test_two_plates_by_hand() -> None:
 DIAGONAL_MM = math.sqrt(3) * 256 * 4
 WORST = SurfaceMetrics(DIAGONAL_MM, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ONE = box(5, 6, 7, 5, 6, 7)
-EDGES: dict[str, tuple[Bools, Truth, SurfaceMetrics]] = {
+EDGES: dict[str, tuple[Bools, PackedTruth, SurfaceMetrics]] = {
     "both empty": (NOTHING, truth_of(NOTHING), SAME),
     "nothing predicted": (NOTHING, truth_of(ONE), WORST),
     "nothing there": (ONE, truth_of(NOTHING), WORST),

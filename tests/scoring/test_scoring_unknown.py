@@ -22,7 +22,7 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.report import tables as report_tables
 from kinectbench.report.page import write_report
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.counts import is_all_unknown, unknown_share
+from kinectbench.scoring.counts import is_all_unknown, tally_unknown_share
 from kinectbench.scoring.of_release import not_of_release
 from kinectbench.scoring.score import score
 
@@ -104,7 +104,7 @@ def test_what_is_all_unknown(name: str) -> None:
     assert found == [False, under_known, under_occluded]
     shape = sum(counts.get(code, 0) for code in (1, 3, 5, 7))
     expected = sum(counts.get(code, 0) for code in (1, 5)) / shape if shape else 0
-    assert unknown_share(tally) == expected
+    assert tally_unknown_share(tally) == expected
 
 
 def test_rows_say_how_much_is_unknown(tables: tuple[ScoreTable, ScoreTable]) -> None:
@@ -187,7 +187,7 @@ def test_what_people_see(tables: tuple[ScoreTable, ScoreTable], tmp_path: Path) 
         ["87.5", "0.0", "43.8"] * 2,  # under `known` and `paper`
         ["87.5", "0.0", "43.8"],
     ]
-    table = report_tables.score_table(tables, "known")
+    table = report_tables.protocol_table(tables, "known")
     assert table.categories == ("overall", "chair", "table")
     assert (table.unknown, table.left_out) == (("43.8 %", "87.5 %", "0.0 %"), LINE)
     assert report_tables.truth_of_objects(tables, "known") == (

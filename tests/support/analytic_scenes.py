@@ -13,7 +13,7 @@ from kinectbench.core.geometry import Camera, Grid, TriangleMesh, rigid
 from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.lab.simulate.simulate import Simulation, prepare, record
+from kinectbench.lab.simulate.simulate import Simulation, prepare, record_frame
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import floor_plane, mesh_occupancy
 
@@ -193,7 +193,7 @@ def furniture(spec: SimulationSpec, frames: int | None = None, depth_scale: floa
     """Simulate in memory; with `frames`, only the first ones of the orbit."""
     simulation = prepare(spec)
     simulation = replace(simulation, frames=simulation.frames[:frames])
-    recorded = [record(simulation, index) for index in range(len(simulation.frames))]
+    recorded = [record_frame(simulation, index) for index in range(len(simulation.frames))]
     depth = [each.frame.depth_native(depth_scale) for each in recorded]
     color = [cv2.imencode(".png", each.frame.color_rgb[..., ::-1])[1].tobytes() for each in recorded]
     stamps_ns = np.array([each.frame.stamp_ns for each in recorded], np.int64)

@@ -38,7 +38,7 @@ from kinectbench.lab.evaluate.build import Build
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth, mesh_occupancy
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair
-from kinectbench.stages.sample_views.alignment import Alignment
+from kinectbench.stages.sample_views.alignment import ViewAlignment
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import View, Views, write_views
 from kinectbench.stages.segment.find.floor import Floor
@@ -213,7 +213,7 @@ def _sequence(truth: Truth) -> Sequence:
 
 def _view(name: str, frame: int, truth: Truth, T_world_camera: Float64, sequence: Sequence) -> View:
     fit = ViewFit(int(truth.mask(frame).sum()), 1.0, 0.0, 0.0, 1.0, 0.0)
-    pose = Alignment(T_world_camera, 0.0, 0.0)
+    pose = ViewAlignment(T_world_camera, 0.0, 0.0)
     return View(name, frame, int(sequence.stamps_ns[frame]), "random", pose, truth.mask(frame), fit)
 
 

@@ -22,7 +22,7 @@ from kinectbench._version import __version__
 from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
 from kinectbench.core.storage import sha256_text
 from kinectbench.core.voxels.npz import load_arrays
-from kinectbench.release.publish.small_files import package_versions
+from kinectbench.release.publish.small_files import data_package_versions
 from kinectbench.stages.ingest.depth_code import decode_depth
 
 
@@ -58,7 +58,7 @@ TOLERANCES: dict[str, tuple[float, ...]] = {
     "mesh": (1e-4,),
     "counts": (1e-3,),
 }
-VERSIONS_HERE = (__version__, *package_versions().values())
+VERSIONS_HERE = (__version__, *data_package_versions().values())
 # Larger numbers in a text are words: sums over them would hide all others.
 LARGE = 1e9
 # What is 0 on one processor may be as small on another, in units of the root mean square.

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceInfo
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Stored, StoredPart
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted_text import strict_json
@@ -31,14 +31,14 @@ class ReleaseFile(Stored):
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
 
 
-class Distribution(Part):
+class Distribution(StoredPart):
     """Whether the release may be distributed."""
 
     allowed: bool = Field(description="licence and source of every recording are stated")
     reasons: tuple[str, ...] = Field(description="why it may not, one line each")
 
 
-class PairsInfo(Part):
+class PairsInfo(StoredPart):
     """The settings of the pairs."""
 
     framing: Framing | None = Field(None, description="of every pair")
@@ -46,7 +46,7 @@ class PairsInfo(Part):
     min_containment: float = Field(description="least share of a partial inside its shape")
 
 
-class SettingsInfo(Part):
+class SettingsInfo(StoredPart):
     """The settings that the release was built with, as in benchmark.yaml."""
 
     source: str | None = Field(None, description="who recorded the data, or where it is from")
@@ -61,7 +61,7 @@ class SettingsInfo(Part):
     publish: dict[str, Any] | None = Field(None, description="of the release")
 
 
-class RecordingInfo(Part):
+class RecordingInfo(StoredPart):
     """One recording of a release."""
 
     object: str = Field(description="the thing recorded")
@@ -95,7 +95,7 @@ class RecordingInfo(Part):
     )
 
 
-class Flow(Part):
+class Flow(StoredPart):
     """The number of recordings tried, and their outcomes."""
 
     tried: int = Field(description="recordings of the benchmark")
@@ -181,7 +181,7 @@ class ReleaseInfo(ReleaseFile):
         return self.hides(recording) and recording in self.isolated
 
 
-class PublishOptions(Part):
+class PublishOptions(StoredPart):
     """Options of `publish` beyond the settings."""
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
-from kinectbench.core.artefacts.stored import Part, array_in_file
+from kinectbench.core.artefacts.stored import StoredPart, array_in_file
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.types import Float64, Int64
 
@@ -58,7 +58,7 @@ class PairResult:
         return self.tallies.get(protocol, self.tally)
 
 
-class CountedPair(Part):
+class CountedPair(StoredPart):
     """A line of the journal: a pair's name, the inputs of its result, and the exact result."""
 
     pair: str

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.core.artefacts.benchmark import SHA256
-from kinectbench.core.artefacts.stored import Matrix4, Part, Stored, array_in_file
+from kinectbench.core.artefacts.stored import Matrix4, Stored, StoredPart, array_in_file
 from kinectbench.core.errors import KinectBenchError, PredictionError
 from kinectbench.core.geometry.rigid import similarity_problem
 from kinectbench.core.storage import canonical_json, sha256_text
@@ -179,7 +179,7 @@ class UnfinishedFile(Stored):
         return sha256_text(canonical_json(self.json_value()))
 
 
-class PredictedFile(Part):
+class PredictedFile(StoredPart):
     """A line of .predicted.jsonl: a file that a run completed."""
 
     run_sha256: str = Field(description="of the run")
@@ -191,7 +191,7 @@ class PredictedFile(Part):
         return canonical_json(self.json_value()) + "\n"
 
 
-class TrainingRow(Part):
+class TrainingRow(StoredPart):
     """Values at a validation; losses are means since the row before."""
 
     step: int = Field(description="steps that were done")

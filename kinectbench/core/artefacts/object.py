@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import Field
 
 from kinectbench.core.artefacts.solid_method import SolidMethod
-from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored, Vector4
+from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart, Vector4
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.types import Split, Underside
@@ -30,7 +30,7 @@ MEASUREMENT_WARNINGS = (
 REASONS_FOLLOW = "the interval in brackets is so wide because of"
 
 
-class BoxPart(Part):
+class BoxPart(StoredPart):
     """An upright box in the floor frame, as benchmark.yaml writes it."""
 
     center_m: Triple = Field(description="centre, floor frame, metres")
@@ -51,7 +51,7 @@ class BoxPart(Part):
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
 
 
-class FloorCandidate(Part):
+class FloorCandidate(StoredPart):
     """A plane that may have been the floor, and the reason against it."""
 
     plane_world: Vector4 = Field(description="[a, b, c, d], as of the floor; before it was refined")
@@ -119,7 +119,7 @@ class FloorFile(Stored):
     )
 
 
-class LabelCounts(Part):
+class LabelCounts(StoredPart):
     """Voxels of each label (`Label`)."""
 
     free: int = Field(description="seen through, voxels")
@@ -139,7 +139,7 @@ class UnseenSidePart(ScaledPart):
     share: float = Field(description="of all upright directions: those that no camera would have seen")
 
 
-class MovingPart(Part):
+class MovingPart(StoredPart):
     """Frames that show something in front of the scene that other frames do not see."""
 
     judged: int = Field(description="frames looked at")
@@ -147,7 +147,7 @@ class MovingPart(Part):
     largest_share: float = Field(description="of a frame's pixels, that lie before the scene")
 
 
-class FrontierPart(Part):
+class FrontierPart(StoredPart):
     """An opening into unseen space: it borders on free space without a surface between."""
 
     direction: Literal["up", "side", "down"] = Field(description="from the unseen region outward")
@@ -261,7 +261,7 @@ class SynthesisedQualityFile(Stored):
     warnings: tuple[str, ...] = Field(description="one line each")
 
 
-class MadeGroup(Part):
+class MadeGroup(StoredPart):
     """The outcome of a model's views that were synthesised together."""
 
     views: tuple[str, ...] = Field(description="names of those that have a pair")
@@ -279,7 +279,7 @@ class MadeModel(Stored):
     groups: dict[str, MadeGroup] = Field(description="name of a group of views -> what became of them")
 
 
-class CandidateRow(Part):
+class CandidateRow(StoredPart):
     """A candidate box for the object."""
 
     number: int = Field(description="from 1 on, as in the pictures")

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from kinectbench.core.artefacts.benchmark import ReleaseFile
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.names import StoredCategory, unlike
 from kinectbench.core.storage import canonical_json, sha256_text
 
@@ -18,7 +18,7 @@ THRESHOLDS_JSON = "thresholds.json"
 ColorPublished = Literal["left out", "published", "none"]
 
 
-class LineageStage(Part):
+class LineageStage(StoredPart):
     """How one artefact of a recording was made."""
 
     package_version: str = Field(description="version of kinectbench; a record only")
@@ -29,7 +29,7 @@ class LineageStage(Part):
     fingerprint: str = Field(description="of stage, version, settings and inputs")
 
 
-class LineageView(Part):
+class LineageView(StoredPart):
     """The frame of a view."""
 
     view: str = Field(description="zero-padded index")
@@ -37,7 +37,7 @@ class LineageView(Part):
     stamp_ns: int = Field(description="depth stamp, nanoseconds")
 
 
-class LineageRecording(Part):
+class LineageRecording(StoredPart):
     """The origin of the pairs of one recording."""
 
     source: str = Field(description="who recorded it, or where it is from")
@@ -68,7 +68,7 @@ class Lineage(ReleaseFile):
     recordings: dict[str, LineageRecording] = Field(description="by id")
 
 
-class Removed(Part):
+class Removed(StoredPart):
     """Something that was removed."""
 
     file: str = Field(description="of the release")

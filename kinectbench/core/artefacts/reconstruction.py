@@ -7,10 +7,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Stored, StoredPart
 
 
-class DepthRangePart(Part):
+class DepthRangePart(StoredPart):
     """The largest depth that is fused into the scene, the reason, and the share of depth beyond it."""
 
     max_depth_m: float = Field(description="farther depth makes no surface of the scene, metres")

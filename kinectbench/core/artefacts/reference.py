@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from kinectbench.core.artefacts.object import Triple
-from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, Part, ScaledPart, Stored
+from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart
 
 MESH = "the mesh's file"
 REFUSED = "why the mesh is taken for that of another object; null: it fits"
@@ -23,7 +23,7 @@ class RunnerUpPart(ScaledPart):
     fits_as_well: bool = Field(description="nothing that was measured tells the two apart")
 
 
-class DirectionPart(Part):
+class DirectionPart(StoredPart):
     """Distances of the measured surface from the reference, of faces that look one way."""
 
     share: float = Field(description="of the measured surface, that looks so")
@@ -31,7 +31,7 @@ class DirectionPart(Part):
     absolute_m: float | None = Field(description="mean absolute distance, metres")
 
 
-class DirectionsPart(Part):
+class DirectionsPart(StoredPart):
     """Distances by direction: up and down are within 45 degrees of the vertical."""
 
     up: DirectionPart = Field(description="of faces that look up")
@@ -39,7 +39,7 @@ class DirectionsPart(Part):
     side: DirectionPart = Field(description="of the others")
 
 
-class ReferenceInfo(Part):
+class ReferenceInfo(StoredPart):
     """What a release says of a recording's reference."""
 
     reference: str = Field(description=MESH)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
-from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, Pair, ScoreRow, fields_of
+from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, ScoredPair, ScoreRow, fields_of
 from kinectbench.core.artefacts.score_marks import Sha256
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, storage_errors
 from kinectbench.core.untrusted import open_plain, size_of
@@ -30,7 +30,7 @@ MOST_ROWS = 500_000
 # Of the most rows: 360 bytes each, and as much again for long names.
 MOST_BYTES = 2 * 360 * MOST_ROWS
 (CURVE,) = fields_of(ByThreshold)
-TEXTS = tuple(name for name in fields_of(Pair) if name != "threshold")
+TEXTS = tuple(name for name in fields_of(ScoredPair) if name != "threshold")
 NUMBERS = tuple(name for name in fields_of(ScoreRow) if name not in (*TEXTS, CURVE, *fields_of(InSpace)))
 # What rows of predictions in the camera frame state beside: as JSON, "" where there is nothing.
 IN_SPACE = "in_space"
@@ -44,7 +44,7 @@ AT_ONCE = 10_000
 _PLAIN_ROW, _PLAIN_IN_SPACE = TypeAdapter(ScoreRow), TypeAdapter(InSpace)
 
 
-class RowsFile(Part):
+class RowsFile(StoredPart):
     """The description in scores.json of the rows beside it."""
 
     rows: int = Field(ge=0, le=MOST_ROWS, description="how many")

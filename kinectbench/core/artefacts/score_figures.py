@@ -122,7 +122,7 @@ class Context:
 
 
 @dataclass(frozen=True, config=FINITE)
-class Pair:
+class ScoredPair:
     """The pair of a row, and how it was scored."""
 
     recording: str = Field(description="id of the recording")
@@ -269,7 +269,7 @@ class ByThreshold:
 
 
 @dataclass(frozen=True, config=FINITE)
-class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, Pair):
+class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Context, VoxelMetrics, ScoredPair):
     """One pair under one protocol; metrics are null if all its voxels are unknown there."""
 
     @property

@@ -4,7 +4,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": "^[0-9a-f]{64}$"})]
 
@@ -31,21 +31,21 @@ ACCOUNTED = 4
 REPORTED = "reported"
 
 
-class Mark(Part):
+class Mark(StoredPart):
     """A reason why a method's scores differ from those of a complete submission."""
 
     kind: Kind = Field(description="which of them")
     words: str = Field(description="in a few words, with the counts")
 
 
-class ValidationUse(Part):
+class ValidationUse(StoredPart):
     """How many validation pairs were used to choose the thresholds."""
 
     pairs: int = Field(description="of the validation split", json_schema_extra={"minimum": 0})
     predicted: int = Field(description="those that were predicted", json_schema_extra={"minimum": 0})
 
 
-class Verified(Part):
+class Verified(StoredPart):
     """`score --recheck` scored the predictions again and found the same rows."""
 
     date: str = Field(

@@ -27,7 +27,7 @@ from kinectbench.core.artefacts.score_figures import (
     fields_of,
 )
 from kinectbench.core.artefacts.score_marks import REPORTED, Mark, Sha256, ValidationUse, Verified
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Stored, StoredPart
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.core.untrusted import cell
@@ -81,7 +81,7 @@ class OverallAverages(Averages):
     intervals: Intervals = Field(default_factory=dict)
 
 
-class ScoreSettings(Part):
+class ScoreSettings(StoredPart):
     """Every choice that the numbers depend on, in words and numbers."""
 
     score_version: int | None = Field(
@@ -115,7 +115,7 @@ class ScoreSettings(Part):
     )
 
 
-class BaseRate(Part):
+class BaseRate(StoredPart):
     """The base rate of one category."""
 
     value: UnitRange = Field(description="mean share of occupied voxels")
@@ -125,7 +125,7 @@ class BaseRate(Part):
     )
 
 
-class Failure(Part):
+class Failure(StoredPart):
     """A prediction that could not be scored."""
 
     recording: str = Field("", description="id of the recording")
@@ -133,7 +133,7 @@ class Failure(Part):
     reason: str = Field("", description="in one line")
 
 
-class ExtremePair(Part):
+class ExtremePair(StoredPart):
     """One of the best or worst pairs."""
 
     recording: str = Field(description="id of the recording")
@@ -142,14 +142,14 @@ class ExtremePair(Part):
     iou: UnitRange = Field(description="of this pair")
 
 
-class Extremes(Part):
+class Extremes(StoredPart):
     """Three pairs each at most, the most extreme first."""
 
     best: tuple[ExtremePair, ...] = Field(description="of the highest IoU")
     worst: tuple[ExtremePair, ...] = Field(description="of the lowest IoU")
 
 
-class Hashes(Part):
+class Hashes(StoredPart):
     """Hashes of the files that a pair was scored from."""
 
     truth: Sha256 = Field(description="SHA-256 of the pair file")

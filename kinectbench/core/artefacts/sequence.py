@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from kinectbench.core.artefacts.stored import Bare, Part, Stored
+from kinectbench.core.artefacts.stored import Bare, Stored, StoredPart
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Int64
 
@@ -68,7 +68,7 @@ class CameraFile(Stored):
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
 
-class FrameRow(Part):
+class FrameRow(StoredPart):
     """One frame of frames.json; paths are relative to the sequence folder."""
 
     index: int = Field(description="Index of the frame, from 0.")

@@ -2,14 +2,14 @@
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Part
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Underside
 
 Curve = tuple[tuple[float, float], ...]
 
 
-class AirMethod(Part):
+class AirMethod(StoredPart):
     """The space that a camera could see, which defines air; lengths in metres."""
 
     line_width_m: float = Field(description="a line of sight is as wide")
@@ -28,7 +28,7 @@ class AirMethod(Part):
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
-class CarriedLegs(Part):
+class CarriedLegs(StoredPart):
     """Rule for pieces on the floor that are legs with a hidden upper end, and are extended to the object."""
 
     min_height_m: float = Field(description="its least height, metres")
@@ -37,7 +37,7 @@ class CarriedLegs(Part):
     min_share: float = Field(description="so many of its columns there at least find the object above them")
 
 
-class FrontierMethod(Part):
+class FrontierMethod(StoredPart):
     """Which unseen regions that a camera could see are reported, and from where to look into them."""
 
     least_share: float = Field(description="of the solid's volume, that lies behind one at least")
@@ -49,7 +49,7 @@ class FrontierMethod(Part):
     )
 
 
-class EstimateMethod(Part):
+class EstimateMethod(StoredPart):
     """The estimate of the IoU to the unknown truth, and the terms of its interval."""
 
     off_m: float = Field(description="how far the surface is off whatever was measured, metres")
@@ -73,7 +73,7 @@ class EstimateMethod(Part):
     )
 
 
-class SolidMethod(Part):
+class SolidMethod(StoredPart):
     """The constants that made a solid from the frames' votes; older files have further ones."""
 
     name: str = Field(description="its steps, in words")

@@ -4,12 +4,12 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Bare, Part, Stored
+from kinectbench.core.artefacts.stored import Bare, Stored, StoredPart
 from kinectbench.core.errors import KinectBenchError, SettingsError
 from kinectbench.core.names import Name
 
 
-class LockedFile(Part):
+class LockedFile(StoredPart):
     """A file at its first download."""
 
     bytes: int = Field(ge=0, description="its size")

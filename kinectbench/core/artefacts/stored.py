@@ -67,7 +67,7 @@ def _leave_early(schema: Any) -> None:
             _leave_early(part)
 
 
-class Part(BaseModel):
+class StoredPart(BaseModel):
     """A part of a stored file: frozen, without NaN or infinity; unknown keys are kept.
 
     Newer versions may write more keys, and what reads a file and writes it again must not lose them. Nor does
@@ -105,7 +105,7 @@ class Part(BaseModel):
         return self.model_dump(mode="json")
 
 
-class Stored(Part):
+class Stored(StoredPart):
     """A whole file.
 
     Attributes:
@@ -256,7 +256,7 @@ MillisecondsInFile = Annotated[float, *_scaled_in_file(1000.0, 2)]
 DegreesInFile = Annotated[float, *_scaled_in_file(180.0 / np.pi, 2)]
 
 
-class ScaledPart(Part):
+class ScaledPart(StoredPart):
     """A part whose lengths in metres and angles in radians are in millimetres and degrees in the file.
 
     A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own. The

@@ -9,9 +9,9 @@ from kinectbench.core.artefacts.stored import (
     DegreesInFile,
     MillimetresInFile,
     MillisecondsInFile,
-    Part,
     ScaledPart,
     Stored,
+    StoredPart,
 )
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
@@ -27,7 +27,7 @@ FrameState = Literal["tracked", "relocalised", "lost", "rejected"]
 Millimetres = MillimetresInFile | None
 
 
-class LostStretch(Part):
+class LostStretch(StoredPart):
     """A run of frames in which the camera was lost."""
 
     first_frame: int = Field(description="its first frame")
@@ -52,7 +52,7 @@ class RejectedFrame(ScaledPart):
     reason: str = Field("", description="why it is left out, in words")
 
 
-class ConstraintCounts(Part):
+class ConstraintCounts(StoredPart):
     """The number of constraints in the pose graph, by kind."""
 
     odometry: int = Field(0, description="between consecutive keyframes")
@@ -94,7 +94,7 @@ class GivenFigures(ScaledPart):
     refined_distant_residual_m: Millimetres = Field(None, description="the same with refined poses, mm")
 
 
-class Covisibility(Part):
+class Covisibility(StoredPart):
     """Which points keyframes share."""
 
     keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")

@@ -5,14 +5,14 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Part, Stored
+from kinectbench.core.artefacts.stored import Stored, StoredPart
 from kinectbench.core.types import Split
 
 Decision = Literal["accept", "look", "reject"]
 DECISIONS: tuple[Decision, ...] = ("reject", "look", "accept")  # the gravest first
 
 
-class TriageRow(Part):
+class TriageRow(StoredPart):
     """The decision on one recording."""
 
     recording: str = Field(description="its id")
@@ -29,7 +29,7 @@ class TriageRow(Part):
     built: bool = Field(description="whether it has everything up to the pairs")
 
 
-class SameObject(Part):
+class SameObject(StoredPart):
     """Two recordings whose built objects have one shape, though they have different names."""
 
     recordings: tuple[str, str] = Field(description="their ids")

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, StringConstraints
 
-from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import MOST_SIDE_PX
 
@@ -43,7 +43,7 @@ Focal = Annotated[float, AfterValidator(_checked_focal)]
 Intrinsics = Annotated[Matrix3, AfterValidator(_checked_intrinsics)]
 
 
-class ViewRow(Part):
+class ViewRow(StoredPart):
     """One view; of a held-back recording `view`, `K`, `width`, `height` and `pair` only."""
 
     view: ViewName = Field(description="zero-padded index")
@@ -73,7 +73,7 @@ class ViewRow(Part):
     unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
 
-class Refused(Part):
+class Refused(StoredPart):
     """A frame that was not used as a view, or a view without a pair."""
 
     view: ViewName | None = Field(None, description="zero-padded index; frames that were no views have none")
@@ -83,7 +83,7 @@ class Refused(Part):
     reason: str = Field(description="why")
 
 
-class SynthesisedCamera(Part):
+class SynthesisedCamera(StoredPart):
     """The pinhole camera that synthesised views were rendered with; pixel centres are integers."""
 
     width: Side = Field(description="of the image, pixels")
@@ -109,7 +109,7 @@ class ViewsFile(Stored):
     warnings: tuple[str, ...] = Field((), description="one line each")
 
 
-class PairRow(Part):
+class PairRow(StoredPart):
     """The figures of one pair."""
 
     view: ViewName = Field(description="zero-padded index")
@@ -134,7 +134,7 @@ class PairsFile(Stored):
     refused: tuple[Refused, ...] = Field(description="views of which no pair was made")
 
 
-class DrawnOn(Part):
+class DrawnOn(StoredPart):
     """The image that a person's mask was drawn on."""
 
     image: Digest = Field(description="SHA-256 of the frame's depth as it was recorded")

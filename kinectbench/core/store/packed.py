@@ -10,7 +10,7 @@ from kinectbench.core.storage import storage_errors
 from kinectbench.core.untrusted import below, copy_bounded, open_plain, printable
 
 
-def pack(folder: Path, names: list[str], archive: Path) -> None:
+def pack_files(folder: Path, names: list[str], archive: Path) -> None:
     """Write files of a folder as a tar: in this order, without times, owners and rights of their own."""
     with storage_errors(archive), tarfile.open(archive, "w", format=tarfile.PAX_FORMAT) as tar:
         for name in names:
@@ -20,7 +20,7 @@ def pack(folder: Path, names: list[str], archive: Path) -> None:
                 tar.addfile(entry, file)
 
 
-def unpack(archive: Path, folder: Path, sizes: Mapping[str, int]) -> None:
+def unpack_files(archive: Path, folder: Path, sizes: Mapping[str, int]) -> None:
     """Write the files of a tar into a folder: those that are named, at their sizes, and nothing else.
 
     Args:

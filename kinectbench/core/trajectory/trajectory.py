@@ -11,7 +11,7 @@ from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.trajectory_file import read_trajectory as read_tum
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file as read_tum
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64, Int64
 

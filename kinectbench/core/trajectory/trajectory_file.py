@@ -48,7 +48,7 @@ def read_given(
         return None, [], str(error)
 
 
-def read_trajectory(path: Path, frames: int | None = None) -> tuple[GivenTrajectory, list[str]]:
+def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTrajectory, list[str]]:
     """Read a TUM trajectory file, camera to world, and put it in order.
 
     Args:

@@ -112,7 +112,7 @@ def read_build(folder: Path) -> Build:
 
 
 @dataclass(frozen=True)
-class Registration:
+class BuildRegistration:
     """A build registered to its truth.
 
     Attributes:
@@ -134,7 +134,7 @@ class Registration:
         return invert_rigid(self.T_truth_built)
 
 
-def register(build: Build, truth: Truth, align: bool = True) -> Registration:
+def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegistration:
     """Match frames by stamp, and the worlds by the trajectories.
 
     A recording without a given trajectory has the world of its first camera; one with a given trajectory
@@ -169,7 +169,7 @@ def register(build: Build, truth: Truth, align: bool = True) -> Registration:
         if aligned:
             true_cameras = truth.T_world_camera[true_frame[usable]]
             T_truth_built = align_worlds(build.trajectory.T_world_camera[usable], true_cameras)
-    return Registration(true_frame, shown, T_truth_built, aligned)
+    return BuildRegistration(true_frame, shown, T_truth_built, aligned)
 
 
 def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -21,8 +21,8 @@ from kinectbench.core.pictures import (
     viewpoints_around,
 )
 from kinectbench.core.types import Float64, Rgb
-from kinectbench.lab.evaluate.solid import Solids
-from kinectbench.lab.evaluate.surface import Surface, SurfaceErrors
+from kinectbench.lab.evaluate.solid import EvaluatedSolids
+from kinectbench.lab.evaluate.surface import ReferenceSurface, SurfaceErrors
 
 # Maps distances (n,) in metres to colours (n, 3) in [0, 1].
 Colors = Callable[[Float64], Float64]
@@ -42,7 +42,7 @@ UNKNOWN_COLOR = np.array([246, 214, 120], np.float64)
 
 
 def render_errors(
-    mesh: TriangleMesh, other: Surface, viewpoint: Viewpoint, signed: bool, colors: Colors
+    mesh: TriangleMesh, other: ReferenceSurface, viewpoint: Viewpoint, signed: bool, colors: Colors
 ) -> Rgb:
     """Draw a mesh, each point coloured by its distance from another surface.
 
@@ -68,7 +68,7 @@ def render_errors(
     return shrunk(np.clip(picture, 0, 255).astype(np.uint8), SIZE_PX)
 
 
-def path_picture(
+def path_chart(
     positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
 ) -> bytes:
     """The cameras from above: true path in grey, built positions coloured by their error.
@@ -134,9 +134,23 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
     figure = new_figure(10.2, 6.9)
     points = np.concatenate([built_object.vertices, true_object.vertices])
     looks = viewpoints_around(points, LOOKS_DEG)
-    rows: tuple[tuple[TriangleMesh, Surface, bool, str, float, str], ...] = (
-        (built_object, Surface(true_object), True, "coolwarm", -SCALE_M, "built mesh: outside the truth, mm"),
-        (true_object, Surface(built_object), False, "YlOrRd", 0.0, "true mesh: from the built one, mm"),
+    rows: tuple[tuple[TriangleMesh, ReferenceSurface, bool, str, float, str], ...] = (
+        (
+            built_object,
+            ReferenceSurface(true_object),
+            True,
+            "coolwarm",
+            -SCALE_M,
+            "built mesh: outside the truth, mm",
+        ),
+        (
+            true_object,
+            ReferenceSurface(built_object),
+            False,
+            "YlOrRd",
+            0.0,
+            "true mesh: from the built one, mm",
+        ),
     )
     grid = figure.subplots(2, len(looks))
     for axes_row, (mesh, other, signed, name, least_m, label) in zip(grid, rows, strict=True):
@@ -154,7 +168,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
     return figure_png(figure, version=True)
 
 
-def slice_picture(solids: Solids) -> bytes:
+def slice_picture(solids: EvaluatedSolids) -> bytes:
     """Three slices through the true solid's centre of mass: true, built, unknown; a PNG file.
 
     Args:

@@ -13,7 +13,7 @@ from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Progress
-from kinectbench.lab.evaluate.build import Build, Registration, register
+from kinectbench.lab.evaluate.build import Build, BuildRegistration, register_build
 from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
 from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
@@ -57,7 +57,7 @@ class TrajectoryFigures:
 def trajectory_figures(
     trajectory: Trajectory,
     truth: Truth,
-    registration: Registration,
+    registration: BuildRegistration,
     stamps_ns: NDArray[np.int64],
     given: GivenTrajectory | None = None,
 ) -> TrajectoryFigures:
@@ -94,7 +94,7 @@ def trajectory_figures(
 
 
 def _given_clock(
-    truth: Truth, registration: Registration, stamps_ns: NDArray[np.int64], given: GivenTrajectory | None
+    truth: Truth, registration: BuildRegistration, stamps_ns: NDArray[np.int64], given: GivenTrajectory | None
 ) -> ClockOffset | None:
     shown = registration.shown
     if given is None or not shown.any():
@@ -115,7 +115,7 @@ class FloorFigures:
     height_m: float
 
 
-def floor_figures(floor: Floor, truth: Truth, registration: Registration) -> FloorFigures:
+def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
     """Angle of the planes, and the distance between them straight below the object."""
     T = registration.T_truth_built
     normal = T[:3, :3] @ floor.plane_world[:3]
@@ -200,7 +200,7 @@ def evaluate(
         StorageError: an artefact of the build is damaged.
         PairError: a pair is damaged.
     """
-    registration = register(build, truth, align)
+    registration = register_build(build, truth, align)
     model = build.model
     surface = solid = refined = floor = None
     if model is not None:
@@ -241,7 +241,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
     return {**head, **_plain(evaluation)}
 
 
-def _alignment(registration: Registration) -> AlignmentFigures:
+def _alignment(registration: BuildRegistration) -> AlignmentFigures:
     T = registration.T_truth_built
     moved_m, turned_rad = float(np.linalg.norm(T[:3, 3])), float(rotation_angle_rad(T[:3, :3]))
     return AlignmentFigures(registration.aligned, moved_m, turned_rad, T)

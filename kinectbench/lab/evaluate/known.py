@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.lab.evaluate.build import Registration
+from kinectbench.lab.evaluate.build import BuildRegistration
 from kinectbench.lab.evaluate.measured import MeasuredSurface
-from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -93,7 +93,7 @@ class CalibrationBin:
 
 
 def voxels_beside(
-    model: ObjectModel, truth: Truth, registration: Registration, surface: MeasuredSurface
+    model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> Voxels:
     """The object's fine grid in the truth's world, with point-to-triangle distances near the surface.
 
@@ -106,7 +106,7 @@ def voxels_beside(
     shape = model.shape
     grid = replace(shape.grid, T_world_grid=registration.T_truth_built @ shape.grid.T_world_grid)
     near = cells_around(grid, surface.points_world, CALIBRATED_M)
-    found_m = Surface(truth.mesh_world).distance_m(centres(grid, near)).astype(np.float32)
+    found_m = ReferenceSurface(truth.mesh_world).distance_m(centres(grid, near)).astype(np.float32)
     distance_m = np.full(grid.shape, np.inf, dtype=np.float32)
     distance_m[near] = np.where(found_m <= CALIBRATED_M, found_m, np.float32(np.inf))
     cells = truth.cells(grid)
@@ -192,7 +192,7 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
     beyond = points[np.any((cells < 0) | (cells >= voxels.grid.shape), axis=1)]
     if not len(beyond):
         return 0.0
-    far = Surface(truth.mesh_world).distance_m(beyond) > GROSS_M
+    far = ReferenceSurface(truth.mesh_world).distance_m(beyond) > GROSS_M
     return float(np.count_nonzero(far)) * cube.voxel_size_m**3
 
 

@@ -9,8 +9,8 @@ from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transf
 from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.surface_points import sample_surface
-from kinectbench.lab.evaluate.build import Build, Registration
-from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.evaluate.build import Build, BuildRegistration
+from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.render import LIFT_M
 from kinectbench.lab.simulate.truth import Truth
 
@@ -48,7 +48,7 @@ class MeasuredSurface:
     measured: Bools
 
 
-def measured_surface(build: Build, truth: Truth, registration: Registration) -> MeasuredSurface:
+def measured_surface(build: Build, truth: Truth, registration: BuildRegistration) -> MeasuredSurface:
     """Sample the true surface, and test in every recorded frame whether it measured the samples.
 
     A frame measured a sample if the sample lies in its image, the true camera looks at it by less than 80
@@ -153,7 +153,7 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
     """
     chosen = on_faces(truth, surface)
     # The true surface is inside of a built one that is too far out.
-    outward_m = -Surface(mesh_world).signed_distance_m(surface.points_world[chosen])
+    outward_m = -ReferenceSurface(mesh_world).signed_distance_m(surface.points_world[chosen])
     near = np.abs(outward_m) <= REACH_M
     height = surface.normals_world[chosen] @ truth.T_world_object[:3, 2]
 

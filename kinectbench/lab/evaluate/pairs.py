@@ -11,8 +11,8 @@ from kinectbench.core.geometry import Grid, invert_rigid
 from kinectbench.core.voxels.morphology import containment
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
-from kinectbench.lab.evaluate.build import Build, Registration
-from kinectbench.lab.evaluate.solid import iou, known_iou, share
+from kinectbench.lab.evaluate.build import Build, BuildRegistration
+from kinectbench.lab.evaluate.solid import grid_iou, known_iou, share
 from kinectbench.lab.simulate.truth import Truth
 
 
@@ -56,7 +56,7 @@ class MaskFigures:
     rows: tuple[MaskRow, ...]
 
 
-def mask_figures(build: Build, truth: Truth, registration: Registration) -> MaskFigures:
+def mask_figures(build: Build, truth: Truth, registration: BuildRegistration) -> MaskFigures:
     """Compare the mask of every view with the object's silhouette in that frame.
 
     Raises:
@@ -76,8 +76,8 @@ def mask_figures(build: Build, truth: Truth, registration: Registration) -> Mask
                 f"view {view.name} is {view.mask.shape[1]}x{view.mask.shape[0]}; are they of one recording?",
                 what="other-truth",
             )
-        overlap = iou(view.mask & valid, silhouette & valid)
-        rows.append(MaskRow(view.name, view.frame, overlap, iou(view.mask, silhouette)))
+        overlap = grid_iou(view.mask & valid, silhouette & valid)
+        rows.append(MaskRow(view.name, view.frame, overlap, grid_iou(view.mask, silhouette)))
     if not rows:
         return MaskFigures(None, None, None, None, None, tuple(without), ())
     worst = min(rows, key=lambda row: row.valid_iou)
@@ -93,7 +93,7 @@ def mask_figures(build: Build, truth: Truth, registration: Registration) -> Mask
 
 
 @dataclass(frozen=True)
-class PairRow:
+class EvaluatedPair:
     """One pair against the truth; values in [0, 1].
 
     Attributes:
@@ -144,11 +144,11 @@ class PairFigures:
     true_unknown_share: Summary | None
     containment: Summary | None
     without_truth: tuple[str, ...]
-    rows: tuple[PairRow, ...]
+    rows: tuple[EvaluatedPair, ...]
 
 
 def pair_figures(
-    build: Build, truth: Truth, registration: Registration, progress: Callable[[int, int], None]
+    build: Build, truth: Truth, registration: BuildRegistration, progress: Callable[[int, int], None]
 ) -> PairFigures:
     """Compare every pair with the true solid at the true camera of its frame.
 
@@ -171,7 +171,7 @@ def pair_figures(
         frame = views[name].frame
         if registration.shown[frame]:
             T_world_camera = truth.T_world_camera[registration.true_frame[frame]]
-            rows.append(pair_row(name, frame, build.pair(name), truth, T_world_camera))
+            rows.append(evaluated_pair(name, frame, build.pair(name), truth, T_world_camera))
         else:
             without.append(name)
         progress(done, len(names))
@@ -186,7 +186,9 @@ def pair_figures(
     )
 
 
-def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: NDArray[np.float64]) -> PairRow:
+def evaluated_pair(
+    view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: NDArray[np.float64]
+) -> EvaluatedPair:
     """The figures of one pair.
 
     Args:
@@ -201,12 +203,12 @@ def pair_row(view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: ND
     full, known = unpack(pair.full), unpack(pair.known)
     # As verify does: before the partial rule thins the cells out.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
-    return PairRow(
+    return EvaluatedPair(
         view=view,
         frame=frame,
-        iou=iou(full & judged, true),
+        iou=grid_iou(full & judged, true),
         known_iou=known_iou(full & judged, true, known),
-        exact_iou=iou(full, cells.exact),
+        exact_iou=grid_iou(full, cells.exact),
         true_unknown_share=share(~known, of=true),
         containment=containment(touched, pack(cells.solid)),
     )
@@ -218,7 +220,9 @@ def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
     return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)
 
 
-def _summary(rows: Sequence[PairRow], figure: str, worst: Callable[[list[float]], float]) -> Summary | None:
+def _summary(
+    rows: Sequence[EvaluatedPair], figure: str, worst: Callable[[list[float]], float]
+) -> Summary | None:
     values = {row.view: float(getattr(row, figure)) for row in rows if getattr(row, figure) is not None}
     if not values:
         return None

@@ -23,9 +23,9 @@ from kinectbench.core.voxels.known_cells import known_in
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
-from kinectbench.lab.evaluate.solid import iou, known_iou
+from kinectbench.lab.evaluate.solid import grid_iou, known_iou
 from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, read_shape
-from kinectbench.scoring.mesh_prediction import is_closed, joined
+from kinectbench.scoring.mesh_prediction import is_closed, joined_vertices
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel, read_object
 from kinectbench.stages.segment.reference.judge import Laid, lay
@@ -77,7 +77,7 @@ def read_reference(path: Path) -> tuple[TriangleMesh, bool, str]:
         raise RecordingError(f"{error}; name a mesh (.ply, .obj or .glb)", what="bad-mesh") from error
     if shape.form != "mesh":
         raise RecordingError(f"{path}: no mesh, as it has no faces; name one that has", what="bad-mesh")
-    vertices, faces = joined(shape.points_m, shape.faces.astype(np.int32))
+    vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
         raise RecordingError(f"{path}: its faces have no area; export the mesh again", what="bad-mesh")
@@ -97,7 +97,7 @@ def compare_reference(folder: Path, path: Path) -> ReferenceFile:
     """
     mesh, closed, digest = read_reference(path)
     model = read_object(folder / "object")
-    found = figures(model, lay(model, mesh), closed).model_copy(
+    found = reference_figures(model, lay(model, mesh), closed).model_copy(
         update={
             "reference": path.name,
             "sha256": digest,
@@ -109,7 +109,7 @@ def compare_reference(folder: Path, path: Path) -> ReferenceFile:
     return found
 
 
-def figures(model: ObjectModel, laid: Laid, closed: bool) -> ReferenceFile:
+def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ReferenceFile:
     """The figures of a reference beside an object; files are named by the caller.
 
     Args:
@@ -215,4 +215,4 @@ def solids_iou(model: ObjectModel, mesh: TriangleMesh) -> tuple[float | None, fl
         return None, None
     one, other = (unpack(voxelize_solid(each.vertices, each.faces, grid)) for each in (ours, mesh))
     known = unpack(known_in(*full_shape(model).known, grid))
-    return iou(one, other), known_iou(one, other, known)
+    return grid_iou(one, other), known_iou(one, other, known)

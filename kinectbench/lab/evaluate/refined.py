@@ -12,7 +12,7 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.types import Float64
-from kinectbench.lab.evaluate.build import Registration
+from kinectbench.lab.evaluate.build import BuildRegistration
 from kinectbench.lab.evaluate.measured import (
     LEAST_SAMPLES,
     REACH_M,
@@ -22,7 +22,7 @@ from kinectbench.lab.evaluate.measured import (
     on_faces,
 )
 from kinectbench.lab.evaluate.solid import canonical_cube, compare_on, overlap
-from kinectbench.lab.evaluate.surface import Surface
+from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -61,7 +61,7 @@ class RefinedFigures:
 
 
 def refined_figures(
-    model: ObjectModel, truth: Truth, registration: Registration, surface: MeasuredSurface
+    model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> RefinedFigures:
     """Find the motion, and measure the solid before and after it.
 
@@ -92,7 +92,7 @@ def refined_figures(
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
     """Mean distance of measured samples within 15 mm of a mesh (truth's world); or None."""
-    distance_m = Surface(mesh_world).distance_m(surface.points_world[surface.measured])
+    distance_m = ReferenceSurface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None
 
@@ -113,7 +113,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     chosen = np.flatnonzero(faces if faces.sum() >= LEAST_SAMPLES else surface.measured)
     chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
     points, normals = surface.points_world[chosen], surface.normals_world[chosen]
-    built, T = Surface(mesh_world), np.eye(4)
+    built, T = ReferenceSurface(mesh_world), np.eye(4)
     if not len(chosen):
         return T
     middle = points.mean(axis=0)

@@ -15,7 +15,7 @@ from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Progress
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate import charts
-from kinectbench.lab.evaluate.build import Build, read_build, register
+from kinectbench.lab.evaluate.build import Build, read_build, register_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
 from kinectbench.lab.evaluate.solid import canonical_cube, compare_on
 from kinectbench.lab.evaluate.surface import surface_errors
@@ -37,7 +37,7 @@ PAGE = "index.html"
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRecording:
     """A recording to be evaluated.
 
     Attributes:
@@ -51,7 +51,7 @@ class Found:
     job: Job | None
 
 
-def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
+def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> FoundRecording:
     """Find a recording and its truth, before anything is built.
 
     Args:
@@ -74,19 +74,19 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     return build
 
 
-def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> Found:
+def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> FoundRecording:
     settings = load_benchmark(config, overrides) if config.is_file() else None
     jobs = [Job(settings, each, config.parent) for each in settings.recordings] if settings else []
     known = {job.recording.id: job for job in jobs}
     path = Path(recording)
     if recording in known:
         job = known[recording]
-        return Found(job.build, truth or truth_folder(job.source), job)
+        return FoundRecording(job.build, truth or truth_folder(job.source), job)
     if (path / "sequence").is_dir():
-        return Found(path, truth or _truth_of_build(path, jobs), None)
+        return FoundRecording(path, truth or _truth_of_build(path, jobs), None)
     if path.exists():
         job = _job_of(path, overrides)
-        return Found(job.build, truth or truth_folder(path), job)
+        return FoundRecording(job.build, truth or truth_folder(path), job)
     hint = "give a simulated recording's path, or an id and --config"
     raise SettingsError(
         f"no recording '{recording}'; {suggestion(recording, [*known]) if known else hint}",
@@ -169,7 +169,7 @@ def evaluate_recording(
 
 def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
     """The pictures of an evaluation as far as their stages were built: name -> PNG file."""
-    registration = register(build, truth, align)
+    registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)
     pictures = {}
@@ -177,7 +177,7 @@ def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: boo
     if build.trajectory is not None and error is not None:
         common = has_pose(build.trajectory.T_world_camera) & registration.shown
         aligned = T_object_world @ error.T_reference_estimate @ build.trajectory.T_world_camera[common]
-        pictures["path"] = charts.path_picture(
+        pictures["path"] = charts.path_chart(
             transform_points(T_object_world, truth.T_world_camera[:, :3, 3]),
             aligned[:, :3, 3],
             error.position_errors_m,

@@ -15,7 +15,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
-from kinectbench.lab.evaluate.build import Registration
+from kinectbench.lab.evaluate.build import BuildRegistration
 from kinectbench.lab.evaluate.known import (
     CalibrationBin,
     NearUnknown,
@@ -32,7 +32,7 @@ from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
 
 
-def iou(a: Bools, b: Bools) -> float:
+def grid_iou(a: Bools, b: Bools) -> float:
     """Intersection over union of two arrays of one shape; 1 if both are empty."""
     union = int(np.count_nonzero(a | b))
     return int(np.count_nonzero(a & b)) / union if union else 1.0
@@ -40,7 +40,7 @@ def iou(a: Bools, b: Bools) -> float:
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
     """IoU over the known cells; None if no true cell is known."""
-    return iou(built & known, true & known) if bool(np.any(true & known)) else None
+    return grid_iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
 def share(part: Bools, of: Bools) -> float:
@@ -50,7 +50,7 @@ def share(part: Bools, of: Bools) -> float:
 
 
 @dataclass(frozen=True)
-class Solids:
+class EvaluatedSolids:
     """Grids (n, n, n) of bool over one cube.
 
     Attributes:
@@ -68,7 +68,7 @@ class Solids:
     exact: Bools
 
     @property
-    def against_exact(self) -> "Solids":
+    def against_exact(self) -> "EvaluatedSolids":
         """The same compared with the exact solid, every cell judged."""
         return replace(self, true=self.exact, judged=np.ones_like(self.judged))
 
@@ -156,7 +156,9 @@ def canonical_cube(truth: Truth) -> Grid:
     return object_cube(truth.mesh_world.vertices, truth.T_world_object)
 
 
-def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Registration) -> Solids:
+def compare_on(
+    grid: Grid, model: ObjectModel, truth: Truth, registration: BuildRegistration
+) -> EvaluatedSolids:
     """Sample truth, built mesh and labels on one grid.
 
     Args:
@@ -166,7 +168,7 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
         registration: transform between the worlds.
     """
     in_built, cells = _in_built(grid, registration), truth.cells(grid)
-    return Solids(
+    return EvaluatedSolids(
         true=cells.solid,
         judged=cells.judged,
         exact=cells.exact,
@@ -176,7 +178,7 @@ def compare_on(grid: Grid, model: ObjectModel, truth: Truth, registration: Regis
 
 
 def solid_figures(
-    model: ObjectModel, truth: Truth, registration: Registration, surface: MeasuredSurface
+    model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> SolidFigures:
     """Compare the solids on 256^3 and on 64^3 cells of the canonical cube, and the object's own voxels.
 
@@ -190,7 +192,7 @@ def solid_figures(
     """
     grid = canonical_cube(truth)
     fine = compare_on(grid, model, truth, registration)
-    exact, coarse, seeable = fine.against_exact, reduced(fine), truth.seeable
+    exact, coarse, seeable = fine.against_exact, reduced_solids(fine), truth.seeable
     figures, true_volume_m3 = overlap(fine), truth.mesh_world.volume_m3
     voxels = voxels_beside(model, truth, registration, surface)
     called_air = fine.known & ~fine.built
@@ -206,7 +208,7 @@ def solid_figures(
         fine=figures,
         coarse=overlap(coarse),
         exact_fine=overlap(exact),
-        exact_coarse=overlap(reduced(exact)),
+        exact_coarse=overlap(reduced_solids(exact)),
         line_width_m=seeable.limits.line_width_m,
         closed_by_definition_share=seeable.closed_share,
         not_judged_share=seeable.slit_share,
@@ -228,25 +230,27 @@ def solid_figures(
     )
 
 
-def reduced(solids: Solids) -> Solids:
+def reduced_solids(solids: EvaluatedSolids) -> EvaluatedSolids:
     """A quarter as many cells along each axis, set if more than half are."""
-    return Solids(*(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids)))
+    return EvaluatedSolids(
+        *(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids))
+    )
 
 
-def overlap(solids: Solids) -> SolidOverlap:
+def overlap(solids: EvaluatedSolids) -> SolidOverlap:
     """The figures of one grid."""
     built, known, judged = solids.built & solids.judged, solids.known, solids.judged
     true = solids.true & judged
     return SolidOverlap(
         cells=len(true),
-        iou=iou(built, true),
+        iou=grid_iou(built, true),
         known_iou=known_iou(built, true, known),
         true_unknown_share=share(~known, of=true),
         empty_unknown_share=share(~known, of=~solids.true & judged),
     )
 
 
-def _in_built(grid: Grid, registration: Registration) -> Grid:
+def _in_built(grid: Grid, registration: BuildRegistration) -> Grid:
     """The same grid, placed in the build's world."""
     return replace(grid, T_world_grid=registration.T_built_truth @ grid.T_world_grid)
 
@@ -256,7 +260,7 @@ def _built_cells(model: ObjectModel, grid: Grid) -> Bools:
     return unpack(voxelize_solid(mesh.vertices, mesh.faces, grid))
 
 
-def _outside_share(grid: Grid, model: ObjectModel, registration: Registration) -> float:
+def _outside_share(grid: Grid, model: ObjectModel, registration: BuildRegistration) -> float:
     """Share of the built solid outside a cube, by cells twice as large around it."""
     n, side_m = grid.shape[0], grid.shape[0] * grid.voxel_size_m
     corner = rigid(np.eye(3), np.full(3, -side_m / 2))

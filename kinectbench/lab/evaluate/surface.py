@@ -40,7 +40,7 @@ class SurfaceErrors:
 
 
 @dataclass(frozen=True)
-class Distances:
+class DistanceStatistics:
     """Statistics of absolute distances, metres; `quantile_90`: nine of ten are smaller."""
 
     mean_m: float
@@ -75,8 +75,8 @@ class SurfaceComparison:
         scores: one for each threshold.
     """
 
-    accuracy: Distances | None
-    completeness: Distances | None
+    accuracy: DistanceStatistics | None
+    completeness: DistanceStatistics | None
     scores: tuple[SurfaceScore, ...]
 
 
@@ -98,7 +98,7 @@ class SurfaceFigures:
     mean_signed_m: float
 
 
-class Surface:
+class ReferenceSurface:
     """A mesh to which distances are measured, point to triangle (Open3D RaycastingScene).
 
     Good to a micrometre; beside triangles that are long slivers, to 0.3 mm.
@@ -143,9 +143,9 @@ def surface_errors(
     else:
         kept = np.ones(len(true_points), dtype=np.bool_)
     return SurfaceErrors(
-        built_m=Surface(truth.mesh_world).signed_distance_m(points),
+        built_m=ReferenceSurface(truth.mesh_world).signed_distance_m(points),
         built_visible=seen[nearest(points)[1]],
-        true_m=Surface(mesh).distance_m(true_points[kept]),
+        true_m=ReferenceSurface(mesh).distance_m(true_points[kept]),
         true_visible=seen[kept],
     )
 
@@ -201,7 +201,7 @@ def _compare(built_m: Float64, true_m: Float64, thresholds_m: Sequence[float]) -
     return SurfaceComparison(_distances(built_m), _distances(true_m), tuple(scores))
 
 
-def _distances(d: Float64) -> Distances | None:
+def _distances(d: Float64) -> DistanceStatistics | None:
     if not len(d):
         return None
-    return Distances(float(d.mean()), float(np.sqrt(np.mean(d**2))), float(np.quantile(d, 0.9)))
+    return DistanceStatistics(float(d.mean()), float(np.sqrt(np.mean(d**2))), float(np.quantile(d, 0.9)))

@@ -39,7 +39,7 @@ UNITS: Mapping[str, tuple[float, int]] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class FigureRow:
     """One line: figure, value as text, unit (may be empty)."""
 
     figure: str
@@ -52,13 +52,13 @@ class Section:
     """The figures of one stage; no rows if it was not built."""
 
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[FigureRow, ...]
 
 
 def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     """All figures by stage, in the order of the build."""
     e = evaluation
-    parts: tuple[tuple[str, Callable[[Any], Iterator[Row]], Any], ...] = (
+    parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
         ("Trajectory", _trajectory, e.trajectory),
         ("Fused scene, at the object", _scene, e.scene),
@@ -87,34 +87,34 @@ def evaluation_table(evaluation: Evaluation) -> "Table":
     return table
 
 
-def _row(figure: str, value: float | None, unit: str = "") -> Row:
+def _row(figure: str, value: float | None, unit: str = "") -> FigureRow:
     factor, decimals = UNITS[unit]
-    return Row(figure, NONE if value is None else f"{factor * value:z.{decimals}f}", unit)
+    return FigureRow(figure, NONE if value is None else f"{factor * value:z.{decimals}f}", unit)
 
 
-def _alignment(figures: AlignmentFigures) -> Iterator[Row]:
-    yield Row("aligned by the trajectories", "yes" if figures.aligned else "no")
+def _alignment(figures: AlignmentFigures) -> Iterator[FigureRow]:
+    yield FigureRow("aligned by the trajectories", "yes" if figures.aligned else "no")
     yield _row("shift of the origin", figures.moved_m, "mm")
     yield _row("turn", figures.turned_rad, "°")
 
 
-def _trajectory(figures: TrajectoryFigures) -> Iterator[Row]:
-    yield Row("frames tracked", f"{figures.tracked} of {figures.frames}")
+def _trajectory(figures: TrajectoryFigures) -> Iterator[FigureRow]:
+    yield FigureRow("frames tracked", f"{figures.tracked} of {figures.frames}")
     yield _row("share tracked", figures.tracked_share, "%")
-    yield Row("frames lost", _frames(figures.lost))
-    yield Row("frames rejected", _frames(figures.rejected))
+    yield FigureRow("frames lost", _frames(figures.lost))
+    yield FigureRow("frames rejected", _frames(figures.rejected))
     if figures.foreign_tracked:
-        yield Row("frames of another scene with a pose", _frames(figures.foreign_tracked))
+        yield FigureRow("frames of another scene with a pose", _frames(figures.foreign_tracked))
     clock = figures.given_clock
     if clock is not None:
-        yield Row("given poses' clock late by", f"{1000 * clock.late_s:.1f}", "ms")
+        yield FigureRow("given poses' clock late by", f"{1000 * clock.late_s:.1f}", "ms")
         yield _row("given poses' ATE", clock.ate_m, "mm")
         yield _row("the same, at the right time", clock.ate_moved_m, "mm")
     error = figures.error
     if error is None:
-        yield Row("ATE, RPE", "fewer than 3 poses match")
+        yield FigureRow("ATE, RPE", "fewer than 3 poses match")
         return
-    yield Row("poses compared", str(error.matched))
+    yield FigureRow("poses compared", str(error.matched))
     for statistic in ("rmse", "mean", "median", "max"):
         yield _row(f"ATE, {statistic}", getattr(error.ate_m, statistic), "mm")
     for name, errors, unit in (
@@ -131,23 +131,23 @@ def _frames(frames: tuple[int, ...]) -> str:
     return f"{len(frames)}: {listed}" if frames else "0"
 
 
-def _floor(figures: FloorFigures) -> Iterator[Row]:
+def _floor(figures: FloorFigures) -> Iterator[FigureRow]:
     yield _row("angle to the true floor", figures.angle_rad, "°")
     yield _row("height above it at the object", figures.height_m, "mm")
 
 
-def _scene(figures: SurfaceFigures) -> Iterator[Row]:
+def _scene(figures: SurfaceFigures) -> Iterator[FigureRow]:
     yield from _compared("seen", figures.visible)
 
 
-def _surface(figures: SurfaceFigures) -> Iterator[Row]:
+def _surface(figures: SurfaceFigures) -> Iterator[FigureRow]:
     yield _row("true surface that the camera saw", figures.visible_share, "%")
     yield _row("mean signed error (> 0: too far out)", figures.mean_signed_m, "mm")
     yield from _compared("all", figures.whole)
     yield from _compared("seen", figures.visible)
 
 
-def _compared(part: str, compared: SurfaceComparison) -> Iterator[Row]:
+def _compared(part: str, compared: SurfaceComparison) -> Iterator[FigureRow]:
     for name, of in (("accuracy", compared.accuracy), ("completeness", compared.completeness)):
         for statistic, key in (("mean", "mean_m"), ("rms", "rms_m"), ("90 %", "quantile_90_m")):
             yield _row(f"{name}, {part}: {statistic}", getattr(of, key) if of else None, "mm")
@@ -156,7 +156,7 @@ def _compared(part: str, compared: SurfaceComparison) -> Iterator[Row]:
             yield _row(f"{name} at {score.threshold_m * 1000:g} mm, {part}", share, "%")
 
 
-def _solid(figures: SolidFigures) -> Iterator[Row]:
+def _solid(figures: SolidFigures) -> Iterator[FigureRow]:
     for overlap in (figures.fine, figures.coarse, figures.exact_fine):
         grid = f"{overlap.cells}³" + (", exact solid" if overlap is figures.exact_fine else "")
         yield _row(f"IoU, {grid}", overlap.iou)
@@ -181,15 +181,15 @@ def _solid(figures: SolidFigures) -> Iterator[Row]:
     if figures.iou_in_interval is not None:
         yield _row("estimated IoU, at least", figures.estimated_iou_low)
         yield _row("estimated IoU, at most", figures.estimated_iou_high)
-        yield Row("IoU lies between them", "yes" if figures.iou_in_interval else "no")
+        yield FigureRow("IoU lies between them", "yes" if figures.iou_in_interval else "no")
 
 
-def _bias(bias: FaceBias) -> Iterator[Row]:
+def _bias(bias: FaceBias) -> Iterator[FigureRow]:
     for name, bias_m in (("upper faces", bias.up), ("sides", bias.side), ("undersides", bias.down)):
         yield _row(f"measured {name} (> 0: too far out)", bias_m, "mm")
 
 
-def _refined(figures: RefinedFigures) -> Iterator[Row]:
+def _refined(figures: RefinedFigures) -> Iterator[FigureRow]:
     yield _row("lifted by", figures.lifted_m, "mm")
     yield _row("moved by", figures.moved_m, "mm")
     yield _row("turned by", figures.turned_rad, "°")
@@ -200,10 +200,10 @@ def _refined(figures: RefinedFigures) -> Iterator[Row]:
     yield _row("IoU, 256³, known cells", figures.known_iou)
 
 
-def _masks(figures: MaskFigures) -> Iterator[Row]:
-    yield Row("views compared", str(len(figures.rows)))
+def _masks(figures: MaskFigures) -> Iterator[FigureRow]:
+    yield FigureRow("views compared", str(len(figures.rows)))
     if figures.without_truth:
-        yield Row("views without truth", ", ".join(figures.without_truth))
+        yield FigureRow("views without truth", ", ".join(figures.without_truth))
     yield _row("IoU on valid depth, mean", figures.mean_valid_iou)
     worst = f" (view {figures.worst_view})" if figures.worst_view else ""
     yield _row(f"IoU on valid depth, worst{worst}", figures.worst_valid_iou)
@@ -211,10 +211,10 @@ def _masks(figures: MaskFigures) -> Iterator[Row]:
     yield _row("IoU on all pixels, worst", figures.worst_iou)
 
 
-def _pairs(figures: PairFigures) -> Iterator[Row]:
-    yield Row("pairs compared", str(len(figures.rows)))
+def _pairs(figures: PairFigures) -> Iterator[FigureRow]:
+    yield FigureRow("pairs compared", str(len(figures.rows)))
     if figures.without_truth:
-        yield Row("pairs without truth", ", ".join(figures.without_truth))
+        yield FigureRow("pairs without truth", ", ".join(figures.without_truth))
     for name, summary in (
         ("IoU of full, 256³", figures.iou),
         ("IoU of full, 256³, known cells", figures.known_iou),
@@ -223,7 +223,7 @@ def _pairs(figures: PairFigures) -> Iterator[Row]:
         ("containment of the partial", figures.containment),
     ):
         if summary is None:
-            yield Row(name, NONE)
+            yield FigureRow(name, NONE)
         else:
             yield _row(f"{name}, mean", summary.mean)
             yield _row(f"{name}, worst (view {summary.worst_view})", summary.worst)

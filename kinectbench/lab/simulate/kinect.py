@@ -220,7 +220,7 @@ class KinectNoise(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Device:
+class KinectUnit:
     """One Kinect and its lighting.
 
     Attributes:
@@ -234,7 +234,7 @@ class Device:
     sunlight: float
 
 
-def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator) -> Device:
+def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator) -> KinectUnit:
     """Draw a device's depth distortion: an error of disparity that varies smoothly over the image.
 
     Herrera et al. correct disparity pixel by pixel, Teichman et al. find smooth maps whose effect grows with
@@ -255,7 +255,7 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
     noise = noise._replace(smooth_px=noise.smooth_px * scale, hole_px=noise.hole_px * scale)
     typical_px = DISTORTION_SHARE * noise.focal_px * noise.baseline_m / DISTORTION_AT_M
     field = smooth_error(camera, distortion * typical_px, rng)
-    return Device(noise, field.astype(np.float32), sunlight)
+    return KinectUnit(noise, field.astype(np.float32), sunlight)
 
 
 def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Float64:
@@ -279,7 +279,9 @@ def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Flo
     return np.asarray(field)
 
 
-def measure(rendering: Rendering, camera: Camera, device: Device, rng: np.random.Generator) -> Float32:
+def measured_depth(
+    rendering: Rendering, camera: Camera, device: KinectUnit, rng: np.random.Generator
+) -> Float32:
     """A Kinect's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
 
     In this order, for each pixel:

@@ -14,7 +14,7 @@ from kinectbench.core.types import Float32, Float64, Progress
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
-from kinectbench.lab.simulate.kinect import Device, draw_device, measure
+from kinectbench.lab.simulate.kinect import KinectUnit, draw_device, measured_depth
 from kinectbench.lab.simulate.objects import make_object, parse_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
@@ -70,7 +70,7 @@ class Simulation:
     renderer: Renderer | StillRenderer
     foreign: Renderer | None
     path: CameraPath
-    device: Device | TimeOfFlightDevice | None
+    device: KinectUnit | TimeOfFlightDevice | None
     gains: Float64
     rig: Rig
     T_world_room: Float64
@@ -90,7 +90,7 @@ class Simulation:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class SimulatedFrame:
     """One recorded frame and its truth.
 
     Attributes:
@@ -159,7 +159,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     )
 
 
-def record(simulation: Simulation, index: int) -> Recorded:
+def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
     """Render one frame of the recording, and measure it.
 
     Args:
@@ -186,7 +186,7 @@ def record(simulation: Simulation, index: int) -> Recorded:
         mask=mask if spec.given.masks else None,
         own_colors=_own_colors(simulation, renderer, exact, index),
     )
-    return Recorded(frame, exact.depth_m, mask)
+    return SimulatedFrame(frame, exact.depth_m, mask)
 
 
 def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float64:
@@ -198,12 +198,12 @@ def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float6
 
 
 def _measured(
-    exact: Rendering, device: Device | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
+    exact: Rendering, device: KinectUnit | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
 ) -> Float32:
     """The device's measurement of exact depth."""
     if isinstance(device, TimeOfFlightDevice):
         return measure_time_of_flight(exact, spec.camera, device, rng)
-    return measure(exact, spec.camera, device, rng)
+    return measured_depth(exact, spec.camera, device, rng)
 
 
 def _color(
@@ -250,7 +250,7 @@ def _own_colors(
     return tuple(images)
 
 
-def _device(spec: SimulationSpec) -> Device | TimeOfFlightDevice | None:
+def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
     """The sensor, and the light it works in."""
     if spec.sensor.model == "ideal":
         return None
@@ -345,7 +345,7 @@ class _Recorder:
         """Every frame of the recording."""
         simulation = self._simulation
         for index, plan in enumerate(simulation.frames):
-            recorded = record(simulation, index)
+            recorded = record_frame(simulation, index)
             mask = np.where(recorded.mask, np.uint8(255), np.uint8(0))
             (self._folder / "masks" / f"{index:06d}.png").write_bytes(png_bytes(mask))
             if simulation.spec.save_depth:

@@ -16,7 +16,7 @@ from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes
+from kinectbench.lab.synthesize.pair import make_synthetic_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
 from kinectbench.release.exchange.layouts import recgan_path
 
@@ -78,7 +78,10 @@ def make_model(task: Task) -> None:
     with artefact.write() as folder:
         groups = {}
         for name, steps in task.groups.items():
-            pairs = ((view, *make_pair(checked, eye, view, settings)) for view in drawn_views(task, steps))
+            pairs = (
+                (view, *make_synthetic_pair(checked, eye, view, settings))
+                for view in drawn_views(task, steps)
+            )
             write = _write_recgan if settings.layout == "recgan" else _write_release
             groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
         MadeModel(split=task.split, quality=_quality(task.model, checked), groups=groups).write(folder)

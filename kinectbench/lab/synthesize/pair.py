@@ -17,7 +17,7 @@ from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pos
 VOXELIZERS = {"winding": voxelize_solid, "seeable": voxelize_solid, "six-rays": voxelize_open}
 
 
-def make_pair(
+def make_synthetic_pair(
     checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings
 ) -> tuple[Pair, str | None]:
     """Render a model from one side, and voxelise the visible and the full shape in one cube.

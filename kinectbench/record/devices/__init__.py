@@ -20,7 +20,7 @@ DEVICES: dict[str, str] = {
 }
 
 
-class Listed(NamedTuple):
+class ListedDevice(NamedTuple):
     """What can be said of a device without opening it.
 
     Attributes:
@@ -49,7 +49,7 @@ def device_of(name: str) -> Device:
     return device
 
 
-def listed() -> Iterator[Listed]:
+def listed_devices() -> Iterator[ListedDevice]:
     """Each device: what is plugged in, or what it lacks."""
     for name in DEVICES:
         device = device_of(name)
@@ -61,10 +61,10 @@ def listed() -> Iterator[Listed]:
             absent = in_a_line(error)
         if absent and device.system:
             absent += f"; it needs {device.system}"
-        yield Listed(name, device.cameras, found, absent)
+        yield ListedDevice(name, device.cameras, found, absent)
 
 
-def chosen(name: str | None) -> Device:
+def device_to_use(name: str | None) -> Device:
     """The device of that name, with all that it needs; or the first that is plugged in.
 
     Raises:
@@ -76,7 +76,7 @@ def chosen(name: str | None) -> Device:
         if missing := missing_extra(device.extra):
             raise SettingsError(f"--device {name}: {missing}")
         return device
-    found = next((each.name for each in listed() if each.plugged_in), None)
+    found = next((each.name for each in listed_devices() if each.plugged_in), None)
     if found is None:
         raise CaptureError("no camera is found; `kinectbench record --list` says what each needs")
     return device_of(found)

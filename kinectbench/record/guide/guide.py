@@ -11,7 +11,7 @@ from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.types import Float64
-from kinectbench.record.guide.looking import LEAST_KEYFRAMES, Look, look
+from kinectbench.record.guide.looking import LEAST_KEYFRAMES, ObjectLook, look
 from kinectbench.record.guide.sentences import (
     FRAMES_ENOUGH,
     Advice,
@@ -77,11 +77,11 @@ class Guide:
         """
         self._setup = setup
         self.tracker, self.ring = LiveTracker(), Ring()
-        self.seen: Look | None = None
+        self.seen: ObjectLook | None = None
         self.poses: list[tuple[int, Float64]] = []
         self._speaker, self._looks, self._looked_at = Speaker(), 0, (0, -np.inf)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
-        self._look: Future[Look] | None = None
+        self._look: Future[ObjectLook] | None = None
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
@@ -140,7 +140,7 @@ class Guide:
         except KinectBenchError as error:
             self._look.set_exception(error)
 
-    def _take_look(self, done: "Future[Look]") -> None:
+    def _take_look(self, done: "Future[ObjectLook]") -> None:
         try:
             self.seen = done.result()
         except KinectBenchError:

@@ -34,7 +34,7 @@ FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 
 @dataclass(frozen=True)
-class Look:
+class ObjectLook:
     """The object as far as it was seen.
 
     Attributes:
@@ -63,7 +63,7 @@ class _Depths:
         return None
 
 
-def look(keyframes: Rows[Keyframe], camera: Camera) -> Look:
+def look(keyframes: Rows[Keyframe], camera: Camera) -> ObjectLook:
     """Find the object in what the keyframes saw, and what of it they did not see.
 
     Args:
@@ -90,7 +90,7 @@ def look(keyframes: Rows[Keyframe], camera: Camera) -> Look:
     solid = make_solid(seen, evidence, rules)
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
-    return Look(T_floor_world, found.box, _around(scene, T_floor_world, found.box), frontiers)
+    return ObjectLook(T_floor_world, found.box, _around(scene, T_floor_world, found.box), frontiers)
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:

@@ -42,7 +42,7 @@ from kinectbench.release.contents import (
     release_json,
 )
 from kinectbench.release.publish import card, datasheet
-from kinectbench.release.publish.attribution import common_license, license_text, markdown
+from kinectbench.release.publish.attribution import common_license, license_text, markdown_line
 from kinectbench.release.publish.gate import left_out_line, look_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.isolate import isolated_line
@@ -196,7 +196,7 @@ def _license(metadata: ReleaseInfo) -> str:
 
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     for what, stated_value in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
-        if stated_value not in text and markdown(stated_value) not in text:
+        if stated_value not in text and markdown_line(stated_value) not in text:
             yield f"does not state the {what} '{printable(stated_value)}' of {BENCHMARK_JSON}"
     yield from _missing(
         text, card.counts_table(stated.targets), f"the row '{{}}', which {TARGETS_CSV} counts"
@@ -204,7 +204,7 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
     if stated.says_twice:
         metadata = stated.metadata
         tables = (
-            card.figures(metadata),
+            card.card_figures(metadata),
             card.origins_table(metadata.recordings),
             card.flow_section(metadata),
         )
@@ -245,7 +245,7 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 
 def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
     yield from _missing(
-        text, datasheet.figures(stated.metadata.recordings), f"the line '{{}}' of {BENCHMARK_JSON}"
+        text, datasheet.datasheet_figures(stated.metadata.recordings), f"the line '{{}}' of {BENCHMARK_JSON}"
     )
 
 

@@ -23,7 +23,7 @@ from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
-from kinectbench.release.publish.small_files import package_versions
+from kinectbench.release.publish.small_files import data_package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -33,7 +33,7 @@ SHOWN = 3
 
 
 @dataclass(frozen=True)
-class Source:
+class LocalRecording:
     """The place of a recording on this machine.
 
     Attributes:
@@ -60,7 +60,7 @@ class RebuildPlan:
     notes: tuple[str, ...]
 
 
-def find_sources(path: Path) -> dict[str, Source]:
+def find_sources(path: Path) -> dict[str, LocalRecording]:
     """The places of recordings: from a benchmark.yaml, or by their ids in a folder.
 
     Args:
@@ -74,17 +74,21 @@ def find_sources(path: Path) -> dict[str, Source]:
         settings = load_benchmark(config, ())
         root = config.parent
         return {
-            r.id: Source(root / r.path, None if r.masks is None else root / r.masks)
+            r.id: LocalRecording(root / r.path, None if r.masks is None else root / r.masks)
             for r in settings.recordings
         }
     if not path.is_dir():
         raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings", what="no-file")
-    by_id = {entry.stem: Source(entry) for entry in sorted(path.iterdir()) if not entry.name.startswith(".")}
-    return by_id | {entry.name: Source(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
+    by_id = {
+        entry.stem: LocalRecording(entry)
+        for entry in sorted(path.iterdir())
+        if not entry.name.startswith(".")
+    }
+    return by_id | {entry.name: LocalRecording(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
 
 
 def rebuild_plan(
-    contents: Contents, sources: Mapping[str, Source], objects: int | None = None
+    contents: Contents, sources: Mapping[str, LocalRecording], objects: int | None = None
 ) -> RebuildPlan:
     """How to make a release's pairs again.
 
@@ -134,7 +138,9 @@ def _draw(identity: str, name: str) -> str:
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 
-def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[str]) -> BenchmarkSettings:
+def _settings(
+    metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
+) -> BenchmarkSettings:
     """The release's settings with the paths of this machine."""
     values = metadata.settings.json_value()
     if not values.get("recordings"):
@@ -161,7 +167,7 @@ def _settings(metadata: ReleaseInfo, sources: Mapping[str, Source], wanted: set[
 def version_notes(metadata: ReleaseInfo) -> list[str]:
     """A line for each package whose local version differs from the release's."""
     made = {"kinectbench": metadata.package_version, **metadata.packages}
-    installed = {"kinectbench": __version__, **package_versions()}
+    installed = {"kinectbench": __version__, **data_package_versions()}
     return [
         f"made with {name} {version}, here is {installed.get(name, 'none')}: results may differ"
         for name, version in made.items()

@@ -22,7 +22,7 @@ from kinectbench.release.exchange.bop_object import (
     model_info,
     model_ply,
     object_in_view,
-    read_model,
+    read_bop_model,
 )
 from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_export_json
 from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts_of
@@ -76,7 +76,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
             (folder / models).mkdir()
         for number, (recording, targets) in enumerate(release.by_recording.items(), start=1):
             split = SPLIT_NAMES[targets[0].split]
-            model = None if release.metadata.hides(recording) else read_model(release, recording)
+            model = None if release.metadata.hides(recording) else read_bop_model(release, recording)
             if model is not None:
                 mesh_mm = model.mesh_mm
                 file = f"obj_{number:06d}.ply"

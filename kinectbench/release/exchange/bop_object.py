@@ -42,7 +42,7 @@ class BopModel:
         return TriangleMesh(mesh.vertices * MM_PER_M, mesh.faces)
 
 
-def read_model(release: Release, recording: str) -> BopModel:
+def read_bop_model(release: Release, recording: str) -> BopModel:
     """The object of a recording.
 
     Raises:

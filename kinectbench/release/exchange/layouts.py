@@ -86,7 +86,7 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
     return f"P1_{synset_of(category)}_{category}/{group}/{name}.npz"
 
 
-def pair_row(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
+def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
     """A pair's name, its files, and its numbers, texts and matrices, as JSON values.
 
     With the share of its true shape that is not known, where the truth is there.

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Part, Stored
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
@@ -38,7 +38,7 @@ from kinectbench.release.exchange.layouts import (
     SPLIT_NAMES,
     SYNSETS,
     new_folder,
-    pair_row,
+    pair_record,
     recgan_path,
     write_export_json,
 )
@@ -71,7 +71,7 @@ Name = Annotated[str, AfterValidator(_checked_name)]
 Metres = Annotated[float, Field(ge=0)]
 
 
-class ExportedPair(Part):
+class ExportedPair(StoredPart):
     """A row of export.json: a pair's name, its files, and facts that they lack."""
 
     recording: Name
@@ -104,7 +104,7 @@ class Exported(Stored):
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundPair:
     """A pair of files: its place in the release, and facts beyond its grids."""
 
     target: Target
@@ -145,7 +145,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
                 file = recgan_path(kind, target.category, target.split, views, name)
                 write_below(folder / file, recgan_file_bytes(unpack(cells)))
                 files[f"file_{kind}"] = file
-            rows.append(pair_row(target, pair, **files))
+            rows.append(pair_record(target, pair, **files))
             if progress:
                 progress(done, len(release.targets))
         write_export_json(folder, release, {"pairs": rows})
@@ -212,10 +212,10 @@ def _name(folder: Path, views: int | None) -> str:
     return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
-def _one_view_set(pairs: list[Found], folder: Path, views: int | None) -> list[Found]:
+def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:
     """The pairs with one number of views in test and validation, since a mean over several is meaningless."""
 
-    def number(one: Found) -> int:
+    def number(one: FoundPair) -> int:
         return int(one.target.recording.rpartition("-")[2])
 
     counts = sorted({number(one) for one in pairs if one.target.split == "test"})
@@ -230,7 +230,7 @@ def _one_view_set(pairs: list[Found], folder: Path, views: int | None) -> list[F
     return [one for one in pairs if views is None or one.target.split == "train" or number(one) == views]
 
 
-def _exported(folder: Path, content: Exported) -> list[Found]:
+def _exported(folder: Path, content: Exported) -> list[FoundPair]:
     """The pairs that export.json lists."""
     pairs = []
     for row in content.pairs:
@@ -240,11 +240,11 @@ def _exported(folder: Path, content: Exported) -> list[Found]:
         except ValueError as error:
             raise PairError(f"{folder / EXPORT_JSON}: {error}; export again") from error
         values = {key: getattr(row, key) for key in (*NUMBERS, *MATRICES)}
-        pairs.append(Found(_target(**names), files[0], files[1], values))
+        pairs.append(FoundPair(_target(**names), files[0], files[1], values))
     return pairs
 
 
-def _theirs(folder: Path) -> list[Found]:
+def _theirs(folder: Path) -> list[FoundPair]:
     """The pairs of the authors' own files, in the order of their names."""
     rows = []
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
@@ -259,7 +259,7 @@ def _theirs(folder: Path) -> list[Found]:
         view = counts[recording] = counts.get(recording, -1) + 1
         target = _target(recording, model, f"{view:03d}", SYNSETS.get(category, category), SPLITS[split])
         counterpart = path.parents[1] / path.parent.name.replace("_25d_", "_3d_") / path.name
-        pairs.append(Found(target, path, counterpart, {}))
+        pairs.append(FoundPair(target, path, counterpart, {}))
     return pairs
 
 
@@ -273,7 +273,7 @@ def _refuse_link_out(path: Path, root: Path) -> None:
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
 
 
-def _pair(files: Found, root: Path) -> Pair:
+def _pair(files: FoundPair, root: Path) -> Pair:
     """A pair of two files in a folder; other facts have the defaults that the card names."""
     for path in (files.file_25d, files.file_3d):
         _refuse_link_out(path, root)

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values
-from kinectbench.release.exchange.layouts import new_folder, pair_row, write_export_json
+from kinectbench.release.exchange.layouts import new_folder, pair_record, write_export_json
 from kinectbench.release.release import Release
 
 # At 0.3 to 0.9 MB a pair a shard has about 60 MB; each worker process needs one of its own.
@@ -54,7 +54,7 @@ def export_webdataset(
             with tarfile.open(folder / name, "w", format=tarfile.USTAR_FORMAT) as shard:
                 for target in targets:
                     content = release.pair_content(target)
-                    row = pair_row(target, _read(release, target, content))
+                    row = pair_record(target, _read(release, target, content))
                     _add(shard, f"{sample_key(target)}.npz", content)
                     _add(shard, f"{sample_key(target)}.json", json.dumps(row, allow_nan=False).encode())
                     done += 1

@@ -59,7 +59,7 @@ def license_url(license: str) -> str | None:
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
 
 
-def markdown(text: str) -> str:
+def markdown_line(text: str) -> str:
     """An untrusted text as a line of Markdown without tags, links or cells."""
     line = " ".join(text.split()).replace("<", "&lt;")
     return re.sub(r"[\\[|]", r"\\\g<0>", line)
@@ -143,7 +143,7 @@ def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
     lines = [f"# Changes of {name}", ""]
     for change in changes or []:
         lines += [
-            f"## {markdown(change.version)}",
+            f"## {markdown_line(change.version)}",
             "",
             *(f"- {without_tags(line)}" for line in change.changes),
             "",

@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.types import Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
-from kinectbench.release.publish.attribution import HUGGING_FACE, markdown
+from kinectbench.release.publish.attribution import HUGGING_FACE, markdown_line
 from kinectbench.release.publish.isolate import isolated_line
 
 # Key of quality.json -> label, format, factor.
@@ -149,7 +149,7 @@ def card(
         name=info.name,
         source=texts.source,
         beside=texts.beside,
-        license=markdown(license),
+        license=markdown_line(license),
         framing=info.framing,
         partial_rule=info.partial_rule,
         package_version=info.package_version,
@@ -159,7 +159,7 @@ def card(
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
         flow=flow_section(info),
-        quality=figures(info),
+        quality=card_figures(info),
         origins=origins_table(info.recordings),
         warnings="\n".join(f"- {line}" for line in warnings) or "None.",
     )
@@ -253,7 +253,7 @@ def _median(values: Sequence[float | None]) -> float | None:
     return median(known) if known else None
 
 
-def figures(info: ReleaseInfo) -> str:
+def card_figures(info: ReleaseInfo) -> str:
     """Pairs, refused views and figures of each recording's quality.json, and the source of undersides."""
     words = {
         name: quality_words(recording.quality) | reference_words(recording)
@@ -303,7 +303,7 @@ def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
     """Licence and source, as stated, of the recordings that share them: whom to name, and for what."""
     sharing: dict[tuple[str, str], list[str]] = {}
     for name, info in sorted(recordings.items()):
-        sharing.setdefault((markdown(info.source), markdown(info.license)), []).append(name)
+        sharing.setdefault((markdown_line(info.source), markdown_line(info.license)), []).append(name)
     rows = [[", ".join(names), license, source] for (source, license), names in sharing.items()]
     return _markdown(["recordings", "licence", "source"], rows)
 

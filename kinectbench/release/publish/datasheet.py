@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.release.publish.attribution import (
     citation_line,
     common_license,
-    markdown,
+    markdown_line,
     reasons_against_distribution,
     without_tags,
 )
@@ -85,16 +85,16 @@ def datasheet(
         framing=settings.pairs.framing,
         partial_rule=settings.pairs.partial_rule,
         color=color,
-        figures=figures(infos),
+        figures=datasheet_figures(infos),
         quality_warnings=_listed(
             [f"{name}: {line}" for name, info in sorted(infos.items()) for line in info.quality.warnings]
         ),
         warnings=_listed(warnings),
-        license=markdown(common_license(infos, settings.license)),
+        license=markdown_line(common_license(infos, settings.license)),
         distribution=" ".join(
             f"**Not for distribution**: {reason}." for reason in reasons_against_distribution(infos)
         ),
-        citation=markdown(citation_line(settings.publish.citation, settings.name)),
+        citation=markdown_line(citation_line(settings.publish.citation, settings.name)),
     )
 
 
@@ -102,11 +102,11 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
     """The sources of the recordings."""
     by_source: dict[str, list[str]] = {}
     for name, info in sorted(infos.items()):
-        by_source.setdefault(markdown(info.source), []).append(name)
+        by_source.setdefault(markdown_line(info.source), []).append(name)
     return _listed([f"{', '.join(names)}: {source}" for source, names in by_source.items()])
 
 
-def figures(infos: Mapping[str, RecordingInfo]) -> str:
+def datasheet_figures(infos: Mapping[str, RecordingInfo]) -> str:
     """Median and range of the figures, one line each; and who declared undersides closed."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():

@@ -69,7 +69,7 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
         )
 
 
-def drawn(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
+def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
     """Choose one view of each object, over all of its recordings, with equal probability.
 
     The draw is SHA-256 of `views.seed` and the object's name, so that other objects do not change it.

@@ -29,7 +29,7 @@ from kinectbench.release.publish.attribution import changelog_text, reasons_agai
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
-from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, drawn, refuse_framing
+from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate, refuse_framing
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
@@ -122,7 +122,7 @@ def publish(
     _refuse_empty_split(settings, passed.published, options.hold_back)
     _refuse_many_files(settings, build, passed.published)
     hidden_ids = _hidden(settings, options)
-    isolated = drawn(settings, build, hidden_ids & set(passed.published)) if options.isolate else Isolated()
+    isolated = isolate(settings, build, hidden_ids & set(passed.published)) if options.isolate else Isolated()
     passed = replace(
         passed,
         published=tuple(n for n in passed.published if n not in isolated.left_out),

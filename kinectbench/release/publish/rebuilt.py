@@ -111,17 +111,17 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> R
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
     """IoU of each of the solids of `solids` in a pair's cube."""
-    return [known_iou(solid, pair) for solid in solids(pair.grid, views)]
+    return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 
 
-def known_iou(solid: Bools, pair: Pair) -> float:
+def sampled_known_iou(solid: Bools, pair: Pair) -> float:
     """IoU of a solid (64, 64, 64), of `sampled` cells, with the known truth; 1 if both are empty."""
-    full, known = sampled(unpack(pair.full)), sampled(unpack(pair.known))
+    full, known = every_fourth(unpack(pair.full)), every_fourth(unpack(pair.known))
     union = int(((solid | full) & known).sum())
     return int((solid & full & known).sum()) / union if union else 1.0
 
 
-def sampled(cells: Bools) -> Bools:
+def every_fourth(cells: Bools) -> Bools:
     """One cell of each 4 x 4 x 4 of a grid (256, 256, 256): (64, 64, 64)."""
     return cells[MIDDLE, MIDDLE, MIDDLE]
 
@@ -148,7 +148,7 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
         cells = depth_cells(view.depth_m, view.mask, view.camera, view.T_world_camera, grid)
         inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
         occupied[tuple(cells[inside].T)] = True
-    hull = sampled(filled_hull(occupied))
+    hull = every_fourth(filled_hull(occupied))
     carved = (votes <= len(views) // VIEWS_PER_ERROR).reshape(hull.shape)
     return carved, hull, carved & hull
 

@@ -176,7 +176,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         partial_rule=head.partial_rule,
         distribution=Distribution(allowed=not reasons, reasons=reasons),
         settings=SettingsInfo.model_validate(head.settings),
-        packages=package_versions(),
+        packages=data_package_versions(),
         recordings=dict(infos),
     )
     present = {
@@ -210,7 +210,7 @@ def _seal(folder: Path, info: ReleaseInfo) -> str:
     return identity
 
 
-def package_versions() -> dict[str, str]:
+def data_package_versions() -> dict[str, str]:
     """Versions of Python and of the packages that the data was computed with; "unknown" if not installed."""
     versions = {name: package_version(name) or "unknown" for name in PACKAGES}
     return {"python": platform.python_version(), **versions}

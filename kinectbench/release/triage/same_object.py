@@ -73,7 +73,7 @@ class Shape:
         return cls.of(points[measured], points)
 
 
-def agreement(a: Shape, b: Shape) -> float:
+def shape_agreement(a: Shape, b: Shape) -> float:
     """Agreement of two shapes, 0 to 1, after the best turn about the vertical and shift.
 
     Returns:
@@ -137,5 +137,9 @@ def same_objects(
             if name not in shapes:
                 shapes[name] = Shape.read(folders[name])
         one, other = shapes[a], shapes[b]
-        if one is not None and other is not None and (value := agreement(one, other)) >= LEAST_AGREEMENT:
+        if (
+            one is not None
+            and other is not None
+            and (value := shape_agreement(one, other)) >= LEAST_AGREEMENT
+        ):
             yield a, b, value

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 from kinectbench.release.exchange.rgbd import ViewCamera, WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
@@ -46,7 +46,7 @@ def find_output(folder: Path, pattern: str) -> Path | None:
     """
     if not folder.is_dir():
         return None
-    files = sorted(path for path in listed(folder, MOST_FILES) if path.match(pattern))
+    files = sorted(path for path in listed_paths(folder, MOST_FILES) if path.match(pattern))
     if len(files) > 1:
         raise PredictionError(f"{files[0].name} and {files[1].name} are there; keep one")
     return files[0] if files else None

@@ -39,7 +39,7 @@ COUNTED, SEED = 100_000, 0
 NUMBERS = 7
 
 
-def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
     """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report points outside its cube."""
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
@@ -90,7 +90,7 @@ def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
     return float(1 - in_cube(points_m / M_PER_MM, seen_m / M_PER_MM).mean()), of
 
 
-def read(path: Path, camera: ViewCamera) -> CameraShape:
+def read_octmae(path: Path, camera: ViewCamera) -> CameraShape:
     """Points and normals of output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
 
     Raises:
@@ -106,4 +106,4 @@ def read(path: Path, camera: ViewCamera) -> CameraShape:
     return CameraShape("points", rows[:, :3], np.zeros((0, 3), np.int64), normals)
 
 
-OCTMAE = Adapter(write, "output.pts", read, "points", ("color", "depth", "mask"))
+OCTMAE = Adapter(write_octmae, "output.pts", read_octmae, "points", ("color", "depth", "mask"))

@@ -30,7 +30,7 @@ KEY = "predicted_voxels"
 MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
 
 
-def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
     """Write input.npz: `tsdf` (32, 32, 32) float32 in units of the cube's edge, clipped at 2.5 voxels."""
     T_world_grid, size = parts_of(release, view.target, ("T_world_grid", "voxel_size_m"))
     edge_m = float(size) * FULL_CELLS
@@ -66,7 +66,7 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     return values_m.reshape((VOXELS,) * 3).astype(np.float32)
 
 
-def read(path: Path, camera: ViewCamera) -> CameraShape:
+def read_patchcomplete(path: Path, camera: ViewCamera) -> CameraShape:
     """The solid of `predicted_voxels` in the cube [0, 1]^3.
 
     Raises:
@@ -79,4 +79,4 @@ def read(path: Path, camera: ViewCamera) -> CameraShape:
     return occupancy_shape(values <= SOLID_BELOW, np.eye(4), 1 / VOXELS)
 
 
-PATCHCOMPLETE = Adapter(write, "*_pred.npz", read, "voxels", ("depth", "mask"))
+PATCHCOMPLETE = Adapter(write_patchcomplete, "*_pred.npz", read_patchcomplete, "voxels", ("depth", "mask"))

@@ -26,7 +26,7 @@ POINTS = 2048
 SEED = 0
 
 
-def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
     """Write points.npy: 2,048 measured points of the object, mean 0, largest norm 1, y up.
 
     Up is that of the floor, or of the image where no floor is known.
@@ -63,7 +63,7 @@ def _upright(release: Release, view: RgbdView) -> Float64:
     return np.stack([right, up, np.cross(right, up)], axis=1)
 
 
-def read(path: Path, camera: ViewCamera) -> CameraShape:
+def read_pointr(path: Path, camera: ViewCamera) -> CameraShape:
     """Points of fine.npy, in the frame of points.npy.
 
     Raises:
@@ -83,4 +83,4 @@ def _check(header: NpyHeader) -> None:
         raise NpyError(f"{shape} {header.dtype}; (n, 3) floats are wanted")
 
 
-POINTR = Adapter(write, "fine.npy", read, "points", ("depth", "mask"))
+POINTR = Adapter(write_pointr, "fine.npy", read_pointr, "points", ("depth", "mask"))

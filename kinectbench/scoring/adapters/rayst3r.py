@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 640, 480
 MOST_M, STEPS = 10.0, 65535
 
 
-def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
     """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m) and intrinsics.pt.
 
     Without cam2world.pt its output is in the camera.
@@ -35,9 +35,11 @@ def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dic
     return shown, {"T_camera_method": scaling(1.0)}
 
 
-def read(path: Path, camera: ViewCamera) -> CameraShape:
+def read_rayst3r(path: Path, camera: ViewCamera) -> CameraShape:
     """Points of inference_points.ply: float64 x, y, z, metres, camera frame; its colours mean nothing."""
     return read_shape(path, path.name)
 
 
-RAYST3R = Adapter(write, "inference_points.ply", read, "points", ("color", "depth", "mask"), "torch")
+RAYST3R = Adapter(
+    write_rayst3r, "inference_points.ply", read_rayst3r, "points", ("color", "depth", "mask"), "torch"
+)

@@ -26,7 +26,7 @@ FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T
 POSE, POSE_BYTES = "pose.npz", 1 << 16
 
 
-def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
     """Write image.png, mask.png and pointmap.npy (float32, PyTorch3D's camera, metres, NaN = none)."""
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)
@@ -34,7 +34,7 @@ def write(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dic
     return view, {"T_camera_method": T_CAMERA_PYTORCH3D}
 
 
-def read(path: Path, camera: ViewCamera) -> CameraShape:
+def read_sam3d(path: Path, camera: ViewCamera) -> CameraShape:
     """The mesh of mesh.glb placed by pose.npz, in PyTorch3D's camera.
 
     Raises:
@@ -67,4 +67,4 @@ def _pose(path: Path) -> tuple[float, Float64, Float64]:
     return float(scale[0]), rotation_from_quaternion_xyzw(wxyz[[1, 2, 3, 0]]), translation
 
 
-SAM3D = Adapter(write, "mesh.glb", read, "mesh", ("color", "depth", "mask"))
+SAM3D = Adapter(write_sam3d, "mesh.glb", read_sam3d, "mesh", ("color", "depth", "mask"))

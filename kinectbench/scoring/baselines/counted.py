@@ -22,7 +22,7 @@ from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.score import check_words, counting_of
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
 
 # {name of a baseline: its counts} of a pair
@@ -168,7 +168,7 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
     """Every baseline's counts of one pair; a pair of the validation split only chooses the thresholds."""
-    truth = read_truth(task.release.pair_path(task.target), task.target.sha256, counting.distrusted)
+    truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.distrusted)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}
     for name, prediction in predicted(task):

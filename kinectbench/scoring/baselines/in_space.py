@@ -12,7 +12,7 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import BASE_RATE
 from kinectbench.scoring.camera.grid import grid_result
-from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, space_table
+from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, table_in_space
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
 from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.counts import tally
@@ -20,7 +20,7 @@ from kinectbench.scoring.pair_result import drawn
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import searched_thresholds, thresholds_for
-from kinectbench.scoring.truth import read_truth
+from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
 
 # {name of a baseline: its tally} of a pair, and its result, or why it cannot be scored.
@@ -69,7 +69,7 @@ def space_baselines(
     results = {task.target: of for task, of in zip(tasks, found, strict=True)}
     settings = settings_in_space(protocols, "error")
     return [
-        space_table(
+        table_in_space(
             release,
             name,
             {t: one for t, of in results.items() if isinstance(one := of[name], ViewResult)},
@@ -111,7 +111,7 @@ def space_baselines_that_differ(
 
 def _tallies(task: BaselineTask) -> Tallies:
     """Tallies of a validation pair that choose each baseline's thresholds."""
-    truth = read_truth(task.release.pair_path(task.target), task.target.sha256)
+    truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
 

@@ -18,7 +18,7 @@ UP_IN_CAMERA = np.array([0.0, -1.0, 0.0])  # y is down in the image
 
 
 @dataclass(frozen=True)
-class Training:
+class TrainingTruth:
     """Truth of one category's training pairs.
 
     Attributes:
@@ -46,7 +46,7 @@ class Inputs:
     pair: PairInput
     base_rate: float
     up_grid: NDArray[np.float64]
-    training: Training | None
+    training: TrainingTruth | None
 
     @property
     def partial(self) -> NDArray[np.bool_]:
@@ -54,7 +54,7 @@ class Inputs:
         return unpack(self.pair.partial_256)
 
 
-def read_training(release: Release, category: str) -> Training | None:
+def read_training(release: Release, category: str) -> TrainingTruth | None:
     """The training truth of a category, None without any.
 
     Raises:
@@ -70,7 +70,7 @@ def read_training(release: Release, category: str) -> Training | None:
         partial, full = read_parts(path, sha256, ("partial", "full"))
         total += reduced(unpack(full), MEAN_CELLS)
         partials.append(partial)
-    return Training((total / len(files)).astype(np.float32), np.stack(partials), files)
+    return TrainingTruth((total / len(files)).astype(np.float32), np.stack(partials), files)
 
 
 def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:

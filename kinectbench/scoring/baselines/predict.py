@@ -116,7 +116,7 @@ def write_baselines(
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
-    check_names(names or ())
+    check_baseline_names(names or ())
     release.of_splits(SPLITS)  # there is something to predict
     possible = possible_baselines(release)
     chosen = tuple(names or possible)
@@ -158,7 +158,7 @@ def _method(name: str, release: Release) -> MethodFile:
     )
 
 
-def check_names(names: Sequence[str]) -> None:
+def check_baseline_names(names: Sequence[str]) -> None:
     """Refuse unknown names of baselines.
 
     Raises:

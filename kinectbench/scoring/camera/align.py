@@ -40,7 +40,7 @@ LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
 
 @dataclass(frozen=True)
-class Registration:
+class SurfaceRegistration:
     """What brings a prediction to the truth.
 
     Attributes:
@@ -78,7 +78,7 @@ class _Pair:
         return replace(self, ours=self.ours.thinned(most), theirs=made[most])
 
 
-def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
+def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceRegistration:
     """Register a predicted surface to the known part of the true one.
 
     Args:
@@ -88,7 +88,7 @@ def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
     """
     known = truth.known_surface
     if not len(known):
-        return Registration(np.eye(4), ok=False)
+        return SurfaceRegistration(np.eye(4), ok=False)
     pair = _Pair(truth, surface, known)
     coarse, fine = pair.thinned(COARSE[0]), pair.thinned(FINE[0])
     ways = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
@@ -96,7 +96,7 @@ def register(truth: SpaceTruth, surface: Surface, kind: str) -> Registration:
     T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
     # Of a free size the scale itself says nothing.
     size = similarity_scale(T) * _spread(surface) / max(_spread(known), 1e-9)
-    return Registration(T, moved < OK_STILL * truth.size_m and LEAST_SIZE < size < MOST_SIZE)
+    return SurfaceRegistration(T, moved < OK_STILL * truth.size_m and LEAST_SIZE < size < MOST_SIZE)
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:

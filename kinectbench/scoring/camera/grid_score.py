@@ -10,7 +10,7 @@ from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.camera.grid import GridJob, score_grid
-from kinectbench.scoring.camera.score import settings_in_space, space_table
+from kinectbench.scoring.camera.score import settings_in_space, table_in_space
 from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewResult, asked_rows
 from kinectbench.scoring.pair_result import Counting, Journal
@@ -75,7 +75,7 @@ def score_grid_in_space(
         task.target: of for task, of in zip(tasks, run_tasks(score_grid, tasks, jobs, progress), strict=True)
     }
     reasons = {t: of for t, of in (outcomes | found).items() if isinstance(of, str)}
-    return space_table(
+    return table_in_space(
         release,
         method,
         {t: of for t, of in found.items() if isinstance(of, ViewResult)},

@@ -32,7 +32,7 @@ F_SCORE_SHARES = {"f_score_1pct": 0.01, "f_score_2pct": 0.02, "f_score_5pct": 0.
 
 
 @dataclass(frozen=True)
-class Figures:
+class PartFigures:
     """The figures of one part of a view.
 
     Attributes:
@@ -100,7 +100,7 @@ class Way:
 
 def figures_by_part(
     truth: SpaceTruth, surface: Surface | None, solid: Solid | None, in_camera: bool = True
-) -> tuple[dict[ShapePart, Figures], float]:
+) -> tuple[dict[ShapePart, PartFigures], float]:
     """The figures of each part, and the share of the predicted surface that lies in unknown space.
 
     Args:
@@ -120,7 +120,7 @@ def figures_by_part(
     most = QUERIES if in_camera else QUERIES_ALIGNED
     there = _way(ours, seen[is_known], true_known, most)
     back = _way(true_known, true_seen, ours, most)
-    found: dict[ShapePart, Figures] = {}
+    found: dict[ShapePart, PartFigures] = {}
     for part in PARTS:
         here = _of_part(truth.is_seen, part)
         true_area, of_known = (
@@ -132,7 +132,7 @@ def figures_by_part(
         papers = None
         if in_camera and part == "whole" and len(ours) and len(true_known):
             papers = bounds.as_papers(_as_octmae(there, back), ours, true_known, truth.size_m)
-        found[part] = Figures(
+        found[part] = PartFigures(
             metrics,
             VoxelMetrics() if metrics.chamfer_l1_m is None else voxels,
             coverage_voxels,

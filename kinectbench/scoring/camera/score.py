@@ -19,7 +19,7 @@ from kinectbench.scoring.assemble import quality_of
 from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
 from kinectbench.scoring.camera_predictions import (
-    CameraFile,
+    CameraPredictionFile,
     depth_warnings,
     find_files,
     missing_in_camera,
@@ -77,7 +77,7 @@ def score_in_camera(
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
     empty = [target.name for target in sorted(files) if not files[target]]
     fixed = fixed_thresholds({target.category for target in results})
-    table = space_table(
+    table = table_in_space(
         release, method, results, failures, settings_in_space(protocols, missing), empty, fixed
     )
     looked_at = [found for target in sorted(files) for found in files[target][:1]]
@@ -113,13 +113,13 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
 
 def _files(
     folder: Path, test: Sequence[Target], declared: MethodFile, missing: Missing
-) -> tuple[dict[Target, tuple[CameraFile, ...]], dict[Target, str]]:
+) -> tuple[dict[Target, tuple[CameraPredictionFile, ...]], dict[Target, str]]:
     """The files of every view that is scored, and why others cannot be."""
-    files: dict[Target, tuple[CameraFile, ...]] = dict.fromkeys(test, ())
+    files: dict[Target, tuple[CameraPredictionFile, ...]] = dict.fromkeys(test, ())
     failures: dict[Target, str] = {}
     absent: set[Target] = set()
     for target, name, found in find_files(folder, test, declared):
-        if isinstance(found, CameraFile):
+        if isinstance(found, CameraPredictionFile):
             files[target] = (*files[target], found)
         elif found is not None:
             failures.setdefault(target, found)
@@ -140,7 +140,7 @@ def fixed_thresholds(categories: Iterable[str]) -> Thresholds:
     return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))
 
 
-def space_table(
+def table_in_space(
     release: Release,
     method: str,
     results: Mapping[Target, ViewResult],

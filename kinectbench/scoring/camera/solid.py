@@ -12,7 +12,7 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_outside import outside_share, outwards
-from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined
+from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined_vertices
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
     """The mesh of a shape without doubled vertices; None if it is open or no mesh."""
     if shape.form != "mesh":
         return None
-    vertices, faces = joined(shape.points_m, shape.faces.astype(np.int32))
+    vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
     return ClosedMesh(vertices, faces) if is_closed(faces) else None
 
 

@@ -71,10 +71,10 @@ class SpaceTruth:
         cells = np.floor(points_m / self.voxel_size_m)
         inside = np.asarray(((cells >= 0) & (cells < FULL_CELLS)).all(axis=1))
         at = np.where(inside[:, None], cells, 0).astype(np.int64)
-        return ~inside | is_set(self.known, at), inside & is_set(self.seen, at)
+        return ~inside | cells_set(self.known, at), inside & cells_set(self.seen, at)
 
 
-def is_set(packed: Packed, cells: Int64) -> Bools:
+def cells_set(packed: Packed, cells: Int64) -> Bools:
     """(n,) whether cells (n, 3) of a packed grid are set."""
     x, y, z = cells.T
     found: Bools = (packed[x, y, z >> 3] >> (7 - (z & 7))) & 1 == 1
@@ -130,6 +130,6 @@ def space_truth(
 ) -> SpaceTruth:
     """The same from packed grids (256, 256, 32)."""
     surface, cells = cell_surface(unpack(full), voxel_size_m)
-    is_known, is_seen = is_set(known, cells), is_set(seen, cells)
+    is_known, is_seen = cells_set(known, cells), cells_set(seen, cells)
     size_m = size_cells(full) * voxel_size_m
     return SpaceTruth(full, known, seen, surface, is_known, is_seen, T_grid_camera, voxel_size_m, size_m)

@@ -20,13 +20,13 @@ from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
-from kinectbench.scoring.camera.align import KINDS, register
-from kinectbench.scoring.camera.metrics import Figures, figures_by_part
+from kinectbench.scoring.camera.align import KINDS, register_surface
+from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
 from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
-from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
+from kinectbench.scoring.camera_predictions import CameraPredictionFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.prediction_file import blake3_of
 
@@ -52,7 +52,7 @@ class Scored:
 
     protocol: str
     part: ShapePart
-    figures: Figures
+    figures: PartFigures
     alignment: Alignment | None = None
     solid: bool | None = None
     predicted_unknown_share: float | None = None
@@ -75,7 +75,7 @@ class ViewJob:
 
     target: Target
     truth: ViewFiles
-    files: tuple[CameraFile, ...]
+    files: tuple[CameraPredictionFile, ...]
     method: MethodFile
     protocols: tuple[str, ...]
 
@@ -177,7 +177,7 @@ def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
 
 def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, Alignment]:
     """The registration of a surface in the truth's grid, and what is reported of it."""
-    found = register(truth, surface, kind)
+    found = register_surface(truth, surface, kind)
     middle, scale = surface.center_m, similarity_scale(found.T)
     shift_m = transform_points(found.T, middle) - middle
     return found.T, Alignment(

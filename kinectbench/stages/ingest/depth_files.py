@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import PNG_MAGIC, decoded, image_head
+from kinectbench.core.encoded_images import PNG_MAGIC, decoded_image, image_head
 from kinectbench.core.types import MM_PER_M, Float32
 from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
@@ -116,7 +116,7 @@ def _pixels(data: bytes, name: str) -> NDArray[np.generic]:
     import cv2
 
     try:
-        return decoded(data, cv2.IMREAD_UNCHANGED)
+        return decoded_image(data, cv2.IMREAD_UNCHANGED)
     except ValueError as error:
         raise DamagedImageError(f"{name}: {error}") from error
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded, image_head
+from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded_image, image_head
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Bools
 
@@ -119,6 +119,6 @@ def _decode(data: bytes, name: str, *, unchanged: bool) -> NDArray[np.generic]:
     import cv2
 
     try:
-        return decoded(data, cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR)
+        return decoded_image(data, cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR)
     except ValueError as error:
         raise DamagedImageError(f"{name}: {error}") from error

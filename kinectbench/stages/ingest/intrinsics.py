@@ -143,7 +143,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     Raises:
         RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
     """
-    raw = read_object(path, HELD)
+    raw = read_json_object(path, HELD)
     known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
     if "depth_factor" in known:
         known.setdefault("depth_scale", known["depth_factor"])
@@ -196,7 +196,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
     Raises:
         RecordingError: a value is invalid.
     """
-    raw = read_object(path, HELD)
+    raw = read_json_object(path, HELD)
     if raw.get("color_camera") is None or raw.get("T_color_depth") is None:
         return None
     where = f"{path}: 'color_camera'"
@@ -211,14 +211,14 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
     distortion = color_camera.get("distortion") or []
     if not isinstance(distortion, list) or len(distortion) not in (0, 4, 5, 8):
         raise RecordingError(f"{where}: 'distortion' must hold 4, 5 or 8 numbers (Brown's model)")
-    matrix = numbers_of(raw["T_color_depth"])
+    matrix = json_numbers(raw["T_color_depth"])
     T = rigid_or_none(matrix) if matrix.shape == (4, 4) else None
     if T is None:
         raise RecordingError(f"{path}: 'T_color_depth' must be four rows of a rigid transform")
     return ColorCalibration(camera, tuple(number_of(d, f"{where}: 'distortion'") for d in distortion), T)
 
 
-def numbers_of(value: object) -> Float64:
+def json_numbers(value: object) -> Float64:
     """The numbers in a (nested) JSON list; (0,) for other values."""
     try:
         return np.array(value, np.float64)
@@ -302,13 +302,13 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.
     """
-    raw = read_object(path, ", ".join((key, *size_keys)))
+    raw = read_json_object(path, ", ".join((key, *size_keys)))
     width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
     matrix = pinhole(_open3d_matrix(raw.get(key), path, key), path)
     return replace(matrix, width=width, height=height)
 
 
-def read_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, Any]:
+def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, Any]:
     """Read a JSON object.
 
     Args:
@@ -333,9 +333,9 @@ def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str
     """
     if not file.is_file():
         return None
-    content = read_object(file, what, FRAME_JSON_BYTES)
+    content = read_json_object(file, what, FRAME_JSON_BYTES)
     kept = {key: content[key] for key in keys if key in content}
-    lean = {key: numbers_of(v) if isinstance(v, list | dict) else v for key, v in kept.items()}
+    lean = {key: json_numbers(v) if isinstance(v, list | dict) else v for key, v in kept.items()}
     return lean | {"file": str(file)}
 
 
@@ -371,7 +371,7 @@ def number_of(value: object, where: str) -> float:
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
     """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
-    numbers = numbers_of(value.get("data") if isinstance(value, dict) else value)
+    numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers
     if numbers.shape != (9,):
@@ -381,7 +381,7 @@ def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> 
 
 
 def _is_matrix(value: object) -> bool:
-    return numbers_of(value).shape in ((9,), (3, 3))
+    return json_numbers(value).shape in ((9,), (3, 3))
 
 
 def pinhole(K: Float64, path: Path) -> Intrinsics:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
-from kinectbench.core.untrusted import listed, printable
+from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import (
     MATRIX_SHAPES,
@@ -95,9 +95,9 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
     """
     if not path.is_dir():
         return ""
-    children = sorted(islice(listed(path), LOOKED_AT))
+    children = sorted(islice(listed_paths(path), LOOKED_AT))
     folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
-    below = (file for folder in folders for file in islice(listed(folder), LOOKED_AT))
+    below = (file for folder in folders for file in islice(listed_paths(folder), LOOKED_AT))
     matches = (file for file in (*children, *below) if file.is_file() and wanted(file.name))
     names = [str(file.relative_to(path)) for file in islice(matches, MOST_NAMED)]
     return f"; {how} {printable(', '.join(names))}" if names else ""

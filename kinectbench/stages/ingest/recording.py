@@ -16,7 +16,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
-from kinectbench.core.untrusted import IMAGE_BYTES, listed, printable, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, listed_paths, printable, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of
@@ -80,7 +80,7 @@ class ColorCalibration:
         )
 
 
-class Listed(Protocol):
+class ListedFrame(Protocol):
     """An entry of the frame list, in a form private to the reader."""
 
     @property
@@ -123,7 +123,7 @@ class Recording(ABC):
     verified: ClassVar[str] = ""
     up_world: ClassVar[tuple[float, float, float] | None] = None
     path: Path
-    places: tuple[Listed, ...]
+    places: tuple[ListedFrame, ...]
     camera: Camera
     depth_scale: float
     color_registered: bool
@@ -287,7 +287,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
     return first_file([depth.parent.parent / "masks" / f"{depth.stem}.png"])
 
 
-def unused_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
+def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     """A line with the number of masks in a recording's masks/ that match no frame, if any."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / "masks", "*.png") if mask not in used)
@@ -304,7 +304,7 @@ def visible(folder: Path, pattern: str) -> list[Path]:
     def matches(name: str) -> bool:
         return fnmatchcase(name, pattern) and not name.startswith(".")
 
-    return list(listed(folder, wanted=matches)) if folder.is_dir() else []
+    return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:

@@ -22,7 +22,7 @@ from kinectbench.core.errors import GivenPosesError, KinectBenchError, Recording
 from kinectbench.core.sequence import Sequence, UpSample, depth_in_metres
 from kinectbench.core.storage import storage_errors
 from kinectbench.core.threads import ahead
-from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_text
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_text
 from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import UNPACKED_BYTES, read_plain
 from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
@@ -136,7 +136,7 @@ def read_sequence(folder: Path) -> Sequence:
     """
     head, listed = CameraFile.read(folder), FramesFile.read(folder)
     try:
-        trajectory = read_trajectory(folder / TRAJECTORY)[0] if (folder / TRAJECTORY).is_file() else None
+        trajectory = read_trajectory_file(folder / TRAJECTORY)[0] if (folder / TRAJECTORY).is_file() else None
     except (OSError, KinectBenchError) as error:
         raise StorageError(f"{error}; {AGAIN}") from error
     frames = FolderFrames(folder, listed.rows)

@@ -129,7 +129,7 @@ def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[n
 
 
 @dataclass(frozen=True)
-class Alignment:
+class ViewAlignment:
     """The pose of a view.
 
     Attributes:
@@ -149,7 +149,7 @@ def align_view(
     T_world_camera: Float64,
     renderer: DepthRenderer,
     pose_sigma_m: float,
-) -> Alignment:
+) -> ViewAlignment:
     """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
 
     Half of the view's points on the object are fitted; the correction is kept only if the mean residual of
@@ -164,7 +164,7 @@ def align_view(
         renderer: of the object's closed mesh.
         pose_sigma_m: by how much the pose may be off, metres.
     """
-    given = Alignment(T_world_camera, 0.0, 0.0)
+    given = ViewAlignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
     near = (rendered_m > 0) & (np.abs(depth_m - rendered_m) < NEAR_M)
     stride_px = int(np.clip(np.sqrt(near.sum() / WANTED_POINTS), MIN_STRIDE_PX, MAX_STRIDE_PX))
@@ -181,7 +181,7 @@ def align_view(
     turned_rad = float(rotation_angle_rad(motion[:3, :3]))
     if not helps(held_out, rendered_m, motion, camera) or moved_m > MAX_SIGMAS * sigma_m:
         return given
-    return Alignment(T_world_camera @ motion, moved_m, turned_rad)
+    return ViewAlignment(T_world_camera @ motion, moved_m, turned_rad)
 
 
 def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, prior: Float64) -> Float64:

@@ -14,7 +14,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import MasksFile, Refused, ViewRow, ViewsFile
-from kinectbench.core.encoded_images import decoded, image_head
+from kinectbench.core.encoded_images import decoded_image, image_head
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
@@ -24,9 +24,9 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
-from kinectbench.core.untrusted import IMAGE_BYTES, listed, read_plain
+from kinectbench.core.untrusted import IMAGE_BYTES, listed_paths, read_plain
 from kinectbench.settings.models import FitLimits, MaskCuts, ViewSettings
-from kinectbench.stages.sample_views.alignment import Alignment, align_view
+from kinectbench.stages.sample_views.alignment import ViewAlignment, align_view
 from kinectbench.stages.sample_views.masks import (
     GivenMasks,
     object_mask,
@@ -65,7 +65,7 @@ class View:
     frame: int
     stamp_ns: int
     reason: str
-    alignment: Alignment
+    alignment: ViewAlignment
     mask: Bools
     fit: ViewFit
     blur: float | None = None
@@ -152,7 +152,7 @@ def _look(
     settings: ViewSettings,
     segmentation: MaskCuts,
     chosen: tuple[int, str],
-) -> tuple[int, str, Alignment, Bools, ViewFit, float]:
+) -> tuple[int, str, ViewAlignment, Bools, ViewFit, float]:
     """A chosen frame: reason, corrected pose, mask, fit of depth, and ratio of depth beyond the range."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
@@ -263,7 +263,7 @@ def _view(row: ViewRow, folder: Path) -> View:
         frame=row.frame,
         stamp_ns=row.stamp_ns,
         reason=row.reason,
-        alignment=Alignment(row.T_world_camera, number(row.moved_m), number(row.turned_rad)),
+        alignment=ViewAlignment(row.T_world_camera, number(row.moved_m), number(row.turned_rad)),
         mask=mask,
         fit=ViewFit(row.pixels, **{name: number(getattr(row, name)) for name in FIT_FIGURES}),
         blur=row.blur,
@@ -302,7 +302,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
 
     try:
         image_head(pictures["depth.png"])
-        depth = decoded(pictures["depth.png"], cv2.IMREAD_UNCHANGED)
+        depth = decoded_image(pictures["depth.png"], cv2.IMREAD_UNCHANGED)
     except ValueError as error:
         raise StorageError(f"the depth image of a view is damaged ({error}); {ViewsFile.ADVICE}") from error
     of_depth = f"{depth.shape}".encode() + depth.astype("<u2").tobytes()
@@ -320,7 +320,7 @@ def read_masks(folder: Path) -> GivenMasks:
             )
         return mask
 
-    names = (path.name for path in listed(folder) if path.name != MasksFile.FILE and path.is_file())
+    names = (path.name for path in listed_paths(folder) if path.name != MasksFile.FILE and path.is_file())
     return GivenMasks(str(folder), tuple(sorted(names)), read)
 
 
@@ -331,7 +331,7 @@ def _read_mask(path: Path) -> Bools | None:
     try:
         data = read_plain(path, IMAGE_BYTES)
         image_head(data)
-        return np.asarray(decoded(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8) > 0
+        return np.asarray(decoded_image(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8) > 0
     except (OSError, ValueError):
         return None
 

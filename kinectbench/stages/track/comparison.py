@@ -12,7 +12,7 @@ from kinectbench.stages.track.pictures import comparison_picture, timeline
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TrajectoryComparison:
     """A trajectory against a reference.
 
     Attributes:
@@ -52,7 +52,7 @@ class Comparison:
         }
 
 
-def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Comparison, bytes]:
+def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[TrajectoryComparison, bytes]:
     """Compare all frames that both have a pose for.
 
     Returns:
@@ -77,6 +77,6 @@ def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Co
     T_reference = reference.T_world_camera[rows[posed]]
     error = compare_poses(T_estimate, T_reference)
     clock = clock_offset(trajectory.stamps_ns, trajectory.T_world_camera, reference)
-    figures = Comparison(len(trajectory.stamps_ns), len(trajectory.good_frames), error, clock)
+    figures = TrajectoryComparison(len(trajectory.stamps_ns), len(trajectory.good_frames), error, clock)
     moments, when = timeline(trajectory.stamps_ns)
     return figures, comparison_picture(error, T_estimate, T_reference, moments[frames[posed]], when)

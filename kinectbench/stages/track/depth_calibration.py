@@ -25,7 +25,7 @@ from kinectbench.core.geometry.depth import (
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
-from kinectbench.stages.track.linearise import add_products, mirrored
+from kinectbench.stages.track.linearise import add_products, symmetric_matrix
 from kinectbench.stages.track.registration import CORRELATED_POINTS
 
 # Points used of each pair.
@@ -41,7 +41,7 @@ POSED_FALLS_TO = 0.98
 
 
 @dataclass(frozen=True)
-class View:
+class CalibrationView:
     """A pair of frames at the finest level; points of the source are projected into the target."""
 
     source: Level
@@ -69,7 +69,7 @@ class _Sums:
 NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
 
 
-def calibrate(views: Iterable[View]) -> DepthCalibration:
+def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
     """Estimate the correction under which pairs of frames agree best; each pair's motion is free.
 
     Args:
@@ -93,7 +93,7 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
     all_sums = _all_sums(
-        View(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
+        CalibrationView(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
         for a, b in evenly_chosen(pairs)
     )
     sums = [unexplained for _, unexplained in all_sums]
@@ -127,11 +127,11 @@ def _solved(sums: Sequence[_Sums]) -> Float64:
     return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
 
 
-def _all_sums(views: Iterable[View]) -> list[tuple[_Sums, _Sums]]:
+def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[_Sums, _Sums]]:
     return [each for each in map(_sums, views) if each is not None]
 
 
-def _sums(view: View) -> tuple[_Sums, _Sums] | None:
+def _sums(view: CalibrationView) -> tuple[_Sums, _Sums] | None:
     """The sums of one pair: at its pose, and with the pair's motion eliminated.
 
     None if too little overlaps.
@@ -143,7 +143,7 @@ def _sums(view: View) -> tuple[_Sums, _Sums] | None:
     sums = np.zeros((6 + k + 1, 6 + k + 1))
     columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
     add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
-    sums = mirrored(sums)
+    sums = symmetric_matrix(sums)
     A, b = sums[:-1, :-1], sums[:-1, -1]
     # Eliminate the motion (Schur complement): the rest is what no motion explains.
     motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
@@ -155,7 +155,7 @@ def _sums(view: View) -> tuple[_Sums, _Sums] | None:
     return posed, unexplained
 
 
-def _linearised(view: View) -> tuple[Float64, Float64, Float64]:
+def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
     """Rows (m, 6 + k) of residual + row @ (twist, coefficients), the residuals (m,) and weights (m,)."""
     source, target = view.source, view.target
     every = max(1, len(source.points) // POINTS_PER_PAIR)

@@ -24,7 +24,7 @@ from kinectbench.stages.track.disagreement import (
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import is_accepted
 from kinectbench.stages.track.outliers import find_outliers
-from kinectbench.stages.track.registration import Registration, measure, register, score, search
+from kinectbench.stages.track.registration import Registration, measure, register, registration_score, search
 
 # Number of frames that others are compared with, evenly spread.
 COMPARED_FRAMES = 60
@@ -213,12 +213,16 @@ class _Checker:
             near = int(nearest_views(self.T, frame, sound)[0])
         source, T_given = self.maps[frame], self._starts(frame, [near])[0]
         starts = (T_given, np.eye(4)) if self.ordered else (T_given,)
-        best_fit = max((search(source, self.maps[near], T) for T in starts), key=score)
+        best_fit = max((search(source, self.maps[near], T) for T in starts), key=registration_score)
         if agrees_as_well(measure(source, [self.maps[near]], [T_given], self.every), best_fit):
             return best
         as_given = self._check(frame, [near], coarsest=1)
-        known = 0.0 if as_given is None else score(as_given.registration)
-        return disagreement(source, T_given, best_fit) if score(best_fit) > known + CLEARLY_BETTER else best
+        known = 0.0 if as_given is None else registration_score(as_given.registration)
+        return (
+            disagreement(source, T_given, best_fit)
+            if registration_score(best_fit) > known + CLEARLY_BETTER
+            else best
+        )
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
         """Compare with an earlier frame; if that is not accepted, start from zero motion."""

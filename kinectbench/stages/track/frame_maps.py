@@ -33,7 +33,7 @@ from kinectbench.stages.track.map_kernels import (
     normal_differences,
     normals_of,
     reduced_depth,
-    smoothed,
+    smoothed_depth,
 )
 
 WORKING_WIDTH_PX = 320
@@ -258,7 +258,7 @@ def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] |
 def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
     intrinsics = camera.intrinsics
     smooth, differ = (np.float32(max(least, slope / camera.fx)) for least, slope in SAME_SURFACE)
-    normals = normals_of(smoothed(depth_m, smooth), intrinsics, differ)
+    normals = normals_of(smoothed_depth(depth_m, smooth), intrinsics, differ)
     points = chosen_points(depth_m, normals, intensity, intrinsics, n_points)
     return Level(camera, depth_m, normals, intensity, points, _normal_noise(normals, depth_m, intrinsics))
 

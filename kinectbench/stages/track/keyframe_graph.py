@@ -13,7 +13,7 @@ from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import KeyframeThumbnail, covisible, keyframe_thumbnail
-from kinectbench.stages.track.depth_calibration import View, calibrate, evenly_chosen
+from kinectbench.stages.track.depth_calibration import CalibrationView, calibrate, evenly_chosen
 from kinectbench.stages.track.features import FeatureCache, pose_from_features, similarity
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Odometry, is_accepted, point_stride
@@ -246,9 +246,9 @@ class _Builder:
         for t in along:
             self.constraints[t] = self._again(self.constraints[t])
 
-    def _view(self, a: int, b: int) -> View:
+    def _view(self, a: int, b: int) -> CalibrationView:
         target, source = (self.maps[self.keyframes[row]][0] for row in (a, b))
-        return View(source, target, self._between(a, b))
+        return CalibrationView(source, target, self._between(a, b))
 
     def _ends(self, each: Constraint) -> tuple[int, int]:
         return self.row[each.a], self.row[each.b]

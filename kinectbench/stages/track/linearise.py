@@ -157,7 +157,7 @@ def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def mirrored(lower):  # type: ignore[no-untyped-def]
+def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
     """The symmetric matrix of a lower triangle."""
     return lower + np.tril(lower, -1).T
 
@@ -282,5 +282,5 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
         if with_observability:
             add_products(S, J, normal_weights, m)
             add_products(M, places, inlying, m)
-    sums = mirrored(A), mirrored(P), mirrored(S), mirrored(M)
+    sums = symmetric_matrix(A), symmetric_matrix(P), symmetric_matrix(S), symmetric_matrix(M)
     return sums, inliers, violations, compared, squares, variances

@@ -71,7 +71,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def smoothed(depth_m, gate):  # type: ignore[no-untyped-def]
+def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
     """Mean over 5 x 5 pixels of the same surface; used for normals only."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)

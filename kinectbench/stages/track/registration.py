@@ -257,14 +257,14 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
     return Observability(signal_to_noise / noise, motions, metric)
 
 
-def score(registration: Registration) -> float:
+def registration_score(registration: Registration) -> float:
     """The score of a registration: 1.25 at most, 1 without intensity."""
     return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
 
 
 def better(best: Registration | None, other: Registration) -> Registration:
     """The registration with the higher score; the first if they are equal."""
-    return other if best is None or score(other) > score(best) else best
+    return other if best is None or registration_score(other) > registration_score(best) else best
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
@@ -277,7 +277,9 @@ def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registrati
     starts.sort(key=lambda T: -_score_at(linearise(points, maps, T, SEARCH_GATE_M), points))
     settled = [_settle(points, maps, T) for T in [T_settled, *starts[:SETTLED]]]
     settled.sort(key=lambda result: -_score_at(result[1], points))
-    return max((register(source, [target], [T], coarsest=1) for T, _ in settled[:REGISTERED]), key=score)
+    return max(
+        (register(source, [target], [T], coarsest=1) for T, _ in settled[:REGISTERED]), key=registration_score
+    )
 
 
 def _settle(points: Level, maps: Level, T: Float64) -> tuple[Float64, LinearTerms]:

@@ -179,10 +179,10 @@ def test_as_evo_on_synthetic_trajectories(seed):
 @pytest.mark.skipif(not DATA.is_dir(), reason="KINECTBENCH_DATA does not name a folder with evo_trajectories")
 @pytest.mark.parametrize("name", ["rgbdslam", "rgbdslam_drift", "ORB_kf_mono"])
 def test_as_evo_on_real_trajectories(name):
-    from kinectbench.core.trajectory.trajectory_file import read_trajectory
+    from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 
-    reference, _ = read_trajectory(DATA / "freiburg1_xyz-groundtruth.txt")
-    estimate, _ = read_trajectory(DATA / f"freiburg1_xyz-{name}.txt")
+    reference, _ = read_trajectory_file(DATA / "freiburg1_xyz-groundtruth.txt")
+    estimate, _ = read_trajectory_file(DATA / f"freiburg1_xyz-{name}.txt")
     i, j = match_stamps(estimate.stamps_ns, reference.stamps_ns)
     assert len(i) > 0.9 * len(estimate.stamps_ns)
     assert len(set(j)) == len(j)

@@ -13,7 +13,7 @@ from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import check_unit, first_by_stamp, format_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.trajectory_file import (
-    read_trajectory,
+    read_trajectory_file,
     trajectory_from_matrices,
     trajectory_text,
 )
@@ -48,7 +48,7 @@ def write(path: Path, *rows: str) -> Path:
 
 def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
     file = write(tmp_path / "t.txt", "# c", "2 1 0 0 0 0 0 1", "", "1.5 0 0 0 0 0 0.6 0.8", "2 1 0 0 0 0 0 1")
-    trajectory, warnings = read_trajectory(file)
+    trajectory, warnings = read_trajectory_file(file)
     assert trajectory.stamps_ns.tolist() == [1_500_000_000, 2_000_000_000]
     assert warnings == [
         f"{file}: 1 poses repeat the stamp of an earlier row and were left out",
@@ -74,15 +74,15 @@ def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
 )
 def test_bad_rows_are_named(tmp_path: Path, row: str, message: str) -> None:
     with pytest.raises(RecordingError, match=f"t.txt, {message}"):
-        read_trajectory(write(tmp_path / "t.txt", "0 0 0 0 0 0 0 1", row))
+        read_trajectory_file(write(tmp_path / "t.txt", "0 0 0 0 0 0 0 1", row))
 
 
 def test_files_that_are_no_trajectory(tmp_path: Path) -> None:
     with raises(RecordingError, "recording.bad-poses", match="trajectory is empty"):
-        read_trajectory(write(tmp_path / "t.txt", "# nothing"))
+        read_trajectory_file(write(tmp_path / "t.txt", "# nothing"))
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00")
     with raises(RecordingError, "recording.malformed", match=r"b\.txt"):
-        read_trajectory(tmp_path / "b.txt")
+        read_trajectory_file(tmp_path / "b.txt")
 
 
 def test_round_trip_is_exact(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     T = np.stack([rigid(r, rng.normal(size=3)) for r in rotations])
     stamps_ns = np.sort(rng.integers(0, 2**60, 50))
     (tmp_path / "t.txt").write_text(trajectory_text(GivenTrajectory(stamps_ns, T)))
-    again, warnings = read_trajectory(tmp_path / "t.txt")
+    again, warnings = read_trajectory_file(tmp_path / "t.txt")
     assert warnings == []
     np.testing.assert_array_equal(again.stamps_ns, stamps_ns)
     np.testing.assert_array_equal(again.T_world_camera[:, :3, 3], T[:, :3, 3])

@@ -22,7 +22,7 @@ from kinectbench.core.geometry.mesh import box_mesh, join
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.surface_points import sample_surface
-from kinectbench.lab.evaluate.build import Registration, register
+from kinectbench.lab.evaluate.build import BuildRegistration, register_build
 from kinectbench.lab.evaluate.known import (
     Voxels,
     calibration,
@@ -53,7 +53,7 @@ SIDE_M = 0.2
 # A cube on a floor, and a grid of 64^3 voxels whose cells end at its faces.
 CUBE = OrientedBox((0.0, 0.0, SIDE_M / 2), (SIDE_M, SIDE_M, SIDE_M))
 GRID = Grid((64, 64, 64), VOXEL_M, rigid(np.eye(3), [-0.16, -0.16, -0.06]))
-HERE = Registration(np.arange(60), np.ones(60, bool), np.eye(4), True)
+HERE = BuildRegistration(np.arange(60), np.ones(60, bool), np.eye(4), True)
 
 
 def cube_truth(truth: Truth) -> Truth:
@@ -222,7 +222,7 @@ def test_depth_that_was_returned_by_hand():
 
 
 def test_measured_surface_of_a_chair(perfect: Known):
-    surface = measured_surface(perfect.build, perfect.truth, register(perfect.build, perfect.truth))
+    surface = measured_surface(perfect.build, perfect.truth, register_build(perfect.build, perfect.truth))
     points = transform_points(invert_rigid(T_WORLD_OBJECT), surface.points_world)
     up = surface.normals_world @ T_WORLD_OBJECT[:3, 2]
     seat = (np.abs(points[:, 2] - 0.47) < 1e-6) & (up > 0.9)
@@ -311,7 +311,7 @@ def test_the_estimate_and_its_interval(truth: Truth, low: float, high: float, in
         box=box, surface_sigma_m=0.0, estimated_iou=0.93, estimated_iou_low=low, estimated_iou_high=high
     )
     model = replace(known.build.model, quality=quality)
-    figures = solid_figures(model, truth, register(known.build, truth), everywhere(truth))
+    figures = solid_figures(model, truth, register_build(known.build, truth), everywhere(truth))
     assert figures.estimated_iou == 0.93
     assert (figures.estimated_iou_low, figures.estimated_iou_high) == (low, high)
     assert figures.iou_in_interval is inside  # the IoU is 1
@@ -321,7 +321,7 @@ def test_a_build_in_another_world(truth: Truth):
     T = rigid(T_WORLD_OBJECT[:3, :3].T, [1.0, -2.0, 0.5])
     known = known_build(truth, unknown_above_m=0.4, T_built_truth=T)
     assert known.build.model
-    registration = register(known.build, truth)
+    registration = register_build(known.build, truth)
     figures = solid_figures(known.build.model, truth, registration, everywhere(truth))
     assert figures.known_gross_share == 0
     # Of the shell around the surface, in and out, what lies above.

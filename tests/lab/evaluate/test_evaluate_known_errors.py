@@ -15,9 +15,15 @@ from kinectbench.core.geometry import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
-from kinectbench.lab.evaluate.build import register
+from kinectbench.lab.evaluate.build import register_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
-from kinectbench.lab.evaluate.solid import Solids, canonical_cube, compare_on, overlap, reduced
+from kinectbench.lab.evaluate.solid import (
+    EvaluatedSolids,
+    canonical_cube,
+    compare_on,
+    overlap,
+    reduced_solids,
+)
 from kinectbench.lab.evaluate.surface import surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import Truth
 
@@ -144,7 +150,7 @@ def test_solids_cell_by_cell(truth: Truth):
     )
     # Not every fourth centre, which would lie on the box's ends: a cube of other cells.
     grid = Grid((72, 72, 72), cube.size_m[0] / 72, cube.T_world_grid)
-    solids = compare_on(grid, known.build.model, truth, register(known.build, truth))
+    solids = compare_on(grid, known.build.model, truth, register_build(known.build, truth))
     centres = centres_object(grid)
     np.testing.assert_array_equal(solids.true, near_chair(centres, 0))
     assert np.count_nonzero(solids.built != near_chair(centres, 0.004)) <= 4  # beside the polyhedral balls
@@ -158,7 +164,7 @@ def test_majority_by_hand():
     built[4:, 4:, 4:] = known[:, :, 4:] = True
     judged = np.ones((8, 8, 8), bool)
     judged[4:, :4, :4] = False
-    coarse = reduced(Solids(true, built, known, judged, exact=true))
+    coarse = reduced_solids(EvaluatedSolids(true, built, known, judged, exact=true))
     assert np.argwhere(coarse.true).tolist() == [[0, 0, 0]]
     assert np.argwhere(coarse.built).tolist() == [[1, 1, 1]]
     found = overlap(coarse)

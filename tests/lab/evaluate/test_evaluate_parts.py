@@ -12,21 +12,21 @@ from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.core.geometry import TriangleMesh, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.voxels.pair_file import pack
-from kinectbench.lab.evaluate.build import Registration, register, true_frames
+from kinectbench.lab.evaluate.build import BuildRegistration, register_build, true_frames
 from kinectbench.lab.evaluate.evaluation import floor_figures, trajectory_figures
 from kinectbench.lab.evaluate.measured import MeasuredSurface
-from kinectbench.lab.evaluate.pairs import mask_figures, pair_figures, pair_row
+from kinectbench.lab.evaluate.pairs import evaluated_pair, mask_figures, pair_figures
 from kinectbench.lab.evaluate.refined import refined_figures
-from kinectbench.lab.evaluate.solid import iou, share
+from kinectbench.lab.evaluate.solid import grid_iou, share
 from kinectbench.lab.evaluate.surface import SurfaceErrors, surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.pairs import full_shape, make_pair
-from kinectbench.stages.sample_views.alignment import Alignment
+from kinectbench.stages.sample_views.alignment import ViewAlignment
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.planes import floor_frame
 
-HERE = Registration(np.arange(60), np.ones(60, bool), np.eye(4), True)
+HERE = BuildRegistration(np.arange(60), np.ones(60, bool), np.eye(4), True)
 
 
 def silent(_done: int, _total: int) -> None:
@@ -35,16 +35,16 @@ def silent(_done: int, _total: int) -> None:
 
 def test_overlap_by_hand():
     a = np.array([True, True, False, False])
-    assert iou(a, ~a) == 0
-    assert iou(a, np.array([True, False, True, False])) == pytest.approx(1 / 3)
-    assert iou(a & False, a & False) == 1
+    assert grid_iou(a, ~a) == 0
+    assert grid_iou(a, np.array([True, False, True, False])) == pytest.approx(1 / 3)
+    assert grid_iou(a & False, a & False) == 1
     assert share(a, of=np.array([True, False, False, True])) == 0.5
     assert share(a, of=a & False) == 0
 
 
 def test_a_shift_of_the_world_is_refined_away(perfect: Known, truth: Truth) -> None:
     """A perfect build, 2 mm too low and 1 mm aside: the motion undoes just that."""
-    model, placed = perfect.build.model, register(perfect.build, truth)
+    model, placed = perfect.build.model, register_build(perfect.build, truth)
     assert model is not None
     low = rigid(np.eye(3), 0.001 * truth.T_world_object[:3, 0] - 0.002 * truth.T_world_object[:3, 2])
     points, normals = truth.surface.points_world, truth.surface.normals_world
@@ -65,7 +65,7 @@ def test_nothing_measured_moves_nothing(perfect: Known, truth: Truth) -> None:
     points, normals = truth.surface.points_world, truth.surface.normals_world
     surface = MeasuredSurface(points, normals, np.zeros(len(points), np.bool_))
     assert perfect.build.model is not None
-    found = refined_figures(perfect.build.model, truth, register(perfect.build, truth), surface)
+    found = refined_figures(perfect.build.model, truth, register_build(perfect.build, truth), surface)
     assert (found.moved_m, found.measured_distance_m, found.refined_distance_m) == (0.0, None, None)
 
 
@@ -118,13 +118,13 @@ def test_a_sphere_of_which_half_was_seen(perfect: Known):
 def test_a_view_that_is_turned_into_the_wrong_place(perfect: Known):
     view, truth = perfect.build.views[2], perfect.truth  # type: ignore[index]
     shift = rigid(np.eye(3), [0.02, -0.01, 0.015])  # in the camera's axes
-    wrong = replace(view, alignment=Alignment(view.alignment.T_world_camera @ shift, 0.0, 0.0))
+    wrong = replace(view, alignment=ViewAlignment(view.alignment.T_world_camera @ shift, 0.0, 0.0))
     lenient = PairSettings(min_containment=0)
     shape = full_shape(perfect.build.model)  # type: ignore[arg-type]
     pair = make_pair(wrong, perfect.sequence, shape, lenient).pair
     assert pair is not None
     T_world_camera = truth.T_world_camera[view.frame]
-    row = pair_row(view.name, view.frame, pair, truth, T_world_camera)
+    row = evaluated_pair(view.name, view.frame, pair, truth, T_world_camera)
     # `full` lies off its place by the shift, turned into the object's axes.
     moved = chair().translate(T_WORLD_OBJECT[:3, :3].T @ T_world_camera[:3, :3] @ -shift[:3, 3])
     exact = (chair() ^ moved).volume() / (chair() + moved).volume()
@@ -135,7 +135,7 @@ def test_a_view_that_is_turned_into_the_wrong_place(perfect: Known):
     assert perfect.build.views
     whole = pair_figures(
         replace(perfect.build, pair=lambda name: pair if name == view.name else perfect.pairs[name]),
-        truth, register(perfect.build, truth), silent,
+        truth, register_build(perfect.build, truth), silent,
     )  # fmt: skip
     assert whole.iou and whole.iou.worst_view == view.name
     assert whole.iou.worst == row.iou
@@ -153,7 +153,7 @@ def test_containment_by_hand(perfect: Known):
     cells[0, 0, 0] = cells[1, 1, 1] = True  # one cell of 64^3, in an empty corner
     assert not full[:8, :8, :8].any()
     changed = replace(pair, partial_256=pack(cells))
-    assert pair_row(
+    assert evaluated_pair(
         name, 0, changed, truth, truth.T_world_camera[VIEW_FRAMES[1]]
     ).containment == pytest.approx(2 / 3)
 
@@ -206,7 +206,7 @@ def test_lost_rejected_and_foreign_frames(perfect: Known):
     truth = replace(perfect.truth, T_world_camera=true)
     built = replace(perfect.build, trajectory=replace(trajectory, T_world_camera=cameras, health=health))
     assert built.trajectory
-    figures = trajectory_figures(built.trajectory, truth, register(built, truth), built.stamps_ns)
+    figures = trajectory_figures(built.trajectory, truth, register_build(built, truth), built.stamps_ns)
     assert (figures.frames, figures.tracked, figures.lost) == (60, 57, (4, 10))
     assert figures.rejected == (9,)
     assert figures.foreign_tracked == (20,)
@@ -221,7 +221,7 @@ def test_two_poses_are_too_few_for_ate_but_align(perfect: Known):
     cameras = T @ trajectory.T_world_camera
     cameras[2:] = np.nan
     built = replace(perfect.build, trajectory=replace(trajectory, T_world_camera=cameras))
-    registration = register(built, perfect.truth)
+    registration = register_build(built, perfect.truth)
     np.testing.assert_allclose(registration.T_built_truth, T, atol=1e-9)
     of = perfect.truth, registration, built.stamps_ns
     assert trajectory_figures(built.trajectory, *of).error is None  # type: ignore[arg-type]
@@ -237,7 +237,7 @@ def test_the_clock_of_a_given_trajectory_is_judged_by_the_truth(perfect: Known, 
     poses = np.stack([rigid(np.eye(3), point) for point in wave_m])
     truth = replace(perfect.truth, T_world_camera=poses)
     given = GivenTrajectory(stamps_ns + late_ms * 1_000_000, poses)
-    figures = trajectory_figures(trajectory, truth, register(perfect.build, truth), stamps_ns, given)
+    figures = trajectory_figures(trajectory, truth, register_build(perfect.build, truth), stamps_ns, given)
     if not late_ms:
         assert figures.given_clock is None
     else:

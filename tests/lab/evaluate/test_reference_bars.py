@@ -9,9 +9,9 @@ from slow import slow
 
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
-from kinectbench.lab.evaluate.reference import figures
+from kinectbench.lab.evaluate.reference import reference_figures
 from kinectbench.stages.segment.reference.judge import Laid, lay
-from kinectbench.stages.segment.reference.register import mirrored, sampled
+from kinectbench.stages.segment.reference.register import mirror_image, sampled
 
 # None of them was looked at when the rules were chosen. A bottle and a stool have rotational symmetry.
 RIGHT = ["chair:7", "bottle:1", *map(slow, ["toy_car:1", "stool:0", "watering_can:2", "helmet:3"])]
@@ -68,14 +68,14 @@ def test_the_iou_is_that_of_the_two_solids(name: str) -> None:
     theirs, _ = moved(upright, 12)
     model = model_of(thicker(upright))
     laid = lay(model, theirs)
-    found = figures(model, laid, closed=True)
+    found = reference_figures(model, laid, closed=True)
     assert laid.pose is not None and found.iou is not None and found.whole_iou is not None
     exact = exact_iou(model.shape.mesh, theirs.transformed(laid.pose.T))
     assert exact < 0.995
     assert found.whole_iou == pytest.approx(exact, abs=0.01) and found.iou == pytest.approx(exact, abs=0.01)
     assert found.f_score_10mm is not None and found.f_score_10mm > 0.97
     # Of an open mesh there is no solid.
-    assert figures(model, laid, closed=False).iou is None
+    assert reference_figures(model, laid, closed=False).iou is None
 
 
 def test_distances_are_signed_by_direction() -> None:
@@ -84,7 +84,7 @@ def test_distances_are_signed_by_direction() -> None:
     wide = TriangleMesh((exact.vertices - [0.25, 0, 0]) * [0.504 / 0.5, 1, 1], exact.faces)
     model = model_of(wide)
     laid = lay(model, moved(exact, 13)[0])
-    found = figures(model, laid, closed=True).directions
+    found = reference_figures(model, laid, closed=True).directions
     assert laid.refused is None and found is not None
     wide_sides, other_sides, top = 2 * 0.3 * 0.4, 2 * 0.5 * 0.4, 0.5 * 0.3
     assert found.side.mean_m == pytest.approx(0.002 * wide_sides / (wide_sides + other_sides), abs=1e-4)
@@ -115,7 +115,7 @@ def of_one_size(mesh: TriangleMesh, other: TriangleMesh) -> TriangleMesh:
 )
 def test_a_wrong_mesh_is_refused(name: str, wrong: str, said: str) -> None:
     upright = drawn(name)
-    made = {"mirrored": lambda: mirrored(sampled(upright)).mesh, "larger": lambda: larger(upright)}
+    made = {"mirrored": lambda: mirror_image(sampled(upright)).mesh, "larger": lambda: larger(upright)}
     mesh = made[wrong]() if wrong in made else of_one_size(drawn(wrong), upright)
     found = lay(model_of(upright), moved(mesh, 14)[0])
     assert found.refused is not None and said in found.refused and "\n" not in found.refused

@@ -17,7 +17,7 @@ from kinectbench.core.extras import package_version
 from kinectbench.core.storage import canonical_json, sha256_text
 from kinectbench.lab.simulate.objects import PAPER_FURNITURE, make_object
 from kinectbench.lab.simulate.presets import PRESETS, preset_spec
-from kinectbench.lab.simulate.simulate import prepare, record
+from kinectbench.lab.simulate.simulate import prepare, record_frame
 
 PINS = Path(__file__).with_name("preset_pins.json")
 OBJECTS = tuple((family, seed) for family in PAPER_FURNITURE for seed in (0, 1, 2))
@@ -60,7 +60,7 @@ def object_pin(family: str, seed: int) -> dict[str, Any]:
 def preset_pin(name: str) -> dict[str, Any]:
     """Of a preset: its spec, its true path, and two frames as they are recorded."""
     simulation = prepare(preset_spec(name, {}))
-    frames = [record(simulation, index).frame for index in (0, len(simulation.frames) // 2)]
+    frames = [record_frame(simulation, index).frame for index in (0, len(simulation.frames) // 2)]
     pixels = b"".join(frame.depth_m.tobytes() + frame.color_rgb.tobytes() for frame in frames)
     return {
         "spec": spec_hash(name),

@@ -58,7 +58,9 @@ def least_width_m(points) -> float:
 
 def test_boxes_and_bars_have_their_exact_volume():
     assert shapes.box((-0.1, 0, 0.2), (0.3, 0.5, 0.5)).volume() == pytest.approx(0.4 * 0.5 * 0.3)
-    assert shapes.bar((0, 0, 0), (0.3, 0, 0.4), 0.02, 0.03).volume() == pytest.approx(0.5 * 0.02 * 0.03)
+    assert shapes.bar_between((0, 0, 0), (0.3, 0, 0.4), 0.02, 0.03).volume() == pytest.approx(
+        0.5 * 0.02 * 0.03
+    )
     # A leaning, tapered leg is a frustum: (A1 + A2 + sqrt(A1 A2)) h / 3.
     leg = shapes.leg((0.1, 0, 0), (0, 0, 0.6), (0.02, 0.02), (0.04, 0.04))
     assert leg.volume() == pytest.approx((0.0004 + 0.0016 + 0.0008) * 0.6 / 3)

@@ -6,11 +6,11 @@ from references import axial_sigma_m, depth_step_m, lateral_sigma_px
 
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate.kinect import (
-    Device,
     KinectNoise,
+    KinectUnit,
     displace,
     draw_device,
-    measure,
+    measured_depth,
     projector_lit,
     sense,
 )
@@ -33,8 +33,10 @@ def rendering(depth_m, cosine=1.0, albedo=0.6):
 def measured(exact, distortion=0.0, sunlight=0.0, seed=0, **changed):
     """Measured depth without the blind columns."""
     device = draw_device(CAMERA, distortion, sunlight, np.random.default_rng(seed))
-    device = Device(NOISE._replace(**changed), device.distortion_px, sunlight)
-    return measure(exact, CAMERA, device, np.random.default_rng(seed + 1))[:, :-BLIND].astype(np.float64)
+    device = KinectUnit(NOISE._replace(**changed), device.distortion_px, sunlight)
+    return measured_depth(exact, CAMERA, device, np.random.default_rng(seed + 1))[:, :-BLIND].astype(
+        np.float64
+    )
 
 
 def errors_m(depth_m, cosine=1.0, **settings):
@@ -94,7 +96,7 @@ def test_depth_out_of_range_is_no_measurement():
 
 def test_the_columns_at_the_right_are_blind():
     device = draw_device(CAMERA, 0.0, 0.0, np.random.default_rng(0))
-    found = measure(rendering(1.0), CAMERA, device, np.random.default_rng(0))
+    found = measured_depth(rendering(1.0), CAMERA, device, np.random.default_rng(0))
     assert not found[:, -5:].any()
     assert (found[:, :-5] > 0).mean() > 0.99
 
@@ -219,7 +221,7 @@ def test_distortion_is_smooth_and_has_its_size():
 @pytest.mark.parametrize("depth_m", [1.0, 2.0, 4.0])
 def test_distortion_grows_with_the_square_of_depth(depth_m):
     device = draw_device(CAMERA, 2.5, 0.0, np.random.default_rng(1))
-    frames = [measure(rendering(depth_m), CAMERA, device, np.random.default_rng(s)) for s in range(12)]
+    frames = [measured_depth(rendering(depth_m), CAMERA, device, np.random.default_rng(s)) for s in range(12)]
     frames = np.where(np.stack(frames) > 0, frames, np.nan)[:, :, :-8]
     expected_m = -device.distortion_px[:, :-8] * depth_m**2 / (580 * 0.075)
     tiles = (slice(None, 296), slice(None, 392))

@@ -17,7 +17,7 @@ from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_of
 from kinectbench.lab.simulate import presets
-from kinectbench.lab.simulate.simulate import prepare, record, simulate
+from kinectbench.lab.simulate.simulate import prepare, record_frame, simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
 from kinectbench.lab.simulate.writers import formats
@@ -154,19 +154,19 @@ def test_foreign_frames_show_something_else_and_have_no_truth(tmp_path):
     assert np.isnan(truth.T_world_camera[2]).all()
     assert np.isfinite(truth.T_world_camera[[0, 1, 3, 4]]).all()
     assert not truth.mask(2).any()
-    own = record(prepare(spec_of(path={"frames": 5}, sensor={"model": "ideal"})), 2)
+    own = record_frame(prepare(spec_of(path={"frames": 5}, sensor={"model": "ideal"})), 2)
     assert np.abs(truth.depth_m(2) - own.depth_m).mean() > 0.05
     assert len(open_recording(tmp_path / "r", None).given_trajectory.stamps_ns) == 5
 
 
 def test_unregistered_colour_is_shifted_and_mis_scaled_depth_is_scaled():
     registered, beside = (
-        record(prepare(spec_of(sensor={"model": "ideal", "color_registered": flag})), 0)
+        record_frame(prepare(spec_of(sensor={"model": "ideal", "color_registered": flag})), 0)
         for flag in (True, False)
     )
     assert np.array_equal(registered.frame.depth_m, beside.frame.depth_m)
     assert not np.array_equal(registered.frame.color_rgb, beside.frame.color_rgb)
-    scaled = record(prepare(spec_of(sensor={"model": "ideal"}, faults={"scale_error": 1.1})), 0)
+    scaled = record_frame(prepare(spec_of(sensor={"model": "ideal"}, faults={"scale_error": 1.1})), 0)
     assert np.allclose(scaled.frame.depth_m, registered.frame.depth_m * 1.1)
     assert np.array_equal(scaled.depth_m, registered.depth_m)
 
@@ -272,7 +272,7 @@ def test_every_frame_of_the_samples_shows_the_subject():
     for spec in {**presets.SAMPLES, **presets.DEMO}.values():
         simulation = prepare(spec)
         for index in range(0, spec.path.frames, 15):
-            recorded = record(simulation, index)
+            recorded = record_frame(simulation, index)
             assert recorded.mask.sum() > 1500
             # A table top seen edge-on loses most.
             assert (recorded.frame.depth_m[recorded.mask] > 0).mean() > 0.5
@@ -285,12 +285,12 @@ def test_a_rolling_shutter_takes_each_row_when_it_is_read(registered):
     sensor = {"model": "ideal", "color_delay_s": 0.02, "color_registered": registered, "readout_s": 0.03}
     rolled = prepare(spec_of(object="chair:seed=7", path=turning, sensor=sensor))
     at_once = prepare(spec_of(object="chair:seed=7", path=turning, sensor={**sensor, "readout_s": 0.0}))
-    found, middle = record(rolled, 5), record(at_once, 5)
+    found, middle = record_frame(rolled, 5), record_frame(at_once, 5)
     assert not np.array_equal(found.depth_m, middle.depth_m)
     plan = at_once.frames[5]
     for row in (0, 40, 119):
         time_s = plan.time_s + 0.03 * (row / 119 - 0.5)
-        then = record(replace(at_once, frames=(replace(plan, time_s=time_s),)), 0)
+        then = record_frame(replace(at_once, frames=(replace(plan, time_s=time_s),)), 0)
         np.testing.assert_allclose(found.depth_m[row], then.depth_m[row], atol=1e-5)
         assert np.abs(found.frame.color_rgb[row].astype(int) - then.frame.color_rgb[row]).max() <= 2
         assert not np.array_equal(found.depth_m[row], middle.depth_m[row])

@@ -9,7 +9,7 @@ from raising import raises
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.lab.simulate.presets import preset_spec
-from kinectbench.lab.simulate.simulate import prepare, record
+from kinectbench.lab.simulate.simulate import prepare, record_frame
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.still_camera import StillRenderer
 
@@ -38,7 +38,7 @@ def test_a_colour_camera_beside_depth_sees_the_room_from_beside(moves: str, dela
         T_room_own = simulation.path.poses(np.array([planned.time_s + delay_s]))[0]
         own = renderer.own.render(rig.color, T_room_own @ invert_rigid(rig.T_color_depth))
         nothing = own.depth_m == 0
-        seen = record(simulation, index).frame.color_rgb
+        seen = record_frame(simulation, index).frame.color_rgb
         np.testing.assert_array_equal(seen[nothing], around.color_rgb[nothing])
         # It is not what depth sees: the baseline shifts the table by several pixels.
         assert (seen[nothing] != from_depth.color_rgb[nothing]).any(axis=-1).mean() > 0.3

@@ -8,7 +8,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.lab.simulate.render import Rendering
-from kinectbench.lab.simulate.simulate import prepare, record
+from kinectbench.lab.simulate.simulate import prepare, record_frame
 from kinectbench.lab.simulate.spec import MIN_RANGE_M, NATIVE, SimulationSpec
 from kinectbench.lab.simulate.time_of_flight import (
     AZURE_KINECT,
@@ -221,8 +221,8 @@ def test_images_have_the_sensors_own_size_unless_it_is_said():
 def test_a_chair_is_recorded(model):
     size = ["sensor.width=160", f"sensor.height={160 * NATIVE[model][2] // NATIVE[model][1]}"]
     spec = preset_spec("orbit-v1", {"path": {"frames": 3}}, [f"sensor.model={model}", *size])
-    recorded = record(prepare(spec), 1)
-    frame, again = recorded.frame, record(prepare(spec), 1).frame
+    recorded = record_frame(prepare(spec), 1)
+    frame, again = recorded.frame, record_frame(prepare(spec), 1).frame
     assert np.array_equal(frame.depth_m, again.depth_m)
     both = recorded.mask & (frame.depth_m > 0)
     assert both.sum() > 0.6 * recorded.mask.sum()

@@ -8,7 +8,7 @@ from ingest_writers import color_image, depth_image
 
 from kinectbench.core.geometry import Camera
 from kinectbench.lab.simulate.presets import preset_spec
-from kinectbench.lab.simulate.simulate import prepare, record
+from kinectbench.lab.simulate.simulate import prepare, record_frame
 from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.lab.simulate.writers.frame import ColorImage
 from kinectbench.settings.models import CameraSettings
@@ -56,7 +56,7 @@ def test_a_simulated_recording_has_both_rates() -> None:
         "sensor": {"model": "ideal", "width": 40, "height": 30, "color_rate_hz": 20, "color_delay_s": 0.01},
     }
     simulation = prepare(preset_spec("orbit-v1", changes))
-    made = [record(simulation, index).frame for index in range(7)]
+    made = [record_frame(simulation, index).frame for index in range(7)]
     color_ns = np.array([color.stamp_ns for frame in made for color in frame.colors])
     assert len(color_ns) == 12 and set(np.diff(color_ns)) == {50_000_000}
     assert color_ns[0] - made[0].stamp_ns == 10_000_000

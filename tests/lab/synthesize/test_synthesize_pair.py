@@ -13,7 +13,7 @@ from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair
+from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
 from kinectbench.release.check.pair_check import pair_problems
 
@@ -26,7 +26,7 @@ def made(
     shape: trimesh.Trimesh, view: ViewAngles = VIEW, settings: SynthesisSettings = SETTINGS
 ) -> tuple[Pair, str | None]:
     checked = check_mesh(mesh_of(shape), 10**6)
-    return make_pair(checked, DepthCamera(checked.mesh, CAMERA), view, settings)
+    return make_synthetic_pair(checked, DepthCamera(checked.mesh, CAMERA), view, settings)
 
 
 def pair_of(shape: trimesh.Trimesh, view: ViewAngles = VIEW) -> Pair:
@@ -151,9 +151,9 @@ def test_a_seeable_solid_holds_what_no_camera_could_see() -> None:
     eye = DepthCamera(checked.mesh, CAMERA)
     view = ViewAngles((0, 0, 0), 6)
     by = {
-        "mesh": make_pair(checked, eye, view, SETTINGS)[0],
-        "standing": make_pair(as_seeable(checked, "y"), eye, view, SETTINGS)[0],
-        "lying": make_pair(as_seeable(checked, "z"), eye, view, SynthesisSettings(up="z"))[0],
+        "mesh": make_synthetic_pair(checked, eye, view, SETTINGS)[0],
+        "standing": make_synthetic_pair(as_seeable(checked, "y"), eye, view, SETTINGS)[0],
+        "lying": make_synthetic_pair(as_seeable(checked, "z"), eye, view, SynthesisSettings(up="z"))[0],
     }
     hollow = (0.4 * 0.35 * 0.5) / (0.5 * 0.4 * 0.6)
     box = 1 / by["mesh"].voxel_size_m ** 3 * 0.5 * 0.4 * 0.6
@@ -177,7 +177,7 @@ def test_walls_thinner_than_a_cell_are_refused():
     sheet = mesh_of(trimesh.creation.box([1.0, 1.0, 1e-5]))
     checked = CheckedMesh(TriangleMesh(sheet.vertices, sheet.faces), "winding")
     eye = DepthCamera(checked.mesh, CAMERA)
-    reasons = {make_pair(checked, eye, view, SETTINGS)[1] for view in all_views(2)}
+    reasons = {make_synthetic_pair(checked, eye, view, SETTINGS)[1] for view in all_views(2)}
     assert reasons and all(reason for reason in reasons)
 
 

@@ -9,7 +9,7 @@ from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.lab.synthesize.mesh_check import check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_pair, recgan_bytes
+from kinectbench.lab.synthesize.pair import make_synthetic_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
 from kinectbench.release.exchange.layouts import recgan_path
 
@@ -20,7 +20,7 @@ VIEWS = [view for view in all_views(5) if view.name in ("0_0_0", "0_1_2", "3_4_1
 def pairs() -> list[Pair]:
     checked = check_mesh(mesh_of(asymmetric()), 100)
     eye = DepthCamera(checked.mesh, virtual_camera(320))
-    return [make_pair(checked, eye, view, SynthesisSettings(up="y"))[0] for view in VIEWS]
+    return [make_synthetic_pair(checked, eye, view, SynthesisSettings(up="y"))[0] for view in VIEWS]
 
 
 @pytest.mark.parametrize("n", range(len(VIEWS)))
@@ -53,7 +53,7 @@ def test_back_projection_in_their_axes_falls_onto_the_shape():
     checked = check_mesh(mesh_of(asymmetric()), 100)
     camera = virtual_camera(320)
     eye = DepthCamera(checked.mesh, camera)
-    pair = make_pair(checked, eye, VIEWS[1], SynthesisSettings(up="y"))[0]
+    pair = make_synthetic_pair(checked, eye, VIEWS[1], SynthesisSettings(up="y"))[0]
     depth_m = eye.depth_m(pair.T_world_camera)
     v, u = np.nonzero(depth_m)
     z = depth_m[v, u].astype(float)

@@ -168,7 +168,7 @@ def _made_up(folder: Path) -> None:
     from kinectbench.core.artefacts.counted import CountedPair
     from kinectbench.core.storage import canonical_json
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.pair_result import Job, count_job
+    from kinectbench.scoring.pair_result import PairJob, count_job
     from kinectbench.scoring.score import counting_of
 
     release = open_release(folder / "release")
@@ -177,7 +177,7 @@ def _made_up(folder: Path) -> None:
     for target in release.targets:
         file = folder / "predictions" / target.recording / f"{target.view}.npy"
         threshold = None if target.split == "validation" else 0.5
-        job = Job(target, release.pair_path(target), file, threshold, counting)
+        job = PairJob(target, release.pair_path(target), file, threshold, counting)
         result = count_job(job)
         assert not isinstance(result, str)
         said = CountedPair(pair=target.name, key=job.key(result.digest), result=result).json_value()

@@ -25,9 +25,9 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.voxels.npz import load_arrays
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.adapters.registry import ADAPTERS, adapt, export_for
-from kinectbench.scoring.camera_predictions import CameraFile, load_camera_shape
+from kinectbench.scoring.camera_predictions import CameraPredictionFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
-from kinectbench.scoring.depth_agreement import surface_points
+from kinectbench.scoring.depth_agreement import shape_points
 
 MM = 1e-3
 
@@ -55,7 +55,7 @@ def true_distance_m(target: Target, points: np.ndarray) -> np.ndarray:
 def fake(name: str, target: Target, folder: Path) -> None:
     """What the method writes if it knows the truth."""
     mesh = true_in_camera(target)
-    points = surface_points(mesh)
+    points = shape_points(mesh)
     T = np.array(json.loads((folder / "camera.json").read_text())["T_camera_method"])
     if name == "rayst3r":
         outputs.rayst3r(folder, points)
@@ -91,7 +91,7 @@ def test_a_round_trip_gives_the_truth_within_a_millimetre(
     for target in published.targets:
         (path,) = (tmp_path / "out").glob(f"{target.name}.*")
         assert path.suffix == (".npz" if name == "patchcomplete" else ".ply")
-        shape = load_camera_shape(CameraFile(target, target.name, path), method)
+        shape = load_camera_shape(CameraPredictionFile(target, target.name, path), method)
         truth = true_in_camera(target)
         if name == "sam3d":
             np.testing.assert_array_equal(shape.faces, truth.faces)
@@ -103,7 +103,7 @@ def test_a_round_trip_gives_the_truth_within_a_millimetre(
             inside = true_distance_m(target, centers) < 0
             assert (cells.ravel() == inside).mean() > 0.9995 and cells.sum() > 1000
         else:
-            np.testing.assert_allclose(shape.points_m, surface_points(truth), rtol=0, atol=MM)
+            np.testing.assert_allclose(shape.points_m, shape_points(truth), rtol=0, atol=MM)
     if name == "octmae":
         assert shape.normals is not None
         rays = shape.points_m / np.linalg.norm(shape.points_m, axis=1, keepdims=True)
@@ -125,7 +125,7 @@ def test_a_wrong_reading_of_sam3d_is_not_within_a_millimetre(published: Release,
     np.savez(folder / "pose.npz", **pose | {"rotation": pose["rotation"] * [[1, -1, -1, -1]]})
     adapt(published, "sam3d", tmp_path, tmp_path / "out")
     path = tmp_path / "out" / f"{target.name}.ply"
-    shape = load_camera_shape(CameraFile(target, target.name, path), method_of(tmp_path / "out"))
+    shape = load_camera_shape(CameraPredictionFile(target, target.name, path), method_of(tmp_path / "out"))
     far = np.linalg.norm(shape.points_m - mesh.points_m - [0, 0.1, 0], axis=1)
     assert np.median(far) > 0.1
 

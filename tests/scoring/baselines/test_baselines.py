@@ -24,7 +24,7 @@ from kinectbench.report.run import write_galleries
 from kinectbench.scoring.baselines.beside import baselines_beside
 from kinectbench.scoring.baselines.counted import score_baselines
 from kinectbench.scoring.baselines.hull import carved_hull, extruded, hull, silhouette
-from kinectbench.scoring.baselines.inputs import Inputs, Training, read_training, up_in_grid
+from kinectbench.scoring.baselines.inputs import Inputs, TrainingTruth, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
 from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
 from kinectbench.scoring.baselines.predict import BaselineTask, possible_baselines, predicted, write_baselines
@@ -254,7 +254,7 @@ def test_baselines_that_learn(release: Release) -> None:
     )
     trained = Release(release.folder, targets, release.metadata)
     training = read_training(trained, "chair")
-    assert isinstance(training, Training) and read_training(release, "chair") is None
+    assert isinstance(training, TrainingTruth) and read_training(release, "chair") is None
     pairs = [read_pair(trained.pair_path(target)) for target in targets if target.category == "chair"]
     blocks = [unpack(pair.full).reshape(64, 4, 64, 4, 64, 4).mean(axis=(1, 3, 5)) for pair in pairs]
     given = replace(inputs(pairs[1]), training=training)

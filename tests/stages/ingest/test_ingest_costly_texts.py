@@ -15,7 +15,7 @@ from test_ingest_phones_bop import bop, scanner_app
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import MOST_ROWS, text_rows
-from kinectbench.stages.ingest.intrinsics import FRAME_JSON_BYTES, number_of, numbers_of, object_of
+from kinectbench.stages.ingest.intrinsics import FRAME_JSON_BYTES, json_numbers, number_of, object_of
 from kinectbench.stages.ingest.readers import open_recording
 
 CAMERA = {"fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "w": 64, "h": 48}
@@ -75,7 +75,7 @@ def test_what_is_no_number_is_quoted_in_short(value: Any) -> None:
     with raises(RecordingError, "recording.malformed", match="number, not") as told:
         number_of(value, "f: 'w'")
     assert len(str(told.value)) < 120 and str(told.value).isprintable()
-    assert numbers_of([value, 1]).shape in ((0,), (2,))
+    assert json_numbers([value, 1]).shape in ((0,), (2,))
 
 
 def test_json_of_strangers_is_bounded_by_its_values_too() -> None:

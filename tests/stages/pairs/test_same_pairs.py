@@ -19,7 +19,7 @@ from kinectbench.settings.models import CameraSettings, PairSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.pairs import FullShape, make_pair
-from kinectbench.stages.sample_views.alignment import Alignment
+from kinectbench.stages.sample_views.alignment import ViewAlignment
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import View
 
@@ -71,7 +71,7 @@ def source() -> Source:
         frames.append(Stored(stamp_ns, mm / np.float32(1000), stamp_ns, rgb, T, jpeg=jpeg))
     mask = depth_of([surface], CAMERA, poses[2]) > 0
     fit = ViewFit(int(mask.sum()), 1.0, 0.0, 0.0, 1.0, 0.0)
-    view = View("000", 2, frames[2].stamp_ns, "random", Alignment(poses[2], 0.0, 0.0), mask, fit)
+    view = View("000", 2, frames[2].stamp_ns, "random", ViewAlignment(poses[2], 0.0, 0.0), mask, fit)
     mesh = TriangleMesh(CRATE.corners_floor(), BOX_FACES)
     grid = Grid((40, 40, 24), 0.05, rigid(np.eye(3), [-1.0, -1.0, -0.4]))
     known = known_grid(grid, np.ones(grid.shape, bool))

@@ -214,7 +214,7 @@ def test_of_many_planes_the_surface_is_measured_once(monkeypatch):
     ground = np.stack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.zeros((50, 50))], -1) / 100
     points = ground.reshape(-1, 3)
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-    surface = planes.Surface(points, up, np.array([0.25, 0.25, 0.1]), 0.02)
+    surface = planes.SceneSurface(points, up, np.array([0.25, 0.25, 0.1]), 0.02)
     for height_m in (0.0, -0.1, -0.2):
         planes.carries_what_is_looked_at(np.array([0.0, 0.0, 1.0, height_m]), surface)
     assert made == [2500] and surface.spacing_m == pytest.approx(0.01)

@@ -6,7 +6,7 @@ from tracking_scenes import couch
 
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.depth import NO_CALIBRATION, TERMS, DepthCalibration
-from kinectbench.stages.track.depth_calibration import View, calibrate, calibrate_posed
+from kinectbench.stages.track.depth_calibration import CalibrationView, calibrate, calibrate_posed
 from kinectbench.stages.track.frame_maps import STORED_PER_M, FrameMaps, MapCache
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -25,9 +25,9 @@ def distorted(coefficients: np.ndarray) -> list[FrameMaps]:
     return [maps[index] for index in range(24)]
 
 
-def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[View]:
+def views(frames: list[FrameMaps], pairs: list[tuple[int, int]]) -> list[CalibrationView]:
     T = couch().simulation.T_world_camera
-    return [View(frames[b][0], frames[a][0], invert_rigid(T[a]) @ T[b]) for a, b in pairs]
+    return [CalibrationView(frames[b][0], frames[a][0], invert_rigid(T[a]) @ T[b]) for a, b in pairs]
 
 
 def test_a_known_distortion_is_found():

@@ -10,7 +10,7 @@ from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Outline,
     Vector3,
-    bar,
+    bar_between,
     box,
     ellipse,
     leg,
@@ -88,7 +88,7 @@ def _spreaders(front: _Rails, rear: _Rails, z_m: float, look: Look) -> Parts:
     """Bars that hold the front and rear legs apart, one on each side."""
     a, b = front.at(z_m), rear.at(z_m)
     for s in SIDES:
-        shape = bar((s * a[0], a[1], z_m), (s * b[0], b[1], z_m), 0.014, 0.025)
+        shape = bar_between((s * a[0], a[1], z_m), (s * b[0], b[1], z_m), 0.014, 0.025)
         yield Part("spreader", shape, look)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.lab.simulate.objects import bases, looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
-from kinectbench.lab.simulate.objects.shapes import Vector2, bar, box, leg, rod
+from kinectbench.lab.simulate.objects.shapes import Vector2, bar_between, box, leg, rod
 
 # How far one part reaches into the next, so that the two are one solid; metres, own choice.
 JOINT_M = 0.002
@@ -77,7 +77,7 @@ def _open_shelves(draw: Draw) -> Parts:
     if behind == "crossed":
         a, b = heights[0], heights[-1]
         for s, deep in ((1, 0.014), (-1, 0.018)):
-            yield Part("brace", bar((-s * x, -y, a), (s * x, -y, b), deep, 0.025), frame)
+            yield Part("brace", bar_between((-s * x, -y, a), (s * x, -y, b), deep, 0.025), frame)
     elif behind == "rails":
         for z, s in product(heights, SIDES):
             rail = min(z + draw.between(0.06, 0.09), head - 0.012)

@@ -12,7 +12,7 @@ from kinectbench.lab.simulate.objects.shapes import (
     Points,
     Vector2,
     Vector3,
-    bar,
+    bar_between,
     box,
     leaned,
     leg,
@@ -215,7 +215,7 @@ def _tripod(draw: Draw) -> Parts:
     if draw.chance(0.5):
         z = 0.15 * top
         x = foot * (1 - 0.15) + 0.035 * 0.15
-        yield Part("cross bar", bar((-x, -slope * z, z), (x, -slope * z, z), 0.018, 0.035), wood)
+        yield Part("cross bar", bar_between((-x, -slope * z, z), (x, -slope * z, z), 0.018, 0.035), wood)
     room = top - low
     half = (draw.between(0.22, 0.42), min(draw.between(0.2, 0.42), 0.5 * room + 0.12))
     canvas, look = draw.between(0.016, 0.03), draw.pick(looks.CLOTHS + looks.PLASTICS[:1])

@@ -10,7 +10,7 @@ from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Vector2,
     Vector3,
-    bar,
+    bar_between,
     box,
     leg,
     rectangle,
@@ -224,7 +224,7 @@ def _trough_stand(draw: Draw, half_m: Vector2, z_m: Vector2, kind: str) -> Parts
             at = s * (x - inset)
             for z in (0.3 * low_m, low_m - 0.012):
                 reach = out + (y - 0.008 - out) * z / head
-                yield Part("cross bar", bar((at, -reach, z), (at, reach, z), 0.022, 0.04), wood)
+                yield Part("cross bar", bar_between((at, -reach, z), (at, reach, z), 0.022, 0.04), wood)
 
 
 def watering_can(draw: Draw) -> Parts:

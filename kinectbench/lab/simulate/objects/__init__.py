@@ -16,7 +16,7 @@ from kinectbench.lab.plugins import plugins
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair
 from kinectbench.lab.simulate.objects.couches import couch
-from kinectbench.lab.simulate.objects.joinery import Draw, Family, assemble
+from kinectbench.lab.simulate.objects.joinery import Draw, Family, glue
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.tables import table
 from kinectbench.settings.words import listed, near_miss
@@ -84,4 +84,4 @@ def make_object(family: str, seed: int) -> Subject:
     drawn = families()[family]
     kind = "furniture" if drawn.furniture else "object"
     origin = f"parametric {kind}: exact union of its pieces"
-    return assemble(f"{family}:seed={seed}", drawn.draw(Draw(rng)), origin)
+    return glue(f"{family}:seed={seed}", drawn.draw(Draw(rng)), origin)

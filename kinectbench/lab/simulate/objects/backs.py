@@ -10,7 +10,7 @@ from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import (
     Vector3,
-    bar,
+    bar_between,
     bowed,
     cushion,
     leaned,
@@ -110,7 +110,9 @@ def _cross(draw: Draw, back: Back) -> Parts:
     flat = replace(back, bow=0.0)
     for left, right in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         for z0, z1, deep in ((low, high, 0.016), (high, low, 0.018)):
-            yield Part("cross", bar(flat.point(left, z0), flat.point(right, z1), deep, 0.03), back.look)
+            yield Part(
+                "cross", bar_between(flat.point(left, z0), flat.point(right, z1), deep, 0.03), back.look
+            )
     for x in edges[1:-1].tolist():
         yield flat.upright("slat", x, back.seat - 0.01, back.top - 0.01, 0.03, 0.02)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.lab.simulate.objects.looks import Look
-from kinectbench.lab.simulate.objects.shapes import Piece, Subject, standing, surface, union
+from kinectbench.lab.simulate.objects.shapes import Piece, Subject, standing_shift, surface, union
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -86,7 +86,7 @@ class Family:
     closed_below: bool = False
 
 
-def assemble(name: str, parts: Parts, origin: str) -> Subject:
+def glue(name: str, parts: Parts, origin: str) -> Subject:
     """Glue parts to one solid, centred by its bounding box at x = y = 0 and standing on z = 0.
 
     Args:
@@ -98,7 +98,7 @@ def assemble(name: str, parts: Parts, origin: str) -> Subject:
     whole = union([part.shape for part in glued])
     # Where round parts fit into one another, a crack may be shut in: it is filled.
     mesh = surface(union([body for body in whole.decompose() if body.volume() > 0]))
-    shift = standing(mesh)
+    shift = standing_shift(mesh)
 
     def placed(mesh: TriangleMesh) -> TriangleMesh:
         return TriangleMesh(mesh.vertices + shift, mesh.faces)

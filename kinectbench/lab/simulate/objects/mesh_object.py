@@ -11,8 +11,8 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import join, raycaster
 from kinectbench.core.types import Float64, Int64
-from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged, open_edges, united
-from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing, surface
+from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged_vertices, open_edges, united
+from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing_shift, surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -53,16 +53,16 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     T = np.eye(4)
     if up == "y":
         T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    place = rigid(np.eye(3), standing(whole.transformed(T))) @ T
+    place = rigid(np.eye(3), standing_shift(whole.transformed(T))) @ T
     parts = [(mesh.transformed(place), color) for mesh, color in parts]
-    whole = merged(whole.transformed(place))
+    whole = merged_vertices(whole.transformed(place))
     if (exact := _closed_by_filling(whole)) is not None:
         mesh, origin, as_drawn = exact
         pieces = [Piece(f"part {at + 1}", part, color, ALBEDO) for at, (part, color) in enumerate(parts)]
         return Subject(path.name, tuple(pieces if as_drawn else _painted(mesh, parts)), mesh, origin)
     mesh, origin = _closed_by_voxels(path, whole)
     # The solid is a little larger than the drawing.
-    place = rigid(np.eye(3), standing(mesh))
+    place = rigid(np.eye(3), standing_shift(mesh))
     pieces = [replace(piece, mesh=piece.mesh.transformed(place)) for piece in _painted(mesh, parts)]
     return Subject(path.name, tuple(pieces), mesh.transformed(place), origin)
 

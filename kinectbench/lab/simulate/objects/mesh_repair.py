@@ -34,7 +34,7 @@ class Body:
     holes: int
 
 
-def merged(mesh: TriangleMesh) -> TriangleMesh:
+def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
     """A mesh whose vertices within 1e-7 m are one, without faces that then have no three corners."""
     keys = np.round(mesh.vertices / MERGE_M).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)

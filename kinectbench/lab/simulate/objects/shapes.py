@@ -166,7 +166,7 @@ def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
     return bar.transform(_frame(a, b))
 
 
-def bar(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> "Manifold":
+def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> "Manifold":
     """A rectangular bar between two points, its width level, its ends square to its length."""
     from manifold3d import Manifold
 
@@ -305,7 +305,7 @@ def surface(shape: "Manifold") -> TriangleMesh:
     return TriangleMesh(vertices, np.array(mesh.tri_verts, dtype=np.int32, order="C"))
 
 
-def standing(mesh: TriangleMesh) -> Points:
+def standing_shift(mesh: TriangleMesh) -> Points:
     """The shift (3,) that centres a mesh at x = y = 0 by its bounding box and puts it on z = 0."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

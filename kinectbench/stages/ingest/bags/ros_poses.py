@@ -137,7 +137,7 @@ def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
     return rigid(rotation.as_matrix(), translation_m)
 
 
-def read_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
+def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
     """The trajectory of the depth camera, camera to world; warnings; and why it cannot be used, or "".
 
     It is that of the topic that the settings name ("tf" for the tree of frames), or else of the one topic of

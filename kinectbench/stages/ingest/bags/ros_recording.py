@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.bags.ros_images import (
     depth_of,
 )
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, MessagePlace, RosBag
-from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_poses, read_transforms
+from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_ros_poses, read_transforms
 from kinectbench.stages.ingest.bags.ros_topics import (
     CAMERA_INFO,
     COLOR_KIND,
@@ -49,7 +49,7 @@ from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Reco
 from kinectbench.stages.ingest.undistortion import Undistortion
 
 
-class Pair(NamedTuple):
+class MessagePair(NamedTuple):
     """The stamp of a frame, nanoseconds, and the indices of its depth message and its colour message."""
 
     stamp_ns: int
@@ -78,7 +78,7 @@ class RosRecording(Recording):
 
     depth: ImageTopic
     color_topic: ImageTopic | None
-    places: tuple[Pair, ...]
+    places: tuple[MessagePair, ...]
     float_units_per_m: float
     undistortion: Undistortion | None
     bag: RosBag
@@ -131,7 +131,7 @@ class RosRecording(Recording):
         intrinsics = intrinsics_of(info, depth).overridden_by(settings)
         camera = intrinsics.camera(size_px, path)
         tree = read_transforms(bag)
-        trajectory, pose_warnings, pose_error = read_poses(bag, tree, depth, settings.pose_topic)
+        trajectory, pose_warnings, pose_error = read_ros_poses(bag, tree, depth, settings.pose_topic)
         pairs, pair_warnings = _pair(depth, color, settings)
         registered, size_warnings = _is_registered(bag, depth, color, size_px)
         scale = intrinsics.depth_scale
@@ -231,13 +231,13 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
 
 def _pair(
     depth: ImageTopic, color: ImageTopic | None, settings: CameraSettings
-) -> tuple[tuple[Pair, ...], list[str]]:
+) -> tuple[tuple[MessagePair, ...], list[str]]:
     """The depth messages with distinct stamps, each with its colour message; and warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
     order, repeated = first_by_stamp(depth_ns)
     warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
     if color is None:
-        return tuple(Pair(depth_ns[i], i, None) for i in order), warnings
+        return tuple(MessagePair(depth_ns[i], i, None) for i in order), warnings
     color_ns = [place.stamp_ns for place in color.topic.messages]
     color_order, _ = first_by_stamp(color_ns)
     partners = pair_by_time(
@@ -247,7 +247,7 @@ def _pair(
         where=depth.name,
     )
     return tuple(
-        Pair(depth_ns[i], i, None if partner is None else color_order[partner])
+        MessagePair(depth_ns[i], i, None if partner is None else color_order[partner])
         for i, partner in zip(order, partners.of_depth, strict=True)
     ), [*warnings, *partners.warnings]
 

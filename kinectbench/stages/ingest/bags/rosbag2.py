@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import copy_bounded, listed, open_plain, read_head
+from kinectbench.core.untrusted import copy_bounded, listed_paths, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
 from kinectbench.stages.ingest.bags.realsense import STREAM, STRING, depth_units_scale
@@ -74,7 +74,7 @@ def _bag_files(folder: Path) -> list[Path]:
     def matches(name: str) -> bool:
         return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
 
-    files = listed(folder, wanted=matches)
+    files = listed_paths(folder, wanted=matches)
     return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
@@ -93,7 +93,7 @@ def _walk_file(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     start = _start_of(file)
     if start.startswith(ZSTD_MAGIC):
         return _walk_packed(file, types, budget)
-    walk = rosbag2_mcap.walk if start.startswith(rosbag2_mcap.MAGIC) else rosbag2_sqlite.walk
+    walk = rosbag2_mcap.walk_mcap if start.startswith(rosbag2_mcap.MAGIC) else rosbag2_sqlite.walk_sqlite
     bag = walk(file, types, budget)
     return replace(bag, read=lambda place: unpacked_message(bag.read(place)))
 

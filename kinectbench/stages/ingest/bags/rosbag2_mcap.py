@@ -36,7 +36,7 @@ MAX_RATIO = 2000
 ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
-def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
+def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     """Find the messages of the wanted types.
 
     Args:

@@ -34,7 +34,7 @@ CELL_BYTES = 100
 LOST_TIMES = 4
 
 
-def walk(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
+def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
     """Find the messages of the wanted types, in recorded order.
 
     Args:

@@ -10,7 +10,7 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Bools, Float64
-from kinectbench.stages.ingest.intrinsics import Intrinsics, number_of, numbers_of
+from kinectbench.stages.ingest.intrinsics import Intrinsics, json_numbers, number_of
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 CALIBRATION_FILE = "calibration.json"
@@ -135,7 +135,7 @@ def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
         raise RecordingError(
             f"{where}: the model {model!r:.60} of lenses is not read; {UNDISTORT}", what="lens"
         )
-    numbers = numbers_of(intrinsics.get("ModelParameters"))
+    numbers = json_numbers(intrinsics.get("ModelParameters"))
     if numbers.shape[:1] < (PARAMETERS,) or numbers.ndim != 1 or not np.isfinite(numbers[:PARAMETERS]).all():
         raise RecordingError(f"{where}: ModelParameters must hold {PARAMETERS} numbers")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = numbers[:PARAMETERS].tolist()
@@ -166,7 +166,7 @@ def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
 
 def _place(raw: dict[str, Any], where: str) -> Float64:
     """Rig to camera (4, 4), metres, of Rotation (nine numbers by row) and Translation."""
-    R, t_m = numbers_of(raw.get("Rotation")), numbers_of(raw.get("Translation"))
+    R, t_m = json_numbers(raw.get("Rotation")), json_numbers(raw.get("Translation"))
     if R.size == 9 and t_m.size == 3:
         T = rigid_or_none(rigid(R.reshape(3, 3), t_m.reshape(3)))
         if T is not None:

@@ -18,8 +18,8 @@ from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (
     MOST_FOCAL_PX,
     Intrinsics,
-    numbers_of,
-    read_object,
+    json_numbers,
+    read_json_object,
     scale_warnings,
 )
 from kinectbench.stages.ingest.recording import (
@@ -141,7 +141,7 @@ def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDA
 
 def _read_by_image(file: Path) -> dict[int, Any]:
     """A JSON object whose keys are image numbers."""
-    content = read_object(file, "image numbers")
+    content = read_json_object(file, "image numbers")
     try:
         return {int(key): value for key, value in content.items() if 0 <= int(key) < 10**9}
     except ValueError as error:
@@ -184,7 +184,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
 
 def _pose(camera: dict[str, Any]) -> Float64 | None:
     """Camera to world, of `cam_R_w2c` and `cam_t_w2c` (mm); None if it has none."""
-    R, t_mm = numbers_of(camera.get("cam_R_w2c")), numbers_of(camera.get("cam_t_w2c"))
+    R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:
         return None
     R_world_camera = R.reshape(3, 3).T

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed, printable, read_head
+from kinectbench.core.untrusted import listed_paths, printable, read_head
 from kinectbench.stages.ingest.images import is_depth_png
 from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD
 
@@ -57,10 +57,10 @@ def _unread_kind(path: Path) -> str | None:
     """The message on EXR depth images, which are not supported."""
     if not path.is_dir():
         return None
-    children = [child for child in islice(listed(path), LOOKED_AT) if child.is_dir()]
-    below = [each for child in children for each in islice(listed(child), LOOKED_AT) if each.is_dir()]
+    children = [child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir()]
+    below = [each for child in children for each in islice(listed_paths(child), LOOKED_AT) if each.is_dir()]
     for folder in (path, *children, *below):
-        exr = next(listed(folder, wanted=lambda name: name.lower().endswith(".exr")), None)
+        exr = next(listed_paths(folder, wanted=lambda name: name.lower().endswith(".exr")), None)
         if exr is not None:
             return (
                 f"{path}: {printable(str(exr.relative_to(path)))}: EXR images are not read; of Record3D "
@@ -71,9 +71,9 @@ def _unread_kind(path: Path) -> str | None:
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
     """The folder itself and those in it, with their images; those without any are left out."""
-    children = sorted(child for child in islice(listed(path), LOOKED_AT) if child.is_dir())
+    children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
     for folder in [path, *children]:
-        files = (file for file in islice(listed(folder), LOOKED_AT) if file.is_file())
+        files = (file for file in islice(listed_paths(folder), LOOKED_AT) if file.is_file())
         images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
         if images:
             yield folder, images

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import (
     SUFFIXES,
@@ -45,7 +45,7 @@ from kinectbench.stages.ingest.recording import (
     first_whole,
     mask_beside,
     read_image_file,
-    unused_masks,
+    unmatched_masks,
     visible,
 )
 
@@ -55,7 +55,7 @@ PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 @dataclass(frozen=True)
-class Stored:
+class DepthFormat:
     """The format of a folder's depth files, if not 16-bit PNG.
 
     Attributes:
@@ -73,14 +73,14 @@ class Stored:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "Stored":
+    def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
         """By the first depth image that is whole."""
         with suppress(DamagedImageError):
             return first_whole(lambda frame: cls._of(frame.depth, settings), files)
         return cls()
 
     @classmethod
-    def _of(cls, file: Path, settings: CameraSettings) -> "Stored":
+    def _of(cls, file: Path, settings: CameraSettings) -> "DepthFormat":
         data = read_image_file(file)
         channels = packed_channels(data, str(file))
         if channels is not None:
@@ -120,7 +120,7 @@ class FolderRecording(FileRecording):
         """Whether the folder has depth images in depth/, or beside colour images."""
         depth = path / "depth"
         if depth.is_dir():
-            return any(listed(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
+            return any(listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
         return lie_beside_each_other(path)
 
     @classmethod
@@ -136,7 +136,7 @@ class FolderRecording(FileRecording):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
-        stored = Stored.of(files, settings)
+        stored = DepthFormat.of(files, settings)
         trajectory, warnings, error = read_given(
             lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
         )
@@ -159,7 +159,7 @@ class FolderRecording(FileRecording):
                 *stored.warnings,
                 *said_warnings(path, said, settings),
                 *warnings,
-                *unused_masks(path, files),
+                *unmatched_masks(path, files),
             ),
         )
 

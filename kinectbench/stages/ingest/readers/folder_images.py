@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed, printable, read_head
+from kinectbench.core.untrusted import listed_paths, printable, read_head
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import is_depth_png
@@ -36,10 +36,10 @@ def depth_images(path: Path) -> NamedImages:
     folder = path / "depth"
     if not folder.is_dir():
         return beside_each_other(path, DEPTH_WORD)
-    suffixes = {file.suffix.lower() for file in listed(folder)} & DEPTH_SUFFIXES
+    suffixes = {file.suffix.lower() for file in listed_paths(folder)} & DEPTH_SUFFIXES
     # Pictures of depth may lie beside the depth itself.
     raw = suffixes - {".png"}
-    if raw and ".png" in suffixes and not any(_is_16_bit(f) for f in listed(folder, wanted=_is_png)):
+    if raw and ".png" in suffixes and not any(_is_16_bit(f) for f in listed_paths(folder, wanted=_is_png)):
         return in_folder(folder, frozenset(raw))
     return in_folder(folder, frozenset({".png"}) if ".png" in suffixes else frozenset(raw))
 
@@ -51,7 +51,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
         return ()
     read_kinds = {file.suffix.lower() for file in read.files}
     others: dict[str, list[str]] = {}
-    for file in sorted(listed(folder)):
+    for file in sorted(listed_paths(folder)):
         kind = file.suffix.lower()
         if kind in DEPTH_SUFFIXES - read_kinds and not file.name.startswith("."):
             others.setdefault(kind, []).append(file.name)
@@ -75,14 +75,14 @@ def lie_beside_each_other(path: Path) -> bool:
     """Whether a folder holds 16-bit depth and colour, named by a word each; reads one head."""
     if not path.is_dir():
         return False
-    depth = next(listed(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
-    color = next(listed(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES)), None)
+    depth = next(listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
+    color = next(listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES)), None)
     return depth is not None and color is not None and _is_16_bit(depth)
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
     """The images of a folder in numeric order: 2 before 10."""
-    files = (f for f in listed(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
+    files = (f for f in listed_paths(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
     ordered = sorted(files, key=lambda file: (counting_key(file.stem), file.name))
     return NamedImages(tuple(ordered), tuple(file.stem for file in ordered))
 
@@ -90,7 +90,7 @@ def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
 def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
     """The images of a folder that have a word in their names."""
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
-    files = listed(path, wanted=lambda name: _word(name, word, suffixes))
+    files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
         ((_without(word, file.stem), file) for file in files), key=lambda each: counting_key(each[0])
     )

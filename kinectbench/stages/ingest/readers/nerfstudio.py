@@ -25,9 +25,9 @@ from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
+    json_numbers,
     number_of,
-    numbers_of,
-    read_object,
+    read_json_object,
     scale_warnings,
 )
 from kinectbench.stages.ingest.readers.phone_images import (
@@ -121,7 +121,7 @@ class NerfstudioRecording(PhoneRecording):
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
     """Values for all frames; frames with depth, in the order of its names; and warnings."""
     file = path / FILE
-    content = read_object(file, "frames")
+    content = read_json_object(file, "frames")
     frames = content.pop("frames", None)
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise RecordingError(f"{file}: 'frames' must be a list of objects")
@@ -220,7 +220,7 @@ def _trajectory(
 def _matrix(path: Path, value: object, scale: float) -> Float64 | None:
     if value is None:
         return None
-    T = numbers_of(value)
+    T = json_numbers(value)
     if T.shape != (4, 4):
         raise GivenPosesError(f"{path / FILE}: 'transform_matrix' must be four rows of four numbers")
     T[:3, 3] /= scale

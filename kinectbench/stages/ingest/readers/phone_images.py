@@ -63,10 +63,10 @@ class PhoneRecording(FileRecording):
 
     def shrunk(self, bgr: NDArray[np.uint8]) -> tuple[str, bytes]:
         """Colour (height, width, 3) averaged over the pixels of depth, as PNG."""
-        return shrunk(bgr, (self.camera.width, self.camera.height))
+        return shrunk_png(bgr, (self.camera.width, self.camera.height))
 
 
-def shrunk(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, bytes]:
+def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, bytes]:
     """Colour (height, width, 3) averaged over the pixels of an image of that width and height, as PNG."""
     import cv2
 

@@ -17,7 +17,7 @@ from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, read_camera_of_frame
+from kinectbench.stages.ingest.intrinsics import json_numbers, number_of, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
@@ -126,7 +126,7 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
     """Camera to world in optical axes."""
     if camera is None or POSE_KEYS[0] not in camera:
         return None
-    numbers = numbers_of([camera.get(key) for key in POSE_KEYS])
+    numbers = json_numbers([camera.get(key) for key in POSE_KEYS])
     if numbers.shape != (12,):
         raise GivenPosesError(f"{camera['file']}: t_00 to t_23 must be numbers")
     with np.errstate(invalid="ignore"):  # of what is not finite

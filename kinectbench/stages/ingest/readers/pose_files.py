@@ -11,7 +11,7 @@ from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, text_rows
-from kinectbench.core.trajectory.trajectory_file import read_trajectory, trajectory_from_matrices
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
@@ -85,7 +85,7 @@ def read_pose_file(
                 what="pose-count",
             )
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
-    trajectory, warnings = read_trajectory(file)
+    trajectory, warnings = read_trajectory_file(file)
     frames_ns = np.array(stamps_ns, np.int64)
     if not counts_frames(frames_ns) or len(rows) != len(stems):
         return trajectory, warnings
@@ -99,7 +99,7 @@ def read_pose_file(
         warnings = [*warnings, message]
     elif len(trajectory.stamps_ns) < len(rows) or not are_of_today(trajectory.stamps_ns.tolist()):
         # They repeat, or may be steps since the frame before: only the rows' order tells.
-        trajectory, warnings = read_trajectory(file, len(stems))
+        trajectory, warnings = read_trajectory_file(file, len(stems))
     return GivenTrajectory(frames_ns, trajectory.T_world_camera), warnings
 
 

@@ -29,14 +29,14 @@ from kinectbench.stages.ingest.images import (
     image_header,
     quantised,
 )
-from kinectbench.stages.ingest.intrinsics import number_of, numbers_of, object_of
+from kinectbench.stages.ingest.intrinsics import json_numbers, number_of, object_of
 from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     one_camera,
     scaled_to_depth,
-    shrunk,
+    shrunk_png,
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
@@ -48,7 +48,7 @@ USUAL_PX = ((256, 192), (640, 480), (960, 720))
 LARGEST_SIDE_PX = 4096
 
 
-class PackedFrame(NamedTuple):
+class ArchivedFrame(NamedTuple):
     """A frame in the archive: stamp in nanoseconds, and its number in the names of its members."""
 
     stamp_ns: int
@@ -70,7 +70,7 @@ class Record3dRecording(Recording):
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     suffixes: ClassVar[tuple[str, ...]] = (".r3d",)
 
-    places: tuple[PackedFrame, ...]
+    places: tuple[ArchivedFrame, ...]
     archive: Archive = field(compare=False)
     members: frozenset[str]
     min_confidence: int
@@ -99,7 +99,7 @@ class Record3dRecording(Recording):
         trajectory, lost, error = read_given(lambda: _trajectory(path, metadata, numbers, stamps_ns))
         return cls(
             path=path,
-            places=tuple(map(PackedFrame, stamps_ns, numbers)),
+            places=tuple(map(ArchivedFrame, stamps_ns, numbers)),
             archive=archive,
             members=members,
             min_confidence=settings.min_confidence,
@@ -132,7 +132,11 @@ class Record3dRecording(Recording):
         data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)
         name = f"{self.path}: {member}"
         suffix, *found_px = image_header(data, name)
-        return (suffix, data) if tuple(found_px) == size_px else shrunk(decode_color_bgr(data, name), size_px)
+        return (
+            (suffix, data)
+            if tuple(found_px) == size_px
+            else shrunk_png(decode_color_bgr(data, name), size_px)
+        )
 
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:
@@ -163,9 +167,9 @@ def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, Any]:
 def _intrinsics(path: Path, metadata: dict[str, Any]) -> tuple[Float64, tuple[int, int], list[str]]:
     """The pinhole matrix of colour, its size, and warnings."""
     width, height = (int(number_of(metadata.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
-    rows = numbers_of(metadata.get("perFrameIntrinsicCoeffs"))
+    rows = json_numbers(metadata.get("perFrameIntrinsicCoeffs"))
     if rows.ndim != 2 or rows.shape[1:] != (4,):
-        K = numbers_of(metadata.get("K"))
+        K = json_numbers(metadata.get("K"))
         rows = K[[[0, 4, 6, 7]]] if K.shape == (9,) else np.full((1, 4), np.nan)
     if not np.isfinite(rows).all():
         raise IntrinsicsError(f"{path}: 'K' of its metadata must hold nine numbers")
@@ -194,13 +198,13 @@ def _depth_size(
 
 def _stamps_ns(path: Path, metadata: dict[str, Any], numbers: list[int]) -> tuple[list[int], list[str]]:
     """The frames' times if all have one and they increase; else frames counted at `fps`."""
-    times_s = numbers_of(metadata.get("frameTimestamps"))
+    times_s = json_numbers(metadata.get("frameTimestamps"))
     usable = times_s.ndim == 1 and numbers[-1] < len(times_s)
     if usable and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # which NaN is not
         stamps_ns = [round(float(times_s[number]) * NS_PER_S) for number in numbers]
         if all(after > before for before, after in pairwise(stamps_ns)):
             return stamps_ns, []
-    fps = numbers_of(metadata.get("fps"))
+    fps = json_numbers(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
     warning = f"{path}: not every frame has a time of its own; frames are counted instead"
     return [number * period_ns for number in numbers], [warning]
@@ -229,7 +233,7 @@ def _trajectory(
 def _pose(path: Path, row: object) -> Float64 | None:
     if row is None:
         return None
-    numbers = numbers_of(row)
+    numbers = json_numbers(row)
     if numbers.shape != (7,):
         raise GivenPosesError(f"{path}: a pose of its metadata must hold seven numbers (x y z w, position)")
     if not np.isfinite(numbers).all() or np.linalg.norm(numbers[:4]) < 1e-6:

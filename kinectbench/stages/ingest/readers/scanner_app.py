@@ -11,9 +11,9 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import numbers_of, read_camera_of_frame
+from kinectbench.stages.ingest.intrinsics import json_numbers, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     COLOR_PX,
     GRAVITY_UP,
@@ -49,13 +49,13 @@ class ScannerAppRecording(PhoneRecording):
         """Whether the folder has a depth image with its JSON."""
         return path.is_dir() and any(
             (path / f"frame_{file.stem.removeprefix('depth_')}.json").is_file()
-            for file in listed(path, wanted=DEPTH_NAME.fullmatch)
+            for file in listed_paths(path, wanted=DEPTH_NAME.fullmatch)
         )
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames by number and read every JSON."""
-        depth_files = listed(path, wanted=DEPTH_NAME.fullmatch)
+        depth_files = listed_paths(path, wanted=DEPTH_NAME.fullmatch)
         stems = sorted((file.stem.removeprefix("depth_") for file in depth_files), key=int)
         cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
         stamps_ns, warnings = _stamps_ns(path, cameras)
@@ -92,7 +92,7 @@ def _read_camera(file: Path) -> dict[str, Any] | None:
 
 def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:
     """A square matrix that is stored row by row."""
-    numbers = numbers_of(camera.get(key))
+    numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
     return numbers.reshape(side, side)
@@ -108,7 +108,7 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
 
 def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
     """The frames' times if all have one and they increase; else the frames count seconds."""
-    times_s = numbers_of([camera.get("time") if camera else None for camera in cameras])
+    times_s = json_numbers([camera.get("time") if camera else None for camera in cameras])
     if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):
         stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]
         if all(after > before for before, after in pairwise(stamps_ns)):

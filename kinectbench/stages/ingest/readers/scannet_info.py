@@ -14,7 +14,7 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 
 
 @dataclass(frozen=True)
-class Rig:
+class ScannetRig:
     """The cameras of one rig, from a file.
 
     Attributes:
@@ -38,7 +38,7 @@ def is_info(file: Path) -> bool:
     return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
 
 
-def read_info(file: Path, color_px: tuple[int, int]) -> Rig:
+def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
     """Read info.txt: `name = numbers` in each row, matrices as 16 numbers row by row.
 
     Args:
@@ -65,12 +65,12 @@ def read_info(file: Path, color_px: tuple[int, int]) -> Rig:
         depth = replace(depth, width=int(width), height=int(height))
     K_color = _matrix(rows, "calibrationColorIntrinsic")
     if K_color is None:
-        return Rig(file, depth)
+        return ScannetRig(file, depth)
     color_place, depth_place = (
         np.eye(4) if place is None else place
         for place in (_matrix(rows, f"calibration{name}Extrinsic") for name in ("Color", "Depth"))
     )
-    return Rig(file, depth, rig_calibration(K_color, color_px, color_place, depth_place, file.parent))
+    return ScannetRig(file, depth, rig_calibration(K_color, color_px, color_place, depth_place, file.parent))
 
 
 def _matrix(rows: dict[str, tuple[str, list[str]]], key: str) -> Float64 | None:

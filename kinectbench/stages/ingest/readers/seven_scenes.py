@@ -14,7 +14,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import read_matrix
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_depth_png
 from kinectbench.stages.ingest.intrinsics import (
@@ -23,7 +23,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_matrix,
     scale_warnings,
 )
-from kinectbench.stages.ingest.readers.scannet_info import Rig, is_info, read_info
+from kinectbench.stages.ingest.readers.scannet_info import ScannetRig, is_info, read_info
 from kinectbench.stages.ingest.recording import (
     Evidence,
     FileRecording,
@@ -70,12 +70,12 @@ class SevenScenesRecording(FileRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder holds a frame-XXXXXX.depth.png."""
-        return path.is_dir() and any(listed(path, wanted=DEPTH_NAME.fullmatch))
+        return path.is_dir() and any(listed_paths(path, wanted=DEPTH_NAME.fullmatch))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the frames and read their poses."""
-        depth_files = listed(path, wanted=DEPTH_NAME.fullmatch)
+        depth_files = listed_paths(path, wanted=DEPTH_NAME.fullmatch)
         numbered = {int(m[1]): f for f in depth_files if (m := DEPTH_NAME.fullmatch(f.name))}
         stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
         depth = [numbered[number] for number in sorted(numbered)]
@@ -136,26 +136,28 @@ def _camera_file(path: Path) -> Path | None:
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
 
 
-def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> Rig | None:
+def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> ScannetRig | None:
     """The cameras in the file; None without it."""
     if file is None:
         return None
     if file.name in INFO_FILES:
         return read_info(file, color_px)
     # Depth that is to be seen with colour's intrinsics lies on colour's pixels.
-    return Rig(file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px)
+    return ScannetRig(
+        file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px
+    )
 
 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
-) -> tuple[Rig, list[str]]:
+) -> tuple[ScannetRig, list[str]]:
     """The data set's own Kinect; and a warning, unless the settings give a camera or it is the data set."""
     if size_px != (KINECT.width, KINECT.height):
-        return Rig(path, Intrinsics()), []
+        return ScannetRig(path, Intrinsics()), []
     is_given = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
     if is_given or _marks_holes(files):
-        return Rig(path, KINECT), []
-    return Rig(path, KINECT), [
+        return ScannetRig(path, KINECT), []
+    return ScannetRig(path, KINECT), [
         f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
         "(585, 585, 320, 240); if another camera recorded it, give its own under `camera:`"
     ]

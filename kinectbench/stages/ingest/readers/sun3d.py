@@ -13,7 +13,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import read_given
-from kinectbench.core.untrusted import listed
+from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
@@ -40,7 +40,7 @@ class Sun3dRecording(FileRecording):
         whole = (
             (path / "image").is_dir() and (path / "depth").is_dir() and (path / "intrinsics.txt").is_file()
         )
-        return whole and any(NUMBER_AND_STAMP.fullmatch(file.stem) for file in listed(path / "depth"))
+        return whole and any(NUMBER_AND_STAMP.fullmatch(file.stem) for file in listed_paths(path / "depth"))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:

@@ -15,14 +15,14 @@ from kinectbench.core.trajectory.stamps import (
     parse_stamp_ns,
 )
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
-from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory
+from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory_file
 from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.intrinsics import (
     HELD,
     read_color_calibration,
-    read_object,
+    read_json_object,
     said_warnings,
 )
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
@@ -34,7 +34,7 @@ from kinectbench.stages.ingest.recording import (
     FrameFiles,
     first_depth_size,
     mask_beside,
-    unused_masks,
+    unmatched_masks,
 )
 
 DEPTH_SCALE = 5000.0
@@ -93,7 +93,7 @@ class TumRecording(FileRecording):
         truth, up = path / "groundtruth.txt", _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, trajectory_warnings, error = read_given(
             lambda: (
-                read_trajectory(truth, len(depth) if why else None)
+                read_trajectory_file(truth, len(depth) if why else None)
                 if truth.is_file()
                 else (None, unread_poses(path))
             )
@@ -114,7 +114,7 @@ class TumRecording(FileRecording):
                 *partners.warnings,
                 *said_warnings(path, recorded, settings),
                 *trajectory_warnings,
-                *unused_masks(path, files),
+                *unmatched_masks(path, files),
             ),
         )
 
@@ -127,7 +127,7 @@ def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> 
     file = path / "accelerometer.txt"
     if camera_file is None or camera_file.suffix != ".json" or not file.is_file():
         return ()
-    if read_object(camera_file, HELD).get("accelerometer_axes") != DEPTH_AXES:
+    if read_json_object(camera_file, HELD).get("accelerometer_axes") != DEPTH_AXES:
         return ()
     rows = [(where, row.split()) for where, row in text_rows(file)]
     bad = next((where for where, words in rows if len(words) != 4), None)

@@ -16,7 +16,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import decoded
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
@@ -147,7 +147,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
     if head is None or is_too_large(int(head[1]), int(head[2])):
         raise DamagedImageError(f"{name}: is no bitmap (P1 or P4), or too large")
     try:
-        return np.asarray(decoded(data, cv2.IMREAD_GRAYSCALE), np.uint8)
+        return np.asarray(decoded_image(data, cv2.IMREAD_GRAYSCALE), np.uint8)
     except ValueError as error:
         raise DamagedImageError(f"{name}: {error}") from error
 

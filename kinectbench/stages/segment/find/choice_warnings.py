@@ -60,7 +60,7 @@ def choice_warnings(selection: Selection) -> tuple[str, ...]:
             f"several, give a box around one of them: {LOOK}"
         )
         cut = f"the box cuts through what it holds, which goes on beyond it: make it larger; {LOOK}"
-        return (held,) * (parts > 1) + (cut,) * (cut_share(selection) >= CUT_SHARE)
+        return (held,) * (parts > 1) + (cut,) * (box_cut_share(selection) >= CUT_SHARE)
     lines = []
     extent_m = max(selection.box.size_m) * selection.scale
     if extent_m > MAX_EXTENT_M:
@@ -106,7 +106,7 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
     )
 
 
-def cut_share(selection: Selection) -> float:
+def box_cut_share(selection: Selection) -> float:
     """The share of the object's cells that has surface right beside it beyond the box.
 
     A board below the box's content is not cut by it.

@@ -31,7 +31,13 @@ from kinectbench.stages.segment.find.gravity import (
     NOTHING_KNOWN,
     FloorHint,
 )
-from kinectbench.stages.segment.find.planes import FLAT_COSINE, INLIER_M, Surface, floor_frame, noise_about_m
+from kinectbench.stages.segment.find.planes import (
+    FLAT_COSINE,
+    INLIER_M,
+    SceneSurface,
+    floor_frame,
+    noise_about_m,
+)
 
 NO_FLOOR = (
     "no floor found: no plane that faces up, and below which nothing is seen, lies below most cameras{why}; "
@@ -150,7 +156,7 @@ def find_floor(
         SegmentationError: no plane may be a floor, or the cameras are below a person's.
     """
     scale = distance_scale(T_world_camera, focus_world)
-    surface = Surface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
+    surface = SceneSurface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
     if hint.plane_world is not None:
         given = _given_floor(
             hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2, hint.up_world
@@ -169,7 +175,7 @@ def find_floor(
     )
 
 
-def _find_floor(surface: Surface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
+def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
     """Find the floor among planes, in a world scaled so that cameras are at least 1 m from the focus.
 
     There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
@@ -253,7 +259,7 @@ def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None)
 
 
 def against_plane(
-    plane_world: Float64, surface: Surface, up_world: Float64 | None, scale: float
+    plane_world: Float64, surface: SceneSurface, up_world: Float64 | None, scale: float
 ) -> tuple[str, ...]:
     """Objections to a person's plane (4,), one line each; advice follows after a semicolon.
 
@@ -287,7 +293,7 @@ def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str
     )
 
 
-def _beside(plane: Float64, surface: Surface) -> tuple[Float64, float, float] | None:
+def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
     """A plane (4,) seen right beside another: its height above the other, and the angle in degrees.
 
     None if the surface near the focus shows no plane, or the other plane itself.

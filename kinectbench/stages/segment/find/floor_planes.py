@@ -15,7 +15,7 @@ from kinectbench.stages.segment.find.planes import (
     FLAT_COSINE,
     INLIER_M,
     MAX_NOISE_M,
-    Surface,
+    SceneSurface,
     carries_what_is_looked_at,
     floor_frame,
     is_below,
@@ -164,7 +164,7 @@ NO_CHOICE = PlaneChoice(None, ())
 
 
 def choose_plane(
-    surface: Surface, T_world_camera: Float64, up_world: Float64 | None, seed: int
+    surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
 ) -> PlaneChoice:
     """Choose the plane that the object stands on among up to six for each way of holding the cameras.
 
@@ -202,7 +202,7 @@ def choose_plane(
     )
 
 
-def _planes(surface: Surface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
+def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
     """Up to six planes (4,) of the points whose normals may be up, and which points (n,) lie on each."""
     points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
     rng = np.random.default_rng(seed)
@@ -222,7 +222,7 @@ def _planes(surface: Surface, facing: Facing, seed: int) -> list[tuple[Float64, 
     return planes
 
 
-def _times_noise(surface: Surface, T_world_camera: Float64) -> Float64:
+def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
     """The noise of each point (n,) relative to what the cameras look at, at least 1."""
     from scipy.spatial import cKDTree
 
@@ -233,7 +233,7 @@ def _times_noise(surface: Surface, T_world_camera: Float64) -> Float64:
 
 
 def _figures(
-    plane: Float64, inliers: Bools, surface: Surface, cameras_world: Float64
+    plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64
 ) -> tuple[float, float, float, float]:
     """Shares of a plane (4,): on it, of the cameras above it, of the surface below it, and right below it."""
     local = transform_points(floor_frame(plane), surface.points_world)
@@ -245,7 +245,7 @@ def _figures(
     return float(inliers.mean()), float(above.mean()), float(below.mean()), float(under.sum() / inliers.sum())
 
 
-def _refusal(candidate: PlaneCandidate, facing: Facing, surface: Surface) -> Reason:
+def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -> Reason:
     """Why a plane is no floor, or the top of something on it; "" without an objection."""
     if not facing(candidate.plane[None, :3])[0]:
         return "turned"
@@ -256,7 +256,7 @@ def _refusal(candidate: PlaneCandidate, facing: Facing, surface: Surface) -> Rea
     return "top" if candidate.under_share > MAX_UNDER_SHARE else ""
 
 
-def _lowest(planes: list[PlaneCandidate], surface: Surface) -> PlaneCandidate:
+def _lowest(planes: list[PlaneCandidate], surface: SceneSurface) -> PlaneCandidate:
     """The plane with most evidence, or the lowest parallel one well below it."""
     most = max(planes, key=lambda each: each.evidence)
     lower = [
@@ -266,7 +266,7 @@ def _lowest(planes: list[PlaneCandidate], surface: Surface) -> PlaneCandidate:
 
 
 def _support(
-    planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: Surface
+    planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: SceneSurface
 ) -> PlaneCandidate | None:
     """The nearest plane above the floor that carries the object; None if the floor does."""
     higher = [each for each in planes if floor is None or is_below(floor.plane, each.plane, surface)]
@@ -277,7 +277,10 @@ def _support(
 
 
 def _with_reason(
-    candidate: PlaneCandidate, chosen: PlaneCandidate | None, floor: PlaneCandidate | None, surface: Surface
+    candidate: PlaneCandidate,
+    chosen: PlaneCandidate | None,
+    floor: PlaneCandidate | None,
+    surface: SceneSurface,
 ) -> PlaneCandidate:
     """A candidate with the reason why it was not chosen."""
     if candidate is chosen:
@@ -290,7 +293,7 @@ def _with_reason(
     return replace(candidate, reason="lower" if lower else "less")
 
 
-def refined_near(plane: Float64, surface: Surface) -> tuple[Float64, float]:
+def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
     """A plane refined near the focus, and the surface's noise about it, metres."""
     points_world, inlier_m = surface.points_world, surface.inlier_m
     flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M

@@ -38,7 +38,7 @@ SPACINGS = 2.0
 
 
 @dataclass(frozen=True)
-class Surface:
+class SceneSurface:
     """The surface of a scene; lengths as if cameras were 1 m and more away.
 
     Attributes:
@@ -82,13 +82,13 @@ def floor_frame(plane_world: Float64) -> Float64:
     return invert_rigid(T_world_floor)
 
 
-def is_below(lower: Float64, upper: Float64, surface: Surface) -> bool:
+def is_below(lower: Float64, upper: Float64, surface: SceneSurface) -> bool:
     """Whether a plane (4,) is parallel to another, and lies well below it."""
     parallel = lower[:3] @ upper[:3] > PARALLEL_COSINE
     return bool(parallel and surface.focus_above_m(lower) > surface.focus_above_m(upper) + LOWER_M)
 
 
-def is_flat(plane: Float64, surface: Surface) -> bool:
+def is_flat(plane: Float64, surface: SceneSurface) -> bool:
     """Whether the surface about a plane (4,) is flat, and not clutter that the plane cuts."""
     distance_m = np.abs(surface.points_world @ plane[:3] + plane[3]) / surface.times_noise
     return _noise_m(distance_m, surface.inlier_m) < MAX_NOISE_M
@@ -103,7 +103,7 @@ def _noise_m(distance_m: Float64, inlier_m: float) -> float:
     return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))
 
 
-def carries_what_is_looked_at(plane: Float64, surface: Surface) -> bool:
+def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
     """Whether a plane (4,) carries a thing at the focus and is larger than it.
 
     The plane is twice as long as the thing; or it continues all around the thing, and the cameras look at the

@@ -15,7 +15,7 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import GIVEN, Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.judge.frontiers import turned
+from kinectbench.stages.segment.judge.frontiers import turn_in_words
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 
 COLUMNS = 160
@@ -66,7 +66,7 @@ def moving_frames(
     return MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
 
 
-def beyond_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
+def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
     """The share of depth in the object's grid beyond `max_depth_m`, which is not fused.
 
     At most 40 good frames are looked at, every fourth pixel or fewer.
@@ -188,7 +188,7 @@ def coverage_report(
         towards = np.array([np.cos(side.towards_rad), np.sin(side.towards_rad), 0.0])
         show = "show it to the camera, too"
         warnings.append(
-            f"no frame looks at the object's side {turned(side.towards_rad, first_rad)}, over "
+            f"no frame looks at the object's side {turn_in_words(side.towards_rad, first_rad)}, over "
             f"{360 * side.share:.0f} degrees of arc: what is there is inferred; "
             + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards, limits) else show)
         )
@@ -200,7 +200,7 @@ def coverage_report(
             "something stands before the scene that the others do not see: a person walking through, or "
             "poses that are off? record it without, and look at the trajectory"
         )
-    too_far = beyond_share(sequence, trajectory, grid, max_depth_m)
+    too_far = beyond_depth_share(sequence, trajectory, grid, max_depth_m)
     if too_far > MAX_BEYOND_SHARE:
         warnings.append(
             f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no "

@@ -90,7 +90,7 @@ class Frontier:
         return f"nobody looked into the opening {at}, {size}: {where}"
 
 
-def turned(towards_rad: float, first_rad: float) -> str:
+def turn_in_words(towards_rad: float, first_rad: float) -> str:
     """The turn from the first camera's direction, facing the object, in words.
 
     Both angles are seen from above, counterclockwise from x of the floor frame.
@@ -111,7 +111,7 @@ def where_to_stand(look_from: tuple[float, float, float], height_m: float, first
     `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as in `turned`.
     """
     up, height = look_from[2], f"{100 * height_m:.0f} cm"
-    towards = f"from {turned(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
+    towards = f"from {turn_in_words(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
     if abs(up) > STEEP:
         return "from above" if up > 0 else f"from below, lower than {height}"
     if up < -LOWER:

@@ -17,7 +17,7 @@ from kinectbench.stages.segment.reference.register import (
     Sampled,
     about,
     best_scale,
-    mirrored,
+    mirror_image,
     poses,
     sampled,
     sampled_object,
@@ -108,7 +108,7 @@ def lay(model: ObjectModel, mesh: TriangleMesh) -> Laid:
     scale = best_scale(ours, theirs, best.T)
     of_mirror = None
     if best.residual_m <= MOST_RESIDUAL * ours.diagonal_m:
-        of_mirror = poses(ours, mirrored(theirs), T_floor_world)[0].residual_m
+        of_mirror = poses(ours, mirror_image(theirs), T_floor_world)[0].residual_m
     refused = _refusal(best.residual_m, ours.diagonal_m, of_mirror, scale)
     axis_floor = None if axis is None else R_floor @ axis
     return Laid(ours, theirs, refused, best, scale, of_mirror, runner_up, axis_floor)

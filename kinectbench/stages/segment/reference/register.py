@@ -145,7 +145,7 @@ def best_scale(ours: Sampled, theirs: Sampled, T: Float64) -> float:
     return float(np.cbrt(np.linalg.det(found[:3, :3])))
 
 
-def mirrored(theirs: Sampled) -> Sampled:
+def mirror_image(theirs: Sampled) -> Sampled:
     """The reference's mirror image."""
     flip = np.array([-1.0, 1.0, 1.0])
     mesh = TriangleMesh(theirs.mesh.vertices * flip, theirs.mesh.faces[:, ::-1].copy())

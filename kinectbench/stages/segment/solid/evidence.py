@@ -147,7 +147,7 @@ def classify_voxels(
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
     above = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * voxel_m
     heights_m = above.astype(np.float32) if rules.stands else None
-    sight = look(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
+    sight = look_directions(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
@@ -229,7 +229,7 @@ def _least_free_votes(observation: Observation) -> int:
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 
 
-def look(
+def look_directions(
     surface: Bools, heights_m: Float32 | None, voxel_m: float, limits: SensorLimits, count: int
 ) -> NDArray[np.uint8]:
     """Directions from which a camera could see each voxel: uint8 of `core.voxels.lines_of_sight`, 0 if none.

@@ -117,7 +117,7 @@ def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint
 
 
 @dataclass(frozen=True)
-class Resolution:
+class ObjectResolution:
     """The resolution of an object.
 
     Attributes:
@@ -132,19 +132,19 @@ class Resolution:
 
 def choose_resolution(
     box: OrientedBox, floor: Floor, camera: Camera, trajectory: Trajectory, fusion: FusionSettings
-) -> Resolution:
+) -> ObjectResolution:
     """Choose the voxel size by the box and the frames' resolution, unless the settings state it.
 
     Voxels that are narrower than the frames' rays would seem to be seen through.
     """
     if fusion.voxel_size_m is not None:
-        return Resolution(fusion.voxel_size_m, 1.0)
+        return ObjectResolution(fusion.voxel_size_m, 1.0)
     middle_world = transform_points(floor.T_world_floor, np.array(box.center_m))
     ray_width_m = median_ray_width_m(camera, trajectory, middle_world)
     wanted_m = max(max(box.size_m) / VOXELS_LONG, ray_width_m / RAY_WIDTHS_VOXELS[0])
     steps = int(np.ceil(np.clip(wanted_m, LEAST_VOXEL_M, REFERENCE_VOXEL_M) / STEP_M - 1e-6))
     voxel_size_m = round(steps * STEP_M, 6)
-    return Resolution(voxel_size_m, voxel_size_m / REFERENCE_VOXEL_M)
+    return ObjectResolution(voxel_size_m, voxel_size_m / REFERENCE_VOXEL_M)
 
 
 def enlarged_observation(seen: Observation, scale: float) -> Observation:
