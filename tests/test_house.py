@@ -106,6 +106,17 @@ def test_no_function_is_over_60_lines() -> None:
     assert [one for one in found if one[2] > 60] == []
 
 
+def test_a_public_name_stands_in_one_module() -> None:
+    """A reader who searches for a name finds one thing."""
+    modules: dict[str, list[str]] = {}
+    for path, text in FILES.items():
+        for node in parsed(text).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                modules.setdefault(node.name, []).append(path)
+    assert len(modules) > 1000
+    assert {name: paths for name, paths in modules.items() if len(paths) > 1} == {}
+
+
 # Where JSON and npz are read or written as such: files of others, what is printed, and owners of other files.
 RAW = {
     "core/listing.py": "text in a page",
