@@ -112,12 +112,13 @@ def solid(build: Path) -> Rgb:
 def unseen(folder: Path) -> Rgb:
     """An object from three sides and from where one would look into it, as `report` draws it."""
     from kinectbench.core.artefacts.object import QualityFile
-    from kinectbench.core.artefacts.object_grids import ObjectVolume
-    from kinectbench.report.unseen import object_pictures, unseen_faces
+    from kinectbench.core.artefacts.object_grids import ObjectVolume, unmeasured_faces
+    from kinectbench.report.unseen import object_pictures
 
     T = np.array(json.loads((folder / "floor.json").read_text())["T_floor_world"])
     mesh = read_own_ply(folder / "mesh.ply")
-    faces = unseen_faces(mesh, ObjectVolume.read(folder))
+    volume = ObjectVolume.read(folder)
+    faces = unmeasured_faces(mesh, volume.grid, volume.labels)
     drawn = object_pictures(mesh.transformed(T), faces, QualityFile.read(folder).frontiers)
     content = [np.frombuffer(base64.b64decode(each.picture.partition(",")[2]), np.uint8) for each in drawn]
     return sheet([cv2.imdecode(each, cv2.IMREAD_COLOR)[..., ::-1] for each in content], len(content))

@@ -60,7 +60,8 @@ class Row:
         bias: signed, metres, of measured faces.
         refined: the measured surface before and after a rigid motion onto the true one.
         scene_f: F at 5 mm of the fused scene at the object, on what was seen; None if there is nothing.
-        mesh_f: the same of the object's closed mesh.
+        fused_f: F at 5 mm of the part of the object's mesh that was measured, on what was measured.
+        mesh_f: F at 5 mm of the whole mesh, which is closed, on what was seen.
         warnings: of quality.json.
     """
 
@@ -85,6 +86,7 @@ class Row:
     bias: FaceBias
     refined: RefinedFigures
     scene_f: float | None
+    fused_f: float | None
     mesh_f: float
     warnings: tuple[str, ...]
 
@@ -147,6 +149,7 @@ def measure_row(task: Task) -> Row | NotBuilt:
         bias=solid.face_bias_m,
         refined=found.refined,
         scene_f=found.scene.visible.scores[AT_5_MM].f if found.scene else None,
+        fused_f=found.measured.visible.scores[AT_5_MM].f if found.measured else None,
         mesh_f=found.surface.visible.scores[AT_5_MM].f,
         warnings=tuple(quality.warnings),
     )
@@ -173,6 +176,7 @@ COLUMNS: tuple[Column, ...] = (
     ("refined", lambda row: row.refined.refined_distance_m, 1000, 2),
     ("known", lambda row: row.refined.known_iou, 1, 3),
     ("scene F", lambda row: row.scene_f, 1, 3),
+    ("fused F", lambda row: row.fused_f, 1, 3),
     ("mesh F", lambda row: row.mesh_f, 1, 3),
     ("ATE mm", lambda row: row.ate_m, 1000, 1),
 )

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from kinectbench.core import images
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
-from kinectbench.core.artefacts.object_grids import ObjectVolume
+from kinectbench.core.artefacts.object_grids import ObjectVolume, unmeasured_faces
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
@@ -25,7 +25,7 @@ from kinectbench.report import looks
 from kinectbench.report.figures import StageFigures, health_figures, per_cent, quality_figures, text_of
 from kinectbench.report.many import known_median, millimetres
 from kinectbench.report.plan import draw_plan
-from kinectbench.report.unseen import ObjectPicture, object_pictures, unseen_faces
+from kinectbench.report.unseen import ObjectPicture, object_pictures
 from kinectbench.settings.models import RecordingSettings
 
 File = TypeVar("File", bound=Stored)
@@ -153,7 +153,8 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
     """The object's closed surface, floor frame, and its unmeasured faces (m,)."""
     mesh_world = read_own_ply(folder / "mesh.ply")
-    unseen = unseen_faces(mesh_world, ObjectVolume.read(folder))
+    volume = ObjectVolume.read(folder)
+    unseen = unmeasured_faces(mesh_world, volume.grid, volume.labels)
     return mesh_world.transformed(T_floor_world), unseen
 
 

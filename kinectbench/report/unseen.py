@@ -7,8 +7,7 @@ import numpy as np
 
 from kinectbench.core import images, pictures
 from kinectbench.core.artefacts.object import FrontierPart
-from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
-from kinectbench.core.geometry import TriangleMesh, transform_points
+from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools, Float64, Rgb
 
 OBJECT_PX = 320
@@ -16,7 +15,6 @@ OBJECT_PX = 320
 SEEN_RGB, UNSEEN_RGB, ARROW_RGB = (184, 184, 180), (240, 150, 20), (0, 92, 160)
 # Openings lie in the shade, where orange looks brown (chosen from pictures).
 CONTRAST = 0.45
-NEAR_VOXELS = 1.5
 # Three looks at the object, about the vertical, from a person's height: degrees.
 LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
 # From straight above or below the object is hard to recognise (chosen from pictures).
@@ -36,41 +34,6 @@ class ObjectPicture:
 
     picture: str
     caption: str
-
-
-def unseen_faces(mesh_world: TriangleMesh, volume: ObjectVolume) -> Bools:
-    """Unmeasured faces (m,): no measurement around them, or no frame saw the space before them.
-
-    Nothing around: no voxel within 1.5 voxels of a face's middle has the label surface (along each axis,
-    from the voxels' middles: none of 27 voxels). Right before: the voxel 1.5 voxels out from its middle is
-    unknown. Else the far side of a wall as thin as a measurement's shell would count as seen (chosen here; a
-    bin open at the top has 11 % of the faces without the second part, 35 % with it; .333 to
-    .336 of them have the unknown before them at 1 to 2.5 voxels).
-
-    Args:
-        mesh_world: closed surface of the object, world frame, metres.
-        volume: its voxels.
-    """
-    corners_world = mesh_world.vertices[mesh_world.faces]
-    middles_world = corners_world.mean(axis=1)
-    outward = np.cross(corners_world[:, 1] - corners_world[:, 0], corners_world[:, 2] - corners_world[:, 0])
-    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    voxel_m = volume.grid.voxel_size_m
-    cells, before = (
-        # One more for the margin.
-        np.floor(transform_points(volume.grid.T_grid_world, points) / voxel_m).astype(np.int64) + 1
-        for points in (middles_world, middles_world + NEAR_VOXELS * voxel_m * outward)
-    )
-    # The margin is as wide as the window, as space outside the grid is near no voxel of it.
-    labels, last = np.pad(volume.labels, 1, constant_values=Label.OTHER), np.array(volume.grid.shape) + 1
-    measured = labels == Label.SURFACE
-    seen = np.zeros(len(cells), dtype=bool)
-    for offset in np.ndindex(3, 3, 3):
-        x, y, z = np.clip(cells + np.array(offset) - 1, 0, last).T
-        seen |= measured[x, y, z]
-    x, y, z = np.clip(before, 0, last).T
-    before_is_unknown: Bools = labels[x, y, z] == Label.UNKNOWN
-    return ~seen | before_is_unknown
 
 
 def object_pictures(

@@ -13,7 +13,7 @@ from report_fake_build import FRONTIER, cameras_floor
 
 from kinectbench.core import pictures
 from kinectbench.core.artefacts.object import FrontierPart, QualityFile, with_interval
-from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
+from kinectbench.core.artefacts.object_grids import Label, ObjectVolume, unmeasured_faces
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.boxes import OrientedBox
 from kinectbench.core.geometry.mesh import box_mesh
@@ -62,17 +62,21 @@ def cube_mesh() -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), faces).transformed(T_WORLD_GRID)
 
 
+def unmeasured(mesh: TriangleMesh, volume: ObjectVolume) -> np.ndarray:
+    return unmeasured_faces(mesh, volume.grid, volume.labels)
+
+
 def test_what_is_near_no_measured_voxel_was_not_seen() -> None:
     mesh = cube_mesh()
-    hidden = unseen.unseen_faces(mesh, cube_volume((CUBE, CUBE, 7)))
+    hidden = unmeasured(mesh, cube_volume((CUBE, CUBE, 7)))
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     height_m = (middles - T_WORLD_GRID[:3, 3])[:, 2]
     # The uppermost layer was measured, from 0.7 to 0.8 m, its middles at 0.75 m: what is seen goes on for 1.5
     # voxels below them, to 0.6 m.
     assert hidden.tolist() == (height_m < 0.6).tolist()
     assert 0 < hidden.sum() < len(hidden)
-    assert not unseen.unseen_faces(mesh, cube_volume((CUBE, CUBE, CUBE))).any()
-    assert unseen.unseen_faces(mesh, cube_volume((0, 0, 0))).all()
+    assert not unmeasured(mesh, cube_volume((CUBE, CUBE, CUBE))).any()
+    assert unmeasured(mesh, cube_volume((0, 0, 0))).all()
 
 
 def test_the_far_side_of_a_thin_wall_was_not_seen() -> None:
@@ -94,16 +98,16 @@ def test_the_far_side_of_a_thin_wall_was_not_seen() -> None:
         corners.extend((upward + np.array([x, 0.5, 0.6]), upward[[0, 2, 1]] + np.array([x, 0.5, 0.4])))
     faces = np.arange(12, dtype=np.int32).reshape(4, 3)
     mesh = TriangleMesh(np.concatenate(corners), faces).transformed(T_WORLD_GRID)
-    assert unseen.unseen_faces(mesh, volume).tolist() == [False, False, False, True]
+    assert unmeasured(mesh, volume).tolist() == [False, False, False, True]
 
 
 def test_a_surface_at_the_edge_of_the_grid() -> None:
     volume = cube_volume((slice(None), slice(None), 9))
     mesh = TriangleMesh(np.array([[0.0, 0, 1.0], [1, 0, 1.0], [0, 1, 1.0]]), np.array([[0, 1, 2]], np.int32))
-    assert not unseen.unseen_faces(mesh.transformed(T_WORLD_GRID), volume).any()
+    assert not unmeasured(mesh.transformed(T_WORLD_GRID), volume).any()
     # Opposite, where the grid's far end would be if indices went round.
     below = replace(mesh, vertices=mesh.vertices - [0, 0, 1.2])
-    assert unseen.unseen_faces(below.transformed(T_WORLD_GRID), volume).all()
+    assert unmeasured(below.transformed(T_WORLD_GRID), volume).all()
 
 
 def decoded(side: unseen.ObjectPicture) -> np.ndarray:

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.errors import StorageError
-from kinectbench.core.geometry import Grid
+from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.npz import npz_bytes, read_npz
+
+# A face is measured if a measured voxel is so near to its middle.
+NEAR_VOXELS = 1.5
 
 
 class Label(IntEnum):
@@ -110,3 +113,39 @@ class Surround(OnGrid):
     FILE: ClassVar[str] = "surround.npz"
 
     labels: NDArray[np.uint8]
+
+
+def unmeasured_faces(mesh_world: TriangleMesh, grid: Grid, labels: NDArray[np.uint8]) -> Bools:
+    """Unmeasured faces (m,): no measurement around them, or no frame saw the space before them.
+
+    Nothing around: no voxel within 1.5 voxels of a face's middle has the label surface (along each axis,
+    from the voxels' middles: none of 27 voxels). Right before: the voxel 1.5 voxels out from its middle is
+    unknown. Else the far side of a wall as thin as a measurement's shell would count as seen (chosen here; a
+    bin open at the top has 11 % of the faces without the second part, 35 % with it; .333 to
+    .336 of them have the unknown before them at 1 to 2.5 voxels).
+
+    Args:
+        mesh_world: closed surface of the object, world frame, metres.
+        grid: of its voxels.
+        labels: of the grid's shape, a `Label` for each voxel.
+    """
+    corners_world = mesh_world.vertices[mesh_world.faces]
+    middles_world = corners_world.mean(axis=1)
+    outward = np.cross(corners_world[:, 1] - corners_world[:, 0], corners_world[:, 2] - corners_world[:, 0])
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    voxel_m = grid.voxel_size_m
+    cells, before = (
+        # One more for the margin.
+        np.floor(transform_points(grid.T_grid_world, points) / voxel_m).astype(np.int64) + 1
+        for points in (middles_world, middles_world + NEAR_VOXELS * voxel_m * outward)
+    )
+    # The margin is as wide as the window, as space outside the grid is near no voxel of it.
+    padded, last = np.pad(labels, 1, constant_values=Label.OTHER), np.array(grid.shape) + 1
+    measured = padded == Label.SURFACE
+    seen = np.zeros(len(cells), dtype=bool)
+    for offset in np.ndindex(3, 3, 3):
+        x, y, z = np.clip(cells + np.array(offset) - 1, 0, last).T
+        seen |= measured[x, y, z]
+    x, y, z = np.clip(before, 0, last).T
+    before_is_unknown: Bools = padded[x, y, z] == Label.UNKNOWN
+    return ~seen | before_is_unknown

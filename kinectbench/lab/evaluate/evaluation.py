@@ -1,13 +1,14 @@
 """Everything that a build is measured by, its trajectory and floor first, and its file evaluation.json."""
 
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core.geometry import rotation_angle_rad
+from kinectbench.core.artefacts.object_grids import unmeasured_faces
+from kinectbench.core.geometry import TriangleMesh, rotation_angle_rad
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
@@ -20,7 +21,7 @@ from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
 from kinectbench.lab.evaluate.solid import SolidFigures, solid_figures
 from kinectbench.lab.evaluate.surface import (
     SurfaceFigures,
-    scene_errors,
+    errors_at_object,
     surface_errors,
     surface_figures,
 )
@@ -162,6 +163,8 @@ class Evaluation:
         scene: of stage `fuse`: the fused scene around the object, above the floor; None if nothing is there.
         floor: of stage `segment`.
         surface: of the object's closed mesh.
+        measured: of the faces of that mesh that were measured, around the object and above the floor; None if
+            there are none. `visible` is what some frame measured of the true surface.
         solid: of the same mesh and the labels.
         refined: of these, before and after a rigid motion of the mesh onto the true one.
         masks: of stage `sample-views`.
@@ -174,6 +177,7 @@ class Evaluation:
     scene: SurfaceFigures | None
     floor: FloorFigures | None
     surface: SurfaceFigures | None
+    measured: SurfaceFigures | None
     solid: SolidFigures | None
     refined: RefinedFigures | None
     masks: MaskFigures | None
@@ -202,21 +206,23 @@ def evaluate(
     """
     registration = register_build(build, truth, align)
     model = build.model
-    surface = solid = refined = floor = None
+    surface = measured = solid = refined = floor = None
     if model is not None:
         mesh = model.shape.mesh.transformed(registration.T_truth_built)
         surface = surface_figures(surface_errors(mesh, truth))
-        measured = measured_surface(build, truth, registration)
-        solid = solid_figures(model, truth, registration, measured)
-        refined = refined_figures(model, truth, registration, measured)
+        shape = model.shape
+        missed = unmeasured_faces(shape.mesh, shape.grid, shape.labels)
+        samples = measured_surface(build, truth, registration)
+        measured = _at_object(mesh.keep_faces(~missed), replace(truth, surface=samples.surface))
+        solid = solid_figures(model, truth, registration, samples)
+        refined = refined_figures(model, truth, registration, samples)
         floor = floor_figures(model.floor, truth, registration)
     trajectory = scene = masks = pairs = None
     if build.trajectory is not None:
         clocks = build.stamps_ns, build.given
         trajectory = trajectory_figures(build.trajectory, truth, registration, *clocks)
     if build.scene is not None:
-        errors = scene_errors(build.scene().transformed(registration.T_truth_built), truth)
-        scene = surface_figures(errors) if errors else None
+        scene = _at_object(build.scene().transformed(registration.T_truth_built), truth)
     if build.views is not None:
         masks = mask_figures(build, truth, registration)
     if build.views is not None and build.pair_names is not None:
@@ -228,6 +234,7 @@ def evaluate(
         scene=scene,
         floor=floor,
         surface=surface,
+        measured=measured,
         solid=solid,
         refined=refined,
         masks=masks,
@@ -239,6 +246,11 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
     """The content of evaluation.json: all figures in SI units and radians, to six digits."""
     head = {"format_version": FORMAT_VERSION, "package_version": __version__}
     return {**head, **_plain(evaluation)}
+
+
+def _at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceFigures | None:
+    errors = errors_at_object(mesh, truth)
+    return surface_figures(errors) if errors else None
 
 
 def _alignment(registration: BuildRegistration) -> AlignmentFigures:

@@ -12,7 +12,7 @@ from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.evaluate.build import Build, BuildRegistration
 from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.render import LIFT_M
-from kinectbench.lab.simulate.truth import Truth
+from kinectbench.lab.simulate.truth import SurfaceTruth, Truth
 
 # One sample on each 4 mm x 4 mm, less than a voxel; on a large couch one on 5 mm x 5 mm.
 SPACING_M, MAX_SAMPLES = 0.004, 250_000
@@ -46,6 +46,11 @@ class MeasuredSurface:
     points_world: Float64
     normals_world: Float64
     measured: Bools
+
+    @property
+    def surface(self) -> SurfaceTruth:
+        """The same samples as a truth's, of which that was seen that some frame measured."""
+        return SurfaceTruth(self.points_world, self.normals_world, self.measured.astype(np.uint16))
 
 
 def measured_surface(build: Build, truth: Truth, registration: BuildRegistration) -> MeasuredSurface:

@@ -15,8 +15,7 @@ from kinectbench.lab.simulate.truth import Truth
 THRESHOLDS_M = (0.005, 0.010)
 SAMPLES = 100_000
 SEED = 0
-# Of a fused scene is judged what lies in the object's box and this much around it, but not the floor that it
-# stands on.
+# Judged is what lies in the object's box and this much around it, but not the floor that it stands on.
 MARGIN_M, FLOOR_M = 0.03, 0.015
 # Rays that vote on which side of the true surface a point lies.
 SIGN_RAYS = 3
@@ -150,14 +149,14 @@ def surface_errors(
     )
 
 
-def scene_errors(scene: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
-    """Measure a fused scene and the true object against each other, above the floor and around the object.
+def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
+    """Measure a surface and the true object against each other, above the floor and around the object.
 
     Only surface in the true object's box, 30 mm larger, and more than 15 mm above the floor counts. None
-    if nothing of the scene is there.
+    if nothing of the mesh is there.
 
     Args:
-        scene: the fused mesh, in the truth's world, metres.
+        mesh: a fused scene or a part of the built object, in the truth's world, metres.
         truth: closed mesh, and samples of its surface.
     """
     T_object_world = invert_rigid(truth.T_world_object)
@@ -169,11 +168,11 @@ def scene_errors(scene: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
         return np.asarray(np.all((points > low) & (points < high), axis=1) & (points[:, 2] > FLOOR_M))
 
     # Of a face that crosses the border, the part within counts.
-    corners = transform_points(T_object_world, scene.vertices)[scene.faces]
+    corners = transform_points(T_object_world, mesh.vertices)[mesh.faces]
     faces = np.all((corners.max(axis=1) > low) & (corners.min(axis=1) < high), axis=1)
     if not faces.any():
         return None
-    errors = surface_errors(scene.keep_faces(faces), truth, SAMPLES, judged)
+    errors = surface_errors(mesh.keep_faces(faces), truth, SAMPLES, judged)
     return errors if len(errors.built_m) else None
 
 

@@ -61,9 +61,10 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
         ("Trajectory", _trajectory, e.trajectory),
-        ("Fused scene, at the object", _scene, e.scene),
+        ("Fused scene, at the object", _seen, e.scene),
         ("Floor", _floor, e.floor),
         ("Surface", _surface, e.surface),
+        ("Measured surface, above the floor", _measured, e.measured),
         ("Solid", _solid, e.solid),
         ("Solid, laid rigidly onto the true one", _refined, e.refined),
         ("Masks", _masks, e.masks),
@@ -136,8 +137,12 @@ def _floor(figures: FloorFigures) -> Iterator[FigureRow]:
     yield _row("height above it at the object", figures.height_m, "mm")
 
 
-def _scene(figures: SurfaceFigures) -> Iterator[FigureRow]:
+def _seen(figures: SurfaceFigures) -> Iterator[FigureRow]:
     yield from _compared("seen", figures.visible)
+
+
+def _measured(figures: SurfaceFigures) -> Iterator[FigureRow]:
+    yield from _compared("measured", figures.visible)
 
 
 def _surface(figures: SurfaceFigures) -> Iterator[FigureRow]:

@@ -44,7 +44,7 @@ from kinectbench.lab.evaluate.measured import (
     returned,
 )
 from kinectbench.lab.evaluate.solid import solid_figures
-from kinectbench.lab.evaluate.surface import scene_errors, surface_figures
+from kinectbench.lab.evaluate.surface import errors_at_object, surface_figures
 from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.solid.solid import SolidShape
 
@@ -279,20 +279,20 @@ def test_the_scene_at_the_object(truth: Truth):
     # The floor and a thing 0.4 m beside the chair count for nothing.
     floor = box_mesh(OrientedBox((0, 0, 0.0), (3, 3, 0.01))).transformed(T)
     beside = box_mesh(OrientedBox((0.7, 0, 0.3), (0.2, 0.2, 0.6))).transformed(T)
-    errors = scene_errors(join([truth.mesh_world, floor, beside]), truth)
+    errors = errors_at_object(join([truth.mesh_world, floor, beside]), truth)
     assert errors is not None
     figures = surface_figures(errors)
     assert [score.f for score in figures.visible.scores] == [1, 1]
     # A sheet under the seat, 50 mm from everything, of both sides: so much less precision.
     sheet = box_mesh(OrientedBox((0, 0, 0.3), (0.15, 0.15, 1e-6)))
     wrong_m2 = 2 * 0.15**2
-    errors = scene_errors(join([truth.mesh_world, sheet.transformed(T)]), truth)
+    errors = errors_at_object(join([truth.mesh_world, sheet.transformed(T)]), truth)
     assert errors is not None
     # Without the four feet: of each the sole and 15 mm of its sides.
     right_m2 = chair().surface_area() - 4 * (0.045**2 + 4 * 0.045 * 0.015)
     precision = surface_figures(errors).whole.scores[0].precision
     assert precision == pytest.approx(right_m2 / (right_m2 + wrong_m2), abs=0.01)
-    assert scene_errors(TriangleMesh(floor.vertices, floor.faces), truth) is None
+    assert errors_at_object(TriangleMesh(floor.vertices, floor.faces), truth) is None
 
 
 class _Interval(QualityFile):

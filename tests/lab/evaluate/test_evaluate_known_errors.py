@@ -7,14 +7,17 @@ import pytest
 from known_builds import CHAIR, FRAMES, T_WORLD_OBJECT, Known, chair, known_build, noisy
 from raising import raises
 
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import (
     Grid,
+    OrientedBox,
     invert_rigid,
     rigid,
     rotation_from_quaternion_xyzw,
     transform_points,
 )
+from kinectbench.core.geometry.mesh import box_mesh, join
 from kinectbench.lab.evaluate.build import register_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate
 from kinectbench.lab.evaluate.solid import (
@@ -189,6 +192,22 @@ def test_unknown_labels(truth: Truth):
     assert fine.empty_unknown_share == pytest.approx(exact_empty, abs=0.005)
     assert evaluation.pairs.true_unknown_share.mean == pytest.approx(exact, abs=0.002)
     assert fine.iou == fine.known_iou == 1  # nothing is wrong with what is known
+
+
+def test_what_is_guessed_is_not_what_was_measured(perfect: Known, truth: Truth) -> None:
+    """A sheet that nobody saw, under the seat, counts in the closed mesh, but not in what was measured."""
+    model = perfect.build.model
+    assert model is not None
+    guessed = box_mesh(OrientedBox((0, 0, 0.25), (0.15, 0.15, 1e-6))).transformed(truth.T_world_object)
+    mesh = join([model.shape.mesh, guessed.transformed(register_build(perfect.build, truth).T_built_truth)])
+    labels = np.where(model.shape.solid, np.uint8(Label.SURFACE), np.uint8(Label.FREE))
+    shape = replace(model.shape, mesh=mesh, labels=labels)
+    found = evaluate(replace(perfect.build, model=replace(model, shape=shape)), truth)
+    assert found.surface and found.measured
+    assert found.surface.whole.scores[0].precision < 0.97
+    assert [score.f for score in found.measured.visible.scores] == [1, 1]
+    nothing_measured = evaluate(perfect.build, truth)
+    assert nothing_measured.measured is None
 
 
 def test_the_truth_of_another_recording(perfect: Known, truth: Truth):
