@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
-from kinectbench.core.artefacts.targets import COLUMNS, TARGETS_CSV, Splits
+from kinectbench.core.artefacts.targets import ALL_COLUMNS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
 from kinectbench.core.artefacts.triage import TriageFile
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
@@ -69,7 +69,7 @@ def tables() -> dict[str, str]:
     """The table of each file, by the file's name, as Markdown."""
     made = {model.FILE: _table(model) for model in MODELS}
     rows = [("column", "meaning"), ("---", "---")]
-    rows += [(f"`{name}`", text) for name, text in COLUMNS.items()]
+    rows += [(f"`{name}`", text) for name, text in ALL_COLUMNS.items()]
     return made | {TARGETS_CSV: _markdown(rows)}
 
 

@@ -147,7 +147,7 @@ RAW = {
     "scoring/baselines/predict.py": "predictions, as any method's",
     "networks/predict.py": "predictions, as any method's",
     "scoring/camera_shape.py": "predictions, as any method's",
-    "scoring/glb_file.py": "files of other programs",
+    "core/glb_file.py": "files of other programs",
     "settings/edit.py": "values of YAML",
 }
 RAW_CALLS = {

@@ -93,7 +93,7 @@ def adapt_command(
 @takes("as_json")
 def import_command(
     common: Common,
-    folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/")],
+    folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/, or data_processing/")],
     out: Annotated[Path, typer.Argument(help="the release: a new folder")],
     views: Annotated[
         int | None,
@@ -101,11 +101,21 @@ def import_command(
             help="the test set: 125 (the paper's SV, viewing angles of training) or 216 (CV, others)"
         ),
     ] = None,
+    layout: Annotated[
+        Literal["recgan", "redwood10"],
+        typer.Option(help="the paper's authors', or the ten Redwood scans of SDS-Complete"),
+    ] = "recgan",
 ) -> None:
-    """Make a release of files in the layout of the paper's authors."""
+    """Make a release of files in the layout of the paper's authors, or of SDS-Complete."""
     from kinectbench.cli import console
     from kinectbench.release.exchange.recgan import import_recgan
+    from kinectbench.release.exchange.redwood10 import import_redwood10
 
+    if layout == "redwood10" and views is not None:
+        raise SettingsError("--views: only with `--layout recgan`")
     with console.progress_bar("import") as progress:
-        pairs = import_recgan(folder, out, progress, views)
+        if layout == "recgan":
+            pairs = import_recgan(folder, out, progress, views)
+        else:
+            pairs = import_redwood10(folder, out, progress)
     common.tell({"folder": str(out), "pairs": pairs}, [f"imported {pairs} pairs: {out}"])

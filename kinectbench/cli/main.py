@@ -26,6 +26,7 @@ from kinectbench.cli.publish import publish_command
 from kinectbench.cli.record import record_command
 from kinectbench.cli.recordings import formats_command, init_command, inspect_command
 from kinectbench.cli.report import report_command
+from kinectbench.cli.reproduce import reproduce_command
 from kinectbench.cli.score import compare_command, score_command
 from kinectbench.cli.segment import segment_command
 from kinectbench.cli.simulate import simulate_command
@@ -93,6 +94,7 @@ PANELS: Mapping[str, Mapping[str, Command]] = {
         "train": train_command,
         "predict": predict_command,
         "convert": convert_command,
+        "reproduce": reproduce_command,
     },
     "Work with known truth": {
         "simulate": simulate_command,

@@ -37,9 +37,9 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,
-    "publish": 35,
+    "publish": 36,
     "synthesize": 2,
-    "score": 8,
+    "score": 9,
     "baselines": 3,
 }
 

@@ -127,10 +127,12 @@ def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
 
 
 def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
-    """The recording with its other inputs: a person's masks, and its last failure."""
+    """The recording with its other inputs: a person's masks, a reference mesh, and its last failure."""
     store, name = listing.store, job.recording.id
     if job.masks is not None:
         fetch_files(store, job.root, store.objects(str(job.recording.masks)))
+    if job.recording.reference is not None and (mesh := store.head(job.recording.reference)) is not None:
+        fetch_files(store, job.root, [mesh])
     job = replace(job, source_sha256=sha256_text(canonical_json(known.sha256)))
     artefacts = artefacts_upto(job, upto)
     current = tuple(stage for stage, made in artefacts.items() if is_stored(listing.built, name, made))

@@ -23,7 +23,7 @@ from kinectbench.engine.stage_settings import (
     TrackSettings,
     part_of,
 )
-from kinectbench.engine.work import MASKS, Source
+from kinectbench.engine.work import MASKS, REFERENCE, Source
 from kinectbench.settings.models import (
     BenchmarkSettings,
     FitLimits,
@@ -64,6 +64,11 @@ class Job:
     def masks(self) -> Path | None:
         """The folder of a person's masks, or None."""
         return None if self.recording.masks is None else self.root / self.recording.masks
+
+    @property
+    def reference(self) -> Path | None:
+        """The mesh that is its truth, or None: what is fused is."""
+        return None if self.recording.reference is None else self.root / self.recording.reference
 
     @property
     def alone(self) -> "Job":
@@ -187,6 +192,19 @@ def _frame_masks(job: Job) -> Mapping[str, Source]:
     return _masks(job) if job.recording.segment_by == "masks" else {}
 
 
+def _of_object(job: Job) -> Mapping[str, Source]:
+    """A person's masks of frames, and the mesh that is the truth."""
+    if job.reference is None:
+        return _frame_masks(job)
+    from kinectbench.stages.ingest.sources import check_there
+
+    check_there(
+        job.reference, f"no such reference mesh; add it, or correct `reference` of '{job.recording.id}'"
+    )
+    mesh = Source(job.reference, content_hash([job.reference], job.reference.parent))
+    return {**_frame_masks(job), REFERENCE: mesh}
+
+
 def _recording(job: Job) -> Mapping[str, Source]:
     if job.source_sha256 is not None:
         return {"recording": Source(job.source, job.source_sha256)}
@@ -204,7 +222,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("ingest", "sequence", (), _ingest, _recording),
     Stage("track", "trajectory", ("ingest",), _track, _frame_masks),
     Stage("fuse", "reconstruction", ("ingest", "track"), _fuse, _frame_masks),
-    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _frame_masks),
+    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _of_object),
     Stage("sample-views", "views", ("ingest", "track", "segment"), _sample_views, _masks),
     Stage("pairs", "pairs", ("ingest", "track", "segment", "sample-views"), _pairs),
 )

@@ -28,7 +28,7 @@ from kinectbench.engine.stage_settings import (
 )
 from kinectbench.engine.stages import SUGGEST
 from kinectbench.engine.track_scene import track_scene
-from kinectbench.engine.work import Work
+from kinectbench.engine.work import REFERENCE, Work
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
 from kinectbench.stages.ingest.readers import open_recording
@@ -39,6 +39,7 @@ from kinectbench.stages.segment.find.box_anchor import reanchored
 from kinectbench.stages.segment.find.candidates import find_candidates, write_candidates
 from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.object_model import read_object, write_object
+from kinectbench.stages.segment.reference.truth import reference_as_truth
 from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures
@@ -136,6 +137,8 @@ def _segment(work: Work[SegmentSettings]) -> None:
         underside=settings.underside,
         limits=settings.segmentation.limits(),
     )
+    if REFERENCE in work.sources:
+        model = reference_as_truth(model, work.sources[REFERENCE].path)
     write_object(model, work.folder)
 
 

@@ -10,12 +10,14 @@ from kinectbench.engine.stage_settings import StageSettings
 
 # The name of the source that a person's masks are.
 MASKS = "masks"
+# The name of the source that is a mesh in place of the fused truth.
+REFERENCE = "reference"
 Needed = TypeVar("Needed", bound=StageSettings)
 
 
 @dataclass(frozen=True)
 class Source:
-    """An input of a stage from outside `build/`: the recording, or a person's masks.
+    """An input of a stage from outside `build/`: the recording, a person's masks, or a reference mesh.
 
     Attributes:
         path: the file or folder.

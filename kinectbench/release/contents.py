@@ -30,6 +30,8 @@ OBJECT_FILES = ("mesh.ply", "volume.npz")
 # objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals.
 GLB, MOST_GLB_BYTES = ".glb", 2_000_000
 VIEW_IMAGES = (".depth.png", ".mask.png")
+# surfaces/<recording>.ply: an open mesh that is the truth, world frame, metres.
+SURFACES = "surfaces"
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
@@ -54,6 +56,11 @@ MOST_BYTES = {
 }
 # What zipfile, tarfile and gzip raise of damaged files.
 DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
+
+
+def surface_name(recording: str) -> str:
+    """The open mesh that is the truth of a recording."""
+    return f"{SURFACES}/{recording}.ply"
 
 
 def most_bytes(name: str) -> int:

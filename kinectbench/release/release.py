@@ -71,15 +71,26 @@ class Release:
         return targets
 
     def open_split(self, name: str) -> tuple[Target, ...]:
-        """The targets of one split with truth; none if it is held back."""
-        return () if name in self.metadata.held_back else self.split(name)
+        """The targets of one split with solid truth; none if it is held back, or an open mesh."""
+        return () if name in self.metadata.inputs_only else self.split(name)
 
-    def require_truth(self, splits: Iterable[str]) -> None:
-        """Raise an error if the truth of a split is held back.
+    def require_truth(self, splits: Iterable[str], *, solid: bool = True) -> None:
+        """Raise an error if a split has no truth.
+
+        Args:
+            splits: their names.
+            solid: whether an open mesh, which has no inside, does not suffice.
 
         Raises:
-            ReleaseError: it says where the truth is.
+            ReleaseError: it is held back, and the line says where it is; or it is an open mesh.
         """
+        splits = tuple(splits)
+        if solid and any(split in self.metadata.surface_truth and self.split(split) for split in splits):
+            raise ReleaseError(
+                f"{shown(self.folder)}: its truth is open meshes without an inside: predict meshes or "
+                "points in the camera frame, and declare 'frame': 'camera' in method.json",
+                what="surface-truth",
+            )
         hidden = [split for split in splits if split in self.metadata.held_back and self.split(split)]
         if hidden:
             raise ReleaseError(
@@ -226,6 +237,9 @@ def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iter
                     f"{TARGETS_CSV}, line {line}: {key} '{stated}' where {BENCHMARK_JSON} has "
                     f"'{printable(wanted)}'"
                 )
+        kind = "" if info.quality.truth is None else info.quality.truth.kind
+        if target.truth != kind:
+            yield f"{TARGETS_CSV}, line {line}: truth '{target.truth}' where {BENCHMARK_JSON} has '{kind}'"
         if target.unknown_share is not None and metadata.hides(target.recording):
             yield f"{TARGETS_CSV}, line {line}: holds unknown_share, which is held back"
     for name, info in metadata.recordings.items():

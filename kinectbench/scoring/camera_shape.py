@@ -15,16 +15,16 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.rigid import similarity_problem, similarity_scale
+from kinectbench.core.glb_file import read_glb
+from kinectbench.core.mesh_files import MAX_FILE_BYTES, MAX_POINTS, read_obj, read_ply_surface
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
 from kinectbench.core.voxels.resample import MAX_CELLS
-from kinectbench.scoring.glb_file import read_glb
-from kinectbench.scoring.mesh_files import MAX_POINTS, read_obj, read_ply_surface
 
 SUFFIXES = (".ply", ".obj", ".glb", ".npz")
-# A cloud as RaySt3R writes it, of `MAX_POINTS`, is 113 MB; 512^3 distances of float32 are 537 MB.
-MAX_FILE_BYTES, MAX_GRID_BYTES = 128 << 20, 4 * MAX_CELLS**3 + (1 << 20)
+# 512^3 distances of float32 are 537 MB.
+MAX_GRID_BYTES = 4 * MAX_CELLS**3 + (1 << 20)
 # Units of `method.json` in metres; of `free` the scale is in `T_camera_prediction`, or nobody knows it.
 METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
 # Axes of `method.json` -> camera (x right, y down, z forward). PyTorch3D: x left, y up, z forward; OpenGL: x

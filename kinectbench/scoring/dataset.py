@@ -102,7 +102,7 @@ class Dataset:
         if isinstance(index, slice):
             raise TypeError("a dataset gives one pair at a time: [dataset[i] for i in range(…)]")
         target = self.targets[index]
-        names = wanted_parts(self.keys, target.split in self.release.metadata.held_back)
+        names = wanted_parts(self.keys, target.split in self.release.metadata.inputs_only)
         parts = _read(self.release, target, names) if names else {}
         images = {key: IMAGES[key](self.release, target) for key in self.keys if key in IMAGES}
         item = item_of(vars(target), parts | images, self.keys, self.packed)

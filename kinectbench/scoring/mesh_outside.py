@@ -10,23 +10,6 @@ from kinectbench.core.types import Float64, Int32
 AT_ONCE = 1 << 16
 
 
-def outwards(vertices: Float64, faces: Int32) -> Int32:
-    """The faces (m, 3) of a closed mesh with each connected piece turned outwards.
-
-    A void within a piece is a piece of its own, and counts as solid: too much, never too little.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    joins = coo_array((np.ones(len(ends), np.bool_), tuple(ends.T)), shape=(len(vertices),) * 2)
-    piece = connected_components(joins, directed=False)[1][faces[:, 0]]
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    volumes = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))
-    turned: Int32 = np.where((volumes < 0)[piece, None], faces[:, ::-1], faces)
-    return turned
-
-
 def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
     """The share of a closed mesh's volume that lies outside the cube [0, side]^3; exact.
 

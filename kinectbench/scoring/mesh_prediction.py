@@ -7,17 +7,16 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid
+from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards
+from kinectbench.core.mesh_files import read_obj, read_ply
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
-from kinectbench.scoring.mesh_files import read_obj, read_ply
-from kinectbench.scoring.mesh_outside import outside_share, outwards
+from kinectbench.scoring.mesh_outside import outside_share
 
 MESHES = (".ply", ".obj")
 READERS = {"ply": read_ply, "obj": read_obj}
 MAX_MESH_BYTES = 64 << 20
 MAX_FAR = 16  # grid sides
-# Vertices that differ by rounding alone, as trimesh joins them.
-SAME_PLACE_M = 1e-8
 
 # What a mesh in the camera frame needs.
 IN_CAMERA = "or declare 'frame': 'camera' in method.json"
@@ -74,28 +73,6 @@ def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
     used = np.zeros(len(vertices), bool)
     used[triangles] = True
     return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[triangles]
-
-
-def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
-    """The mesh with vertices at the same place made one: the first of them."""
-    places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
-    order = np.lexsort(places.T).astype(np.int32)
-    is_first = np.ones(len(order), bool)
-    is_first[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
-    joined = np.empty(len(order), np.int32)
-    joined[order] = np.cumsum(is_first, dtype=np.int32) - 1
-    return vertices[order[is_first]], joined[faces]
-
-
-def is_closed(faces: Int32) -> bool:
-    """Whether every edge is one of two triangles, which run along it in opposite directions."""
-    begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
-    # Both directions of an edge are neighbours: an even number, and the next odd one.
-    edges = 2 * (np.minimum(begin, end) * (1 + faces.max()) + np.maximum(begin, end)) + (begin > end)
-    edges = np.sort(edges, axis=None)
-    forwards, backwards = edges[:-1:2], edges[1::2]
-    paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()
-    return bool(paired and (np.diff(edges) > 0).all())
 
 
 def _refuse_far(vertices: Float64, grid: Grid) -> None:

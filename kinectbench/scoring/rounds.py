@@ -94,8 +94,13 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
     )
 
 
-def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
+def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
     """The test split, whose truth is required, and that of the validation split if needed.
+
+    Args:
+        release: the truth.
+        validation: whether that split is needed.
+        solid: whether an open mesh, which has no inside, does not suffice.
 
     Raises:
         ReleaseError: no test pair, or its truth is held back.
@@ -105,7 +110,7 @@ def pairs_to_score(release: Release, *, validation: bool) -> tuple[Target, ...]:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair in the test split; nothing to score", what="no-pairs"
         )
-    release.require_truth(("test", "validation") if validation else ("test",))
+    release.require_truth(("test", "validation") if validation else ("test",), solid=solid)
     return test
 
 

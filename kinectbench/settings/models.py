@@ -163,13 +163,15 @@ class RecordingSettings(Settings):
     box: BoxSettings | None = Field(None, description="only where objects touch")
     floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
     segment_by: SegmentBy | None = Field(
-        None,
-        description="the object moves before the camera; masks, or that it turns, say what it is",
+        None, description="the object moves before the camera; masks, or that it turns, say what it is"
     )
     masks: str | None = Field(
         None,
         description="folder of PNG masks of frames, relative to benchmark.yaml; of all with "
         "`segment_by: masks`",
+    )
+    reference: str | None = Field(
+        None, description="a scanner's or CAD mesh that is its truth, relative to benchmark.yaml"
     )
     review: ReviewSettings | None = Field(None, description="whether it is published, whatever its figures")
     license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
@@ -218,10 +220,7 @@ class FusionSettings(Settings):
         description="edge of a voxel of the object; default: 5 mm, less for small things seen from near",
     )
     scene_voxel_size_m: float | None = Field(
-        None,
-        ge=0.002,
-        le=0.1,
-        description="edge of a voxel of the scene; default: by the recording",
+        None, ge=0.002, le=0.1, description="edge of a voxel of the scene; default: by the recording"
     )
     truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
     min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")

@@ -116,6 +116,7 @@ FORGED: dict[str, Change] = {
     "flow": lambda stated: stated["flow"].update(failed=1, below_limits=0),
     "version": lambda stated: stated.update(version="2.0.0"),
     "held_back": lambda stated: stated.update(held_back=["test"]),
+    "surface_truth": lambda stated: stated.update(surface_truth=["test"]),
 } | {
     f"settings.{key}": of_settings(**{key: {"voxel_size_m": 0.02}})
     for key in ("tracking", "fusion", "segmentation", "views")

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from dataclasses import astuple
 from pathlib import Path
 
 import pytest
@@ -25,7 +24,7 @@ def test_the_rows_are_those_of_the_csv(
     file = parquet.ParquetFile(tmp_path / "out" / "targets.parquet")
     table = file.read()
     assert tuple(table.column_names) == tuple(COLUMNS) and file.metadata.num_row_groups > 1
-    assert [tuple(row.values()) for row in table.to_pylist()] == [astuple(each) for each in release.targets]
+    assert table.to_pylist() == [{name: getattr(t, name) for name in COLUMNS} for t in release.targets]
     stated = json.loads((tmp_path / "out" / "export.json").read_text())
     assert stated["benchmark_sha256"] == release.benchmark_sha256
 

@@ -1,5 +1,6 @@
 """What triage and a release say of a recording's truth beside a mesh of somebody else."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.reference import ReferenceFile
-from kinectbench.core.errors import StorageError
+from kinectbench.core.artefacts.targets import parse_targets, targets_text
+from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.gate import gate
 from kinectbench.release.publish.publish import publish
+from kinectbench.release.release import open_release, recording_problems
 
 NAMES = [row[0] for row in RECORDINGS]
 NAME = NAMES[0]
@@ -61,6 +64,22 @@ def test_the_card_has_the_figures(tmp_path: Path) -> None:
     assert info[NAMES[1]].reference is None
     card = (summary.folder / "README.md").read_text()
     assert "F at 5 mm to its reference" in card and "| 0.910 | 0.970 | 0.880 |" in card
+
+
+def test_targets_say_which_truth_is_a_mesh(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    made = publish(synthetic_settings(), tmp_path / "build", tmp_path / "out", NAMES)
+    release = open_release(made.folder)
+    first, *others = release.targets
+    assert "truth" not in (release.folder / "targets.csv").read_text().splitlines()[0]
+    labelled = (replace(first, truth="reference mesh"), *others)
+    text = targets_text(labelled)
+    assert text.splitlines()[0].endswith(",unknown_share,truth") and parse_targets(text, "here") == labelled
+    with raises(ReleaseError, "release.damaged", "truth 'guess'"):
+        parse_targets(text.replace("reference mesh", "guess"), "here")
+    # benchmark.json does not say so.
+    (line,) = recording_problems(labelled, release.metadata)
+    assert "truth 'reference mesh' where benchmark.json has ''" in line
 
 
 def test_a_damaged_file_is_one_line(tmp_path: Path) -> None:

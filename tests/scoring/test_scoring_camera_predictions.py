@@ -14,6 +14,7 @@ from small_benchmark import Run
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rigid
+from kinectbench.core.mesh_files import read_ply
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, check_camera, load_camera_shape
 from kinectbench.scoring.camera_shape import (
@@ -24,7 +25,6 @@ from kinectbench.scoring.camera_shape import (
     write_shape,
 )
 from kinectbench.scoring.declared import read_in_camera, read_method
-from kinectbench.scoring.mesh_files import read_ply
 
 EYE = np.eye(4)
 BOX = trimesh.creation.box(extents=(0.2, 0.3, 0.4))

@@ -15,7 +15,7 @@ from peak_memory import peak_mb
 from raising import raises
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.scoring.mesh_files import MAX_TRIANGLES, read_obj, read_ply
+from kinectbench.core.mesh_files import MAX_TRIANGLES, read_obj, read_ply
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES
 from kinectbench.scoring.prediction_file import load_prediction
 

@@ -151,6 +151,9 @@ class ReleaseInfo(ReleaseFile):
     isolated: tuple[str, ...] = Field(
         (), description="recordings of which one view is here, and nothing else that tells of the object"
     )
+    surface_truth: tuple[Split, ...] = Field(
+        (), description="splits whose truth is an open mesh, surfaces/<recording>.ply; their pairs are inputs"
+    )
     private_benchmark_sha256: str | None = Field(
         None, pattern=SHA256, description="of the part that scores, in the part for everybody"
     )
@@ -171,10 +174,20 @@ class ReleaseInfo(ReleaseFile):
                 )
         return super().parse(text, where)
 
+    @property
+    def inputs_only(self) -> tuple[Split, ...]:
+        """Splits whose pair files hold no truth: it is held back, or it is an open mesh."""
+        return (*self.held_back, *self.surface_truth)
+
     def hides(self, recording: str) -> bool:
         """Whether a recording's truth is held back; False for one that is not of the release."""
         info = self.recordings.get(recording)
         return info is not None and info.split in self.held_back
+
+    def has_solid(self, recording: str) -> bool:
+        """Whether the pairs of a recording hold its truth; True for one that is not of the release."""
+        info = self.recordings.get(recording)
+        return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
         """Whether only one view of a recording is included; False in the part that scores."""

@@ -170,6 +170,16 @@ class FrontierPart(StoredPart):
     )
 
 
+class ReferenceTruth(StoredPart):
+    """The mesh of a scanner or a CAD model that is the truth of a recording."""
+
+    kind: Literal["reference mesh"] = Field(description="what the truth is")
+    reference: str = Field(description="the mesh's file")
+    sha256: str = Field(description="of its bytes")
+    residual_m: float = Field(description="mean distance both ways from what was measured, metres")
+    scale: float = Field(description="by what the mesh would be multiplied to fit best; it is not")
+
+
 class QualityFile(Stored):
     """objects/<recording>/quality.json: how good the truth is."""
 
@@ -223,6 +233,9 @@ class QualityFile(Stored):
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: the mesh")
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
+    truth: ReferenceTruth | None = Field(
+        None, description="a mesh that is the truth, in place of what was fused; missing: fused"
+    )
 
     @property
     def measurement_warnings(self) -> tuple[str, ...]:

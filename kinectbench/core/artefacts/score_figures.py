@@ -222,6 +222,7 @@ class AsPapers:
     pcn_f: float | None = _share("F as PCN", "F below 0.01, diagonal 1")
     sds_chamfer_l1_mm: float | None = _loss("CD-L1 as SDS, mm", "half of both ways", "mm")
     sds_chamfer_l2_mm2: float | None = _loss(None, "sum of both ways, of squares", "mm^2")
+    sds_emd_mm: float | None = _loss("EMD as SDS, mm", "of the truth that is an open mesh", "mm")
 
 
 @dataclass(frozen=True, config=FINITE)

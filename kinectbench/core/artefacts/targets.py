@@ -62,6 +62,11 @@ class Target:
         metadata={"description": f"{UNKNOWN_SHARE}; empty where the truth is held back or imported"},
     )
 
+    truth: str = field(
+        default="",
+        metadata={"description": "`reference mesh`, or empty: fused; the column is there where one is"},
+    )
+
     @property
     def name(self) -> str:
         """`<recording>/<view>`, its name in messages."""
@@ -69,7 +74,9 @@ class Target:
 
 
 # Column of targets.csv → its content.
-COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
+ALL_COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
+COLUMNS = {name: text for name, text in ALL_COLUMNS.items() if name != "truth"}
+TRUTHS = ("", "reference mesh")
 NUMBER_COLUMNS = ("unknown_share",)
 # Those of releases published before pairs stated their share of unknown.
 EARLIER_COLUMNS = tuple(name for name in COLUMNS if name not in NUMBER_COLUMNS)
@@ -88,7 +95,7 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     except ValueError as error:
         raise ReleaseError(f"{where}: not a table ({error}); download the release again") from error
     columns = tuple(rows[0]) if rows else ()
-    if columns not in (tuple(COLUMNS), EARLIER_COLUMNS):
+    if columns not in (tuple(ALL_COLUMNS), tuple(COLUMNS), EARLIER_COLUMNS):
         raise ReleaseError(f"{where}, line 1: the columns must be {','.join(COLUMNS)}")
     targets: dict[str, Target] = {}
     for line, row in enumerate(rows[1:], start=2):
@@ -104,7 +111,7 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
 
 def _target(row: list[str]) -> Target:
     """A line of targets.csv that has no problem."""
-    values: dict[str, Any] = dict(zip(COLUMNS, row, strict=False))
+    values: dict[str, Any] = dict(zip(ALL_COLUMNS, row, strict=False))
     share = values.get("unknown_share")
     return Target(**values | {"unknown_share": float(share) if share else None})
 
@@ -113,9 +120,12 @@ def _row_problem(row: list[str], columns: int) -> str | None:
     """The fault of a line of targets.csv with this number of columns, or None."""
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
-    if len(row) > len(EARLIER_COLUMNS) and not _SHARE.fullmatch(row[-1]):
-        return f"unknown_share '{printable(row[-1])}' is not a share from 0 to 1"
+    share = row[len(EARLIER_COLUMNS)] if len(row) > len(EARLIER_COLUMNS) else ""
+    if not _SHARE.fullmatch(share):
+        return f"unknown_share '{printable(share)}' is not a share from 0 to 1"
     target = _target(row)
+    if target.truth not in TRUTHS:
+        return f"truth '{printable(target.truth)}' is neither empty nor {TRUTHS[1]}"
     if not all(NAME.fullmatch(name) for name in (target.recording, target.object, target.category)):
         return "a name with other characters than letters, digits, '.', '_' and '-'"
     if not _VIEW.fullmatch(target.view):
@@ -127,8 +137,14 @@ def _row_problem(row: list[str], columns: int) -> str | None:
     return None if re.fullmatch(SHA256, target.sha256) else "its SHA-256 is not 64 hex digits"
 
 
-def targets_text(targets: Sequence[Target], columns: Sequence[str] = tuple(COLUMNS)) -> str:
+def columns_of(targets: Iterable[Target]) -> tuple[str, ...]:
+    """The columns of a table of targets: `truth` is one of them where it is a reference mesh of some."""
+    return tuple(ALL_COLUMNS if any(target.truth for target in targets) else COLUMNS)
+
+
+def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
     """targets.csv, or the table of one split in targets/, as text; earlier releases have fewer columns."""
+    columns = columns or columns_of(targets)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)

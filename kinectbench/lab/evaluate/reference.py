@@ -1,7 +1,6 @@
 """A built truth beside a reference mesh: the figures of reference.json, and the meshes' files."""
 
 from collections.abc import Mapping
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +13,20 @@ from kinectbench.core.artefacts.reference import (
     ReferenceFile,
     RunnerUpPart,
 )
-from kinectbench.core.errors import PredictionError, RecordingError
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.known_cells import known_in
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.solid import grid_iou, known_iou
-from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, read_shape
-from kinectbench.scoring.mesh_prediction import is_closed, joined_vertices
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel, read_object
 from kinectbench.stages.segment.reference.judge import Laid, lay
+from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
-SUFFIXES = (".ply", ".obj", ".glb")
 # Of the reference, what lies so near to a measured sample was seen; what lies in free space was, too.
 NEAR_M = 0.02
 # Faces within 45 degrees of the vertical look up or down.
@@ -64,26 +60,6 @@ def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
     return found
 
 
-def read_reference(path: Path) -> tuple[TriangleMesh, bool, str]:
-    """A mesh in metres, whether it is closed, and the hash of its bytes.
-
-    Raises:
-        RecordingError: it cannot be read, or has no faces.
-    """
-    try:
-        shape = read_shape(path, str(path))
-        content = read_plain(path, MAX_FILE_BYTES)
-    except PredictionError as error:
-        raise RecordingError(f"{error}; name a mesh (.ply, .obj or .glb)", what="bad-mesh") from error
-    if shape.form != "mesh":
-        raise RecordingError(f"{path}: no mesh, as it has no faces; name one that has", what="bad-mesh")
-    vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
-        raise RecordingError(f"{path}: its faces have no area; export the mesh again", what="bad-mesh")
-    return TriangleMesh(vertices, faces), is_closed(faces), sha256(content).hexdigest()
-
-
 def compare_reference(folder: Path, path: Path) -> ReferenceFile:
     """Compare the built object of a recording with a reference mesh, and write reference.json.
 
@@ -95,12 +71,12 @@ def compare_reference(folder: Path, path: Path) -> ReferenceFile:
         RecordingError: the mesh cannot be used.
         StorageError: the object is missing or damaged.
     """
-    mesh, closed, digest = read_reference(path)
+    reference = read_reference(path)
     model = read_object(folder / "object")
-    found = reference_figures(model, lay(model, mesh), closed).model_copy(
+    found = reference_figures(model, lay(model, reference.mesh), reference.closed).model_copy(
         update={
             "reference": path.name,
-            "sha256": digest,
+            "sha256": reference.sha256,
             "object_fingerprint": Manifest.read(folder / "object").fingerprint,
         }
     )

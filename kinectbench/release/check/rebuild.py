@@ -39,10 +39,12 @@ class LocalRecording:
     Attributes:
         path: of the recording.
         masks: folder of a person's masks, or None.
+        reference: the mesh that is its truth, or None.
     """
 
     path: Path
     masks: Path | None = None
+    reference: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,11 @@ def find_sources(path: Path) -> dict[str, LocalRecording]:
         settings = load_benchmark(config, ())
         root = config.parent
         return {
-            r.id: LocalRecording(root / r.path, None if r.masks is None else root / r.masks)
+            r.id: LocalRecording(
+                root / r.path,
+                None if r.masks is None else root / r.masks,
+                None if r.reference is None else root / r.reference,
+            )
             for r in settings.recordings
         }
     if not path.is_dir():
@@ -116,6 +122,12 @@ def rebuild_plan(
             f"no recording here for {', '.join(missing)}; give the folder that holds them",
             what="no-recording",
         )
+    for name in sorted(wanted):
+        if metadata.recordings[name].quality.truth is not None and sources[name].reference is None:
+            raise SettingsError(
+                f"{name}: its truth is a reference mesh; give a benchmark.yaml that names it as `reference`",
+                what="no-file",
+            )
     if not wanted:
         raise ReleaseError(
             "all views are isolated: `kinectbench publish` without --isolate makes a release to be made again"
@@ -152,6 +164,7 @@ def _settings(
         source = sources[row["id"]]
         row["path"] = str(source.path.resolve())
         row["masks"] = None if source.masks is None else str(source.masks.resolve())
+        row["reference"] = None if source.reference is None else str(source.reference.resolve())
     values |= {"name": metadata.name, "license": metadata.license, "recordings": rows}
     try:
         return BenchmarkSettings.model_validate_json(json.dumps(values))

@@ -23,6 +23,7 @@ from kinectbench.core.artefacts.targets import (
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError, StorageError
 from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
@@ -30,7 +31,7 @@ from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.truth_check import ObjectTruth, object_truth, truth_problems
-from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents, surface_name
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
@@ -240,7 +241,8 @@ def _pair_lines(
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
-        if not metadata.hides(name.split("/")[1]):
+        recording = name.split("/")[1]
+        if metadata.has_solid(recording):
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)
             shares = stated.unknown_shares
@@ -250,9 +252,12 @@ def _pair_lines(
             ]
             lines = [f"{name}: {problem}" for problem in problems]
             placed = is_rigid(pair.T_world_grid) and 0 < pair.voxel_size_m < np.inf
-            return lines + (objects.lines(name.split("/")[1], name, pair) if placed else [])
+            return lines + (objects.lines(recording, name, pair) if placed else [])
         held_back = [key for key in values if key in TRUTH_KEYS]
-        lines = [f"{name}: holds {', '.join(held_back)}, which is held back"] if held_back else []
+        why = "is held back" if metadata.hides(recording) else "an open mesh does not have"
+        lines = [f"{name}: holds {', '.join(held_back)}, which {why}"] if held_back else []
+        if not metadata.hides(recording):
+            lines += surface_lines(contents, recording)
         given = checked_pair(PairInput, values, name)
         problems = [*input_problems(given, **rules), *_view_problems(given, stated.view)]
         return [*lines, *(f"{name}: {problem}" for problem in problems)]
@@ -316,7 +321,7 @@ def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[
     if not stated and not any(name.startswith("views/") and name.endswith(".png") for name in sums):
         return  # of models, or imported: no recording, so no object of one
     for recording in metadata.recordings:
-        for file in OBJECT_FILES if not metadata.hides(recording) else ():
+        for file in OBJECT_FILES if metadata.has_solid(recording) else ():
             if (name := f"objects/{recording}/{file}") not in sums:
                 yield f"{printable(name, 200)}: missing, a release of recordings has it"
 
@@ -345,3 +350,13 @@ def _split_problems(contents: Contents, targets: tuple[Target, ...]) -> Iterator
         return
     if splits.json_value() != Splits.of(targets).json_value():
         yield f"{SPLITS_JSON}: does not agree with {TARGETS_CSV}"
+
+
+def surface_lines(contents: Contents, recording: str) -> list[str]:
+    """A line if the open mesh that is the truth of a recording is missing, or cannot be read."""
+    name = surface_name(recording)
+    try:
+        read_ply(contents.read(name))
+    except (ReleaseError, ValueError) as error:
+        return [str(error) if isinstance(error, ReleaseError) else f"{name}: not a readable mesh ({error})"]
+    return []

@@ -76,7 +76,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
             (folder / models).mkdir()
         for number, (recording, targets) in enumerate(release.by_recording.items(), start=1):
             split = SPLIT_NAMES[targets[0].split]
-            model = None if release.metadata.hides(recording) else read_bop_model(release, recording)
+            model = read_bop_model(release, recording) if release.metadata.has_solid(recording) else None
             if model is not None:
                 mesh_mm = model.mesh_mm
                 file = f"obj_{number:06d}.ply"

@@ -3,10 +3,9 @@
 It is no file of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is installed.
 """
 
-from dataclasses import fields
 from pathlib import Path
 
-from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, Target
+from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, columns_of
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
@@ -40,7 +39,7 @@ def export_parquet(release: Release, out: Path, progress: Progress | None = None
         raise SettingsError(
             f"export: Parquet needs the package pyarrow; run `{advice}`", what="no-package"
         ) from error
-    names = [column.name for column in fields(Target)]
+    names = columns_of(release.targets)
     schema = arrow.schema(
         [(name, arrow.float64() if name in NUMBER_COLUMNS else arrow.string()) for name in names]
     )

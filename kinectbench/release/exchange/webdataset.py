@@ -92,7 +92,7 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
 def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
     """A checked pair, or its checked input if its truth is held back."""
     values = pair_values(content, target.file)
-    if target.split in release.metadata.held_back:
+    if target.split in release.metadata.inputs_only:
         return checked_pair(PairInput, values, target.file)
     return checked_pair(Pair, values, target.file)
 

@@ -43,6 +43,8 @@ PASSED_OVER = (
 )
 # Entries that are a person's statement.
 UNDERSIDE = "underside, as stated"
+# What the truth of a recording is, where it was not fused.
+KIND = "truth"
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
 TRUTH_LINES = """\
 full = np.unpackbits(pair["full"], axis=-1).astype(bool)  # (256, 256, 256), the truth
@@ -69,7 +71,8 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     estimate = quality.estimated_iou_words(3)
     # With its interval, in the same place.
     words |= {QUALITY["estimated_iou"][0]: estimate} if estimate else {}
-    return words | ({UNDERSIDE: quality.underside} if quality.underside else {})
+    words |= {UNDERSIDE: quality.underside} if quality.underside else {}
+    return words | ({KIND: quality.truth.kind} if quality.truth else {})
 
 
 def reference_words(info: RecordingInfo) -> dict[str, str]:
@@ -143,8 +146,8 @@ def card(
         license: of all recordings.
         texts: what depends on where the pairs come from.
     """
-    example = next((t for t in targets if t.split not in info.held_back), targets[0])
-    hidden = example.split in info.held_back
+    example = next((t for t in targets if t.split not in info.inputs_only), targets[0])
+    hidden = example.split in info.inputs_only
     body = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         name=info.name,
         source=texts.source,
@@ -207,6 +210,12 @@ def _notice(info: ReleaseInfo) -> str:
             *([isolated_line(info.isolated)] if info.isolated else []),
             "",
         ]
+    if info.surface_truth:
+        lines += [
+            f"**The truth of the split {', '.join(info.surface_truth)} is open meshes**, `surfaces/`: they "
+            "have no inside, so there is no `full`, and metrics of voxels stay empty.",
+            "",
+        ]
     return "\n".join(lines) + "\n" if lines else ""
 
 
@@ -259,7 +268,7 @@ def card_figures(info: ReleaseInfo) -> str:
         name: quality_words(recording.quality) | reference_words(recording)
         for name, recording in info.recordings.items()
     }
-    every = [*(label for label, _, _ in QUALITY.values()), *REFERENCE.values(), UNDERSIDE]
+    every = [*(label for label, _, _ in QUALITY.values()), *REFERENCE.values(), UNDERSIDE, KIND]
     labels = [label for label in every if any(label in row for row in words.values())]
     rows = [
         [name, recording.object, str(recording.pairs), str(recording.refused)]
@@ -314,16 +323,17 @@ def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def reading(targets: Sequence[Target], held_back: Sequence[str]) -> str:
+def reading(targets: Sequence[Target], held_back: Sequence[str], why: str = "held back") -> str:
     """The page as Markdown; its example is the first pair with truth, if there is one.
 
     Args:
         targets: every pair.
         held_back: splits with published inputs only.
+        why: they have no truth.
     """
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))
-    hidden = f"\nPairs of the split {', '.join(held_back)} do not have {keys}: their truth is held back.\n"
+    hidden = f"\nPairs of the split {', '.join(held_back)} do not have {keys}: their truth is {why}.\n"
     return Template(READING_TEMPLATE.read_text(encoding="utf-8")).substitute(
         example=(open_targets or targets)[0].file,
         truth=TRUTH if open_targets else NO_TRUTH,

@@ -379,6 +379,7 @@ def _public_settings(
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):
         recording.pop("path")
         recording.pop("masks")
+        recording.pop("reference")
         recording["underside"] = settings.underside_of(own)
         if recording["split"] in hold_back:
             hidden_keys = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH

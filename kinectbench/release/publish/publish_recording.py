@@ -199,6 +199,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
         file=file,
         sha256=sha256(content).hexdigest(),
         unknown_share=None if built.hidden else pair.stated_unknown_share,
+        truth="" if built.hidden or built.quality.truth is None else built.quality.truth.kind,
     )
     return target, pair.unknown_share == 1
 

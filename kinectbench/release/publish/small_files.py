@@ -79,6 +79,7 @@ class Head:
         left_out: recording that was built, or failed, and is not published -> why.
         flow: how many were tried, and what became of them; None: it is not made from recordings.
         isolated: recordings with a single published view.
+        surface_truth: splits whose truth is an open mesh.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Head:
     left_out: Mapping[str, str] = field(default_factory=dict)
     flow: Flow | None = None
     isolated: tuple[str, ...] = ()
+    surface_truth: tuple[Split, ...] = ()
 
 
 def write_small_files(
@@ -116,7 +118,9 @@ def write_small_files(
     info = _info(head, infos)
     license = common_license(infos, head.license)
     _write_targets(folder, targets)
-    (folder / READING).write_text(reading(targets, head.held_back), encoding="utf-8")
+    why = "an open mesh, `surfaces/<recording>.ply`" if head.surface_truth else "held back"
+    words = reading(targets, (*head.held_back, *head.surface_truth), why)
+    (folder / READING).write_text(words, encoding="utf-8")
     (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
     write_schemas(folder)
@@ -185,6 +189,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         "left_out": dict(head.left_out),
         "flow": head.flow,
         "isolated": head.isolated,
+        "surface_truth": head.surface_truth,
     }
     return info.model_copy(update={key: value for key, value in present.items() if value})
 

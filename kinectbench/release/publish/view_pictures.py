@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core import images
-from kinectbench.core.artefacts.targets import COLUMNS, SPLITS, Target
+from kinectbench.core.artefacts.targets import SPLITS, Target, columns_of
 from kinectbench.core.storage import write_below
 from kinectbench.core.types import Rgb
 from kinectbench.release.contents import PREVIEWS, ROWS
@@ -28,7 +28,8 @@ def row_picture(target: Target) -> str:
 
 def rows_text(targets: Sequence[Target]) -> str:
     """metadata.jsonl of the pairs of one split: the columns of targets.csv, behind `file_name`."""
-    rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in COLUMNS} for t in targets]
+    names = columns_of(targets)
+    rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in names} for t in targets]
     return "".join(json.dumps(row) + "\n" for row in rows)
 
 

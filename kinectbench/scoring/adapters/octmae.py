@@ -11,6 +11,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.mesh_files import MAX_FILE_BYTES, numbers_of
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
@@ -24,8 +25,7 @@ from kinectbench.release.exchange.rgbd import (
 )
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
-from kinectbench.scoring.camera_shape import MAX_FILE_BYTES, CameraShape
-from kinectbench.scoring.mesh_files import numbers_of
+from kinectbench.scoring.camera_shape import CameraShape
 
 # Of the images that its `demo.py` takes (config).
 WIDTH, HEIGHT = 640, 480

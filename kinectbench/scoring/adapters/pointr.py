@@ -12,6 +12,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.core.geometry import invert_rigid, rigid
+from kinectbench.core.mesh_files import MAX_POINTS
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
@@ -19,7 +20,6 @@ from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape
-from kinectbench.scoring.mesh_files import MAX_POINTS
 
 # As many as its loaders take; which of a view's points these are is drawn by the seed.
 POINTS = 2048

@@ -131,7 +131,7 @@ def figures_by_part(
         volume_m3 = coverage_shape * packed_count(truth.full) * truth.voxel_size_m**3
         papers = None
         if in_camera and part == "whole" and len(ours) and len(true_known):
-            papers = bounds.as_papers(_as_octmae(there, back), ours, true_known, truth.size_m)
+            papers = bounds.as_papers(_as_octmae(there, back), ours, true_known, truth.size_m, truth.is_open)
         found[part] = PartFigures(
             metrics,
             VoxelMetrics() if metrics.chamfer_l1_m is None else voxels,

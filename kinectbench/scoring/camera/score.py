@@ -66,7 +66,7 @@ def score_in_camera(
             is held back.
     """
     check_names(release.targets, str(release.folder))
-    test = pairs_to_score(release, validation=False)
+    test = pairs_to_score(release, validation=False, solid=False)
     files, failures = _files(folder, test, declared, missing)
     tasks = [
         ViewJob(target, files_of(release, target), files[target], declared, protocols)
@@ -85,6 +85,7 @@ def score_in_camera(
         *method_lines(folder, declared, release),
         *depth_warnings(release, looked_at, declared),
         *_without_inside(results),
+        *_open_truth(release, test),
         *table.warnings,
     )
     return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
@@ -247,6 +248,13 @@ def _without_inside(results: Mapping[Target, ViewResult]) -> list[str]:
         f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: they "
         "have no inside, so they have metrics of surfaces alone"
     ]
+
+
+def _open_truth(release: Release, test: Sequence[Target]) -> list[str]:
+    """A line on truths that have no inside; none if all have."""
+    count = sum(target.split in release.metadata.surface_truth for target in test)
+    what = f"the truth of {count} of {len(test)} views is an open mesh, which has no inside: "
+    return [what + "metrics of voxels stay empty"] if count else []
 
 
 def settings_in_space(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:

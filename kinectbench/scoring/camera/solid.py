@@ -6,13 +6,14 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
+from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
-from kinectbench.scoring.mesh_outside import outside_share, outwards
-from kinectbench.scoring.mesh_prediction import MAX_FAR, is_closed, joined_vertices
+from kinectbench.scoring.mesh_outside import outside_share
+from kinectbench.scoring.mesh_prediction import MAX_FAR
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import ShapePart
-from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unknown_share, unpack
 from kinectbench.release import view_images
+from kinectbench.release.contents import surface_name
+from kinectbench.release.published import published_bytes
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.camera.surface import Surface, cell_surface
+from kinectbench.scoring.camera.surface import Surface, cell_surface, mesh_surface
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
 
@@ -36,6 +40,7 @@ class SpaceTruth:
         sigma_m: standard deviation of the true surface; 0 if it is exact or not known.
         K: (3, 3) of the view; None where it is not needed.
         mask: (height, width) bool, the object in the view; None where the release has none.
+        is_open: the truth is an open mesh: it has no inside, and `full` is empty.
     """
 
     full: Packed
@@ -50,6 +55,7 @@ class SpaceTruth:
     sigma_m: float = 0.0
     K: Float64 | None = None
     mask: Bools | None = None
+    is_open: bool = False
 
     @cached_property
     def known_surface(self) -> Surface:
@@ -89,16 +95,22 @@ class ViewFiles:
         pair: its pair file.
         sha256: what its bytes must hash to.
         mask: likewise of its mask; None where the release has none.
+        surface: likewise of the open mesh that is the truth; None: the truth is in the pair file.
     """
 
     pair: Path
     sha256: str
     mask: tuple[Path, str] | None = None
+    surface: tuple[Path, str] | None = None
 
 
 def files_of(release: Release, target: Target) -> ViewFiles:
     """The files of a view."""
-    return ViewFiles(release.pair_path(target), target.sha256, view_images.mask_file(release, target))
+    mask, surface = view_images.mask_file(release, target), None
+    if target.split in release.metadata.surface_truth:
+        name = surface_name(target.recording)
+        surface = (release.folder / name, release.sums.get(name, ""))
+    return ViewFiles(release.pair_path(target), target.sha256, mask, surface)
 
 
 def read_space_truth(files: ViewFiles) -> SpaceTruth:
@@ -107,6 +119,9 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
     Raises:
         ReleaseError: a file is missing, or not the published one.
     """
+    mask = None if files.mask is None else view_images.read_mask(*files.mask)
+    if files.surface is not None:
+        return replace(_open_truth(files, *files.surface), mask=mask)
     names = (
         "full",
         "known",
@@ -121,8 +136,34 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
         files.pair, files.sha256, names
     )
     truth = space_truth(full, known, seen, invert_rigid(T_world_grid) @ T_world_camera, float(voxel_size_m))
-    mask = None if files.mask is None else view_images.read_mask(*files.mask)
     return replace(truth, sigma_m=float(sigma_m), K=K, mask=mask)
+
+
+def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
+    """The truth that is an open mesh in the world: all of its surface is known, and nothing is inside."""
+    names = ("seen", "T_world_grid", "T_world_camera", "voxel_size_m", "K")
+    seen, T_world_grid, T_world_camera, voxel_size_m, K = read_parts(files.pair, files.sha256, names)
+    try:
+        vertices, faces = read_ply(published_bytes(path, sha256))
+    except ValueError as error:
+        raise ReleaseError(f"{path}: not a readable mesh ({error}); download it again") from error
+    T_grid_world = invert_rigid(T_world_grid)
+    vertices = transform_points(T_grid_world, vertices)
+    surface, nothing = mesh_surface(vertices, faces), np.zeros_like(seen)
+    truth = SpaceTruth(
+        full=nothing,
+        known=np.full_like(seen, 255),
+        seen=seen,
+        surface=surface,
+        is_known=np.ones(len(surface), bool),
+        is_seen=np.zeros(len(surface), bool),
+        T_grid_camera=T_grid_world @ T_world_camera,
+        voxel_size_m=float(voxel_size_m),
+        size_m=float(np.linalg.norm(np.ptp(vertices, axis=0))),
+        K=K,
+        is_open=True,
+    )
+    return replace(truth, is_seen=truth.at(surface.points_m)[1])
 
 
 def space_truth(

@@ -43,7 +43,7 @@ class Scored:
         part: whole, visible or occluded.
         figures: of the part.
         alignment: under `aligned`.
-        solid: whether there is an inside; None where there is no prediction.
+        solid: whether there is an inside; None where there is no prediction, or the truth has none.
         predicted_unknown_share: of the predicted surface, what lies in unknown space.
         cut: of the true known shape, what lies outside the method's own volume; None where it has none.
         silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
@@ -151,13 +151,14 @@ def score_shape(
             found_T, alignment = _aligned(truth, as_predicted, kind)
             T = found_T @ T
             moved = surface.transformed(T)
-        solid = solid_in(truth, shape, mesh, T)
+        solid = None if truth.is_open else solid_in(truth, shape, mesh, T)
+        has_inside = None if truth.is_open else solid is not None
         found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
         # A registration moves what was predicted off its view.
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [
-            Scored(protocol, part, figures, alignment, solid is not None, left_out, cut, silhouette)
+            Scored(protocol, part, figures, alignment, has_inside, left_out, cut, silhouette)
             for part, figures in found.items()
         ]
     return tuple(rows)
@@ -191,7 +192,7 @@ def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, A
 
 def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
     """The rows of a view of which nothing is predicted: the worst of each figure."""
-    nothing = Solid(np.zeros_like(truth.full), 0.0)
+    nothing = None if truth.is_open else Solid(np.zeros_like(truth.full), 0.0)
     found = figures_by_part(truth, None, nothing)[0]
     return tuple(
         Scored(

@@ -261,7 +261,7 @@ def letters_of_methods(_: Path, units: int) -> Run:
 
 def lists_of_a_ply(_: Path, units: int) -> Run:
     """A .ply of faces with as many lists as are read, none as long as the one before it."""
-    from kinectbench.scoring.mesh_files import MAX_LISTS, read_ply
+    from kinectbench.core.mesh_files import MAX_LISTS, read_ply
 
     more = "".join(f"property list uchar int l{number}\n" for number in range(MAX_LISTS - 1))
     head = (

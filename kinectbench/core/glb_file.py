@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw, transform_points
+from kinectbench.core.mesh_files import MAX_TRIANGLES, MAX_VERTICES, Triangles
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted_text import strict_json
-from kinectbench.scoring.mesh_files import MAX_TRIANGLES, MAX_VERTICES, Triangles
 
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 # Values of the JSON part; a generator's file has some hundred (chosen here).

@@ -20,6 +20,8 @@ from kinectbench.core.untrusted import printable
 
 # The surface of the largest grid has some 400,000 cells (6 sides of 256^2), with two triangles to each.
 MAX_VERTICES = MAX_TRIANGLES = 1 << 20
+# A cloud as RaySt3R writes it, of `MAX_POINTS`, is 113 MB.
+MAX_FILE_BYTES = 128 << 20
 # Of a cloud: 22 views that RaySt3R predicts of an object with 190,000 pixels; 113 MB as it writes them.
 MAX_POINTS = 1 << 22
 # The end of a finely cut cylinder is a polygon of so many corners.

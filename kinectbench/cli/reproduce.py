@@ -1,0 +1,68 @@
+"""The command `reproduce`: the protocol of a paper, from recordings to its table."""
+
+from dataclasses import asdict, replace
+from typing import Annotated, Literal
+
+import typer
+
+from kinectbench.cli.build import exit_status, find_release
+from kinectbench.cli.common import Common, takes
+from kinectbench.cli.methods import Device
+from kinectbench.core.errors import SettingsError
+
+# 3D-RecGAN++, Sec. 4.1: 50 views of each real object, the cube around its full shape. What `--set` says wins.
+PAPER_REAL = ("views.count=50", "pairs.framing=object")
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def reproduce_command(
+    common: Common,
+    protocol: Annotated[Literal["paper-real"], typer.Argument(help="that of 3D-RecGAN++ on real recordings")],
+    device: Device = None,
+) -> int:
+    """Build, publish, predict and score by the protocol of the paper; print its table; go on after a stop.
+
+    All networks that come trained predict. Thresholds are those of the validation split.
+    """
+    from kinectbench.cli import console
+    from kinectbench.networks.registry import require_torch
+
+    require_torch()
+    from kinectbench.core.storage import replaced_file
+    from kinectbench.networks.predict import predict
+    from kinectbench.networks.processes import chosen_device
+    from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
+    from kinectbench.report.paper_table import PROTOCOL, paper_markdown, paper_tables
+    from kinectbench.scoring.score import score_methods
+
+    asked = replace(common, overrides=[*PAPER_REAL, *(common.overrides or ())])
+    release, rows = find_release(asked)
+    of_views = release.metadata.settings.views or {}
+    wanted = of_views.get("count") if common.benchmark else asked.settings.views.count
+    if release.metadata.framing != "object" or of_views.get("count") != wanted:
+        raise SettingsError(
+            f"{release.folder}: has framing {release.metadata.framing} and {of_views.get('count')} views a "
+            f"recording, where the protocol has framing object and {wanted}; publish again by `kinectbench "
+            f"publish {' '.join(f'--set {override}' for override in PAPER_REAL)}`"
+        )
+    folder, where = common.root / "reproduce" / protocol, chosen_device(device)
+    for name in packaged_methods():
+        trained = open_trained(folder_of(name), where)
+        with console.progress_bar(f"predict {name}") as progress:
+            predict(trained, release, folder / "predictions", device=where, progress=progress)
+    with console.progress_bar("score") as progress:
+        tables = score_methods(
+            release,
+            folder / "predictions",
+            folder / "scores",
+            protocols=(PROTOCOL,),
+            surface=False,
+            jobs=common.workers,
+            progress=progress,
+        )
+    found = paper_tables(tables)
+    text = paper_markdown(found)
+    with replaced_file(folder / "table.md") as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    common.tell([asdict(table) for table in found], text.splitlines())
+    return exit_status(rows)

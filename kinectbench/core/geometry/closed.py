@@ -1,0 +1,47 @@
+"""Whether a mesh is closed, once vertices at one place are one; and its faces turned outwards."""
+
+import numpy as np
+
+from kinectbench.core.types import Float64, Int32
+
+# Vertices that differ by rounding alone, as trimesh joins them.
+SAME_PLACE_M = 1e-8
+
+
+def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
+    """The mesh with vertices at the same place made one: the first of them."""
+    places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
+    order = np.lexsort(places.T).astype(np.int32)
+    is_first = np.ones(len(order), bool)
+    is_first[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
+    joined = np.empty(len(order), np.int32)
+    joined[order] = np.cumsum(is_first, dtype=np.int32) - 1
+    return vertices[order[is_first]], joined[faces]
+
+
+def is_closed(faces: Int32) -> bool:
+    """Whether every edge is one of two triangles, which run along it in opposite directions."""
+    begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
+    # Both directions of an edge are neighbours: an even number, and the next odd one.
+    edges = 2 * (np.minimum(begin, end) * (1 + faces.max()) + np.maximum(begin, end)) + (begin > end)
+    edges = np.sort(edges, axis=None)
+    forwards, backwards = edges[:-1:2], edges[1::2]
+    paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()
+    return bool(paired and (np.diff(edges) > 0).all())
+
+
+def outwards(vertices: Float64, faces: Int32) -> Int32:
+    """The faces (m, 3) of a closed mesh with each connected piece turned outwards.
+
+    A void within a piece is a piece of its own, and counts as solid: too much, never too little.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    joins = coo_array((np.ones(len(ends), np.bool_), tuple(ends.T)), shape=(len(vertices),) * 2)
+    piece = connected_components(joins, directed=False)[1][faces[:, 0]]
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    volumes = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))
+    turned: Int32 = np.where((volumes < 0)[piece, None], faces[:, ::-1], faces)
+    return turned

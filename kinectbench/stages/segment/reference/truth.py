@@ -1,0 +1,130 @@
+"""A reference mesh as the truth of a recording: registered to what was fused, and put in its place.
+
+The mesh has to be closed. The rules of `judge` refuse the mesh of another object. Nothing of a reference is
+unknown: a cell is inside the mesh, or it is not the object.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile, ReferenceTruth
+from kinectbench.core.artefacts.object_grids import Label
+from kinectbench.core.errors import SegmentationError, ShapeError
+from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
+from kinectbench.core.geometry.closed import outwards
+from kinectbench.core.voxels.pair_file import unpack
+from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+from kinectbench.core.voxels.view_grids import object_cube
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.select import fit_box
+from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD
+from kinectbench.stages.segment.object_model import ObjectModel
+from kinectbench.stages.segment.reference.judge import Laid, lay
+from kinectbench.stages.segment.reference.mesh import Reference, read_reference
+from kinectbench.stages.segment.solid.evidence import SHELL_M
+from kinectbench.stages.segment.solid.grids import REFERENCE_VOXEL_M, object_grid, surround_grid
+from kinectbench.stages.segment.solid.solid import SolidShape
+
+# Of the fused truth's quality, what also holds for a reference: it is of the frames, not of the solid.
+OF_FRAMES = ("selection", "good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
+
+
+def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
+    """The object with a reference mesh in place of the fused shape.
+
+    Args:
+        model: the fused object, which the mesh is registered to.
+        path: of the mesh, in metres and any frame.
+
+    Raises:
+        RecordingError: the mesh cannot be read.
+        ShapeError: it is open, or cannot be made voxels.
+        SegmentationError: it is that of another object.
+    """
+    reference = read_reference(path)
+    if not reference.closed:
+        raise ShapeError(
+            f"{path}: the reference mesh is open, or not consistently oriented; close it, or leave "
+            "`reference` out and use `kinectbench compare-truth`",
+            what="open-mesh",
+        )
+    laid = lay(model, reference.mesh)
+    if laid.refused is not None or laid.pose is None:
+        raise SegmentationError(
+            f"{path}: the reference mesh does not fit the object: {laid.refused}", what="other-mesh"
+        )
+    posed = reference.mesh.transformed(laid.pose.T)
+    mesh = TriangleMesh(posed.vertices, outwards(posed.vertices, posed.faces))
+    shape = _solid(mesh, model.floor, model.box.yaw_rad, model.shape.grid.voxel_size_m, path)
+    around = surround_grid(shape.grid, model.floor)
+    box = fit_box(transform_points(model.floor.T_floor_world, mesh.vertices), model.box.yaw_rad, 0.0)
+    changed = replace(
+        model,
+        box=box,
+        shape=shape,
+        surround=around,
+        surround_labels=np.full(around.shape, Label.OTHER, np.uint8),
+    )
+    return replace(changed, quality=_quality(changed, reference, laid, path.name))
+
+
+def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
+    """The inside of a mesh on a grid around all of it; as deep as fused surfaces reach it is SURFACE."""
+    from scipy import ndimage
+
+    box = fit_box(transform_points(floor.T_floor_world, mesh.vertices), yaw_rad, 0.0)
+    grid = object_grid(box, floor, voxel_size_m)
+    finest = object_cube(mesh.vertices, grid.T_world_grid)
+    if _costs_too_much(mesh, grid) or _costs_too_much(mesh, finest):
+        raise ShapeError(
+            f"{path}: too many of the {len(mesh.faces)} faces lie across each other; simplify the mesh",
+            what="bad-mesh",
+        )
+    solid = unpack(voxelize_solid(mesh.vertices, mesh.faces, grid))
+    if not solid.any():
+        raise ShapeError(f"{path}: the mesh encloses nothing; close and orient it", what="bad-mesh")
+    depth_voxels = ndimage.distance_transform_edt(solid)
+    labels = np.where(solid, Label.INTERIOR, Label.OTHER).astype(np.uint8)
+    labels[solid & (depth_voxels <= SHELL_M / REFERENCE_VOXEL_M)] = Label.SURFACE
+    return SolidShape(grid, solid, labels, solid.astype(np.float32), mesh, np.zeros_like(solid))
+
+
+def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
+    cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
+    return costs_too_much(cells[:, :2], mesh.faces, grid.shape[:2])
+
+
+def _quality(model: ObjectModel, reference: Reference, laid: Laid, name: str) -> QualityFile:
+    """What is said of a truth that is a reference: no estimate, as nothing of it is fused."""
+    assert laid.pose is not None and laid.scale is not None, "it fits"
+    shape, fused, warnings = model.shape, model.quality, list[str]()
+    other = laid.runner_up
+    if other is not None and other.fits_as_well and laid.symmetric_axis_floor is None:
+        warnings.append(
+            f"the reference mesh also fits turned by {np.degrees(other.turn_rad):.0f}°: what no camera saw "
+            "may be on the wrong side"
+        )
+    kept = {key: getattr(fused, key) for key in OF_FRAMES if key in fused.model_fields_set}
+    return QualityFile(
+        **kept,
+        format_version=1,
+        verdict="look at the warnings" if warnings else "good",
+        warnings=tuple(warnings),
+        doubts=tuple(warnings),
+        surface_sigma_m=model.surface_sigma_m,
+        unknown_share=0.0,
+        unknown_air_share=0.0,
+        volume_m3=round(int(shape.solid.sum()) * shape.grid.voxel_size_m**3, 6),
+        labels=LabelCounts(**{each.name.lower(): int((shape.labels == each).sum()) for each in Label}),
+        box=BoxPart.of(model.box, BOX_DECIMALS_M, BOX_DECIMALS_RAD),
+        method="a reference mesh, registered to the fused surface",
+        truth=ReferenceTruth(
+            kind="reference mesh",
+            reference=name,
+            sha256=reference.sha256,
+            residual_m=round(laid.pose.residual_m, 6),
+            scale=round(laid.scale, 6),
+        ),
+    )
