@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 
 PROTOCOLS = "paper, known, occluded, measured, known-unsaid, or of the camera frame camera, aligned"
+CLOSE = "make open meshes in the camera frame solid: winding (numbers above 0.5)"
+UPSAMPLING = "of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
 # Options that `--recheck` takes from the table, or whose files it does not write.
 FROM_THE_TABLE = (
     *("method", "protocol", "save_thresholds", "missing", "upsampling", "surface"),
-    *("baselines", "gallery", "out"),
+    *("close", "baselines", "gallery", "out"),
 )
 
 
@@ -44,11 +46,9 @@ def score_command(
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")
     ] = None,
     missing: Annotated[str, typer.Option(help="error, or empty: score an empty grid")] = ERROR_IF_MISSING,
-    upsampling: Annotated[
-        str,
-        typer.Option(help="of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"),
-    ] = "half-pixel",
+    upsampling: Annotated[str, typer.Option(help=UPSAMPLING)] = "half-pixel",
     surface: Annotated[bool, typer.Option(help="Chamfer distance, F-score, surface Dice, normals")] = True,
+    close: Annotated[str | None, typer.Option(help=CLOSE)] = None,
     baselines: Baselines = True,
     gallery: Annotated[bool, typer.Option(help="keep some predictions for the page, small")] = True,
     out: Annotated[Path | None, typer.Option(help="default: scores/ beside the benchmark")] = None,
@@ -65,6 +65,7 @@ def score_command(
     """
     known: dict[str, Any] = {"protocols": protocol, "thresholds_file": thresholds, "upsampling": upsampling}
     of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
+    of_one["close"] = close
     if recheck is not None:
         return _recheck(common, context, recheck, predictions, thresholds)
     known["surface"] = surface
@@ -77,11 +78,11 @@ def score_command(
     if predictions is None:
         _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
-        check_request(predictions, protocol, thresholds, missing, upsampling)
+        check_request(predictions, protocol, thresholds, missing, upsampling, close)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
-    if gallery and not in_space(tables):
+    if gallery and not (predictions is None and in_space(tables)):
         with console.progress_bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
     beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
@@ -103,8 +104,10 @@ def _score_part(
         raise SettingsError(f"score --shard {common.shard}: name {missing}; a part does not make it")
     if options["save_thresholds"] is not None:
         raise SettingsError("score --shard: not with --save-thresholds, which needs all parts")
+    if options["close"] is not None:
+        raise SettingsError("score --shard: not with --close: predictions in the camera frame have no parts")
     folder = out or common.beside("scores")
-    given = {name: value for name, value in options.items() if name != "save_thresholds"}
+    given = {name: value for name, value in options.items() if name not in ("save_thresholds", "close")}
     with common.executor() as executor, console.progress_bar("count") as progress:
         failed = count_methods(
             open_release(release_here(common.benchmark)),
@@ -132,8 +135,7 @@ def tell_scores(
 ) -> None:
     """The scores: a table, or as JSON the means over all categories."""
     from kinectbench.cli import console
-    from kinectbench.cli.score_tables import score_table
-    from kinectbench.cli.space_tables import space_table
+    from kinectbench.cli.score_tables import score_table, space_lines
 
     spatial = in_space(tables)
     of_voxels, cells = ([one for one in of if one not in in_space(of)] for of in (tables, beside))
@@ -143,7 +145,7 @@ def tell_scores(
         if of_voxels:
             console.out.print(score_table([*of_voxels, *cells], published=True))
         if spatial:
-            console.out.print(space_table([*spatial, *in_space(beside)]))
+            console.out.print(space_lines([*spatial, *in_space(beside)]))
         console.say(f"page: {page.resolve()}")
 
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 from kinectbench.core.artefacts.score_figures import SHARES
 from kinectbench.core.artefacts.score_marks import BASELINE, REPORTED
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
+from kinectbench.report.space_table import TITLE as SPACE_TITLE
+from kinectbench.report.space_table import space_table
 from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.published import CATEGORIES, LABEL, PublishedTable, published_beside
@@ -64,6 +66,26 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 def is_baseline(table: ScoreTable) -> bool:
     """Whether a table is of a baseline: added, or scored as a method."""
     return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
+
+
+def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
+    """A line for each method and heading of predictions in the camera frame; see `space_table`."""
+    from rich.text import Text
+
+    from kinectbench.cli.wide_table import WideTable
+
+    found = space_table(tables)
+    result = WideTable(title=SPACE_TITLE)
+    result.add_column("protocol")
+    result.add_column("method")
+    for name in found.columns:
+        result.add_column(name, justify="right")
+    for heading, lines in found.groups.items():
+        for name, cells in lines:
+            result.add_row(heading, Text(name), *cells)
+        result.add_section()
+    result.caption = "\n".join(found.notes)
+    return result
 
 
 def _name(table: ScoreTable) -> str:

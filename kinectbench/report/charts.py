@@ -101,10 +101,13 @@ class Chart:
     svg: Markup
 
 
-def _chart(title: str, label: str, x_name: str, axes: Axes, series: Sequence[Series]) -> Chart:
+def _chart(
+    title: str, label: str, x_name: str, axes: Axes, series: Sequence[Series], y_name: str = "IoU"
+) -> Chart:
     content = {
         "label": f"{label}, {title}: {len(series)} methods. " + " ".join(each.words for each in series),
         "x_name": x_name,
+        "y_name": y_name,
         "axes": axes,
         "size": (WIDTH, HEIGHT),
         "top": TOP,
@@ -189,6 +192,29 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
             label = "IoU of each pair against the share of the shape seen"
             charts.append(_chart(category, label, "share of the shape that the view saw", axes, series))
     return tuple(charts)
+
+
+def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
+    """How often truth is solid against the share of several predictions that are, of all cells together."""
+    axes, series = Axes(0.0, 1.0, 1.0), []
+    for index, table in enumerate(tables):
+        rows = [r for r in table.rows if r.calibration and (r.protocol, r.part) == (protocol, "whole")]
+        # Under `aligned` the last kind of registration is the freest.
+        rows = [row for row in rows if row.heading == rows[-1].heading]
+        found = [row.calibration for row in rows if row.calibration is not None]
+        points = []
+        for tenth in range(len(found[0].cells) if found else 0):
+            of = [(one.cells[tenth], one.said[tenth] or 0.0, one.true[tenth] or 0.0) for one in found]
+            if count := sum(n for n, _, _ in of):
+                points.append((sum(n * s for n, s, _ in of) / count, sum(n * t for n, _, t in of) / count))
+        if points:
+            error = float(np.mean([one.error for one in found]))
+            words = f"{table.method}: expected calibration error {shown_figure(error)}."
+            dots = [axes.at(*point) for point in points]
+            marks = "".join("M{:.1f},{:.1f}h0".format(*dot) for dot in dots)
+            series.append(Series(index, words, marks, svg_path(dots)))
+    names = "share of a view's predictions that are solid", "share of cells that are solid in the truth"
+    return (_chart("all categories", "Calibration", names[0], axes, series, names[1]),) if series else ()
 
 
 def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:

@@ -217,7 +217,8 @@ function makeCard(methods, name) {
   panes.style.setProperty("--methods", of.length + 1);
   panes.setAttribute("role", "group");
   panes.setAttribute("aria-label", `${name}: ${captions.join(", ")}; arrow keys turn`);
-  const iou = "IoU " + shown.map(one => one.iou === null ? "–" : one.iou.toFixed(3)).join(" and ");
+  const far = one => one.chamfer_m === null ? "–" : `– (Chamfer ${(1000 * one.chamfer_m).toFixed(1)} mm)`;
+  const iou = "IoU " + shown.map(one => one.iou === null ? far(one) : one.iou.toFixed(3)).join(" and ");
   const view = pair.picture ? [element("img", { className: "view", src: pair.picture, alt: `view ${name}` })] : [];
   const larger = element("button", { type: "button", className: "larger", textContent: "larger" });
   const head = element("h4", {}, name, element("span", { className: "note", textContent: ` ${pair.category}` }),
@@ -241,7 +242,7 @@ const watcher = new IntersectionObserver(entries => entries.forEach(entry => {
 }), { rootMargin: "300px" });
 
 function names(method) {
-  const category = select("category").value, order = select("order").value, iou = name => method.pairs[name].iou ?? -1;
+  const category = select("category").value, order = select("order").value, iou = name => method.pairs[name].iou ?? -1 - (method.pairs[name].chamfer_m ?? 0);
   const found = Object.keys(method.pairs).filter(name => !category || data.pairs[name].category === category).sort();
   if (order === "worst") found.sort((a, b) => iou(a) - iou(b));
   if (order === "best") found.sort((a, b) => iou(b) - iou(a));

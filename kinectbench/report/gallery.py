@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from kinectbench.core import images
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
+from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.listing import inert_json
@@ -103,7 +104,7 @@ def loaded_cells(
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
     """The same for predictions from any source; `load` gives a pair's, None is an empty grid."""
-    chosen = _chosen(release, table)
+    chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
         if progress:
@@ -133,7 +134,7 @@ def baseline_cells(
     """
     wanted: dict[Target, dict[str, float]] = {}
     for table in tables:
-        for target, threshold in _chosen(release, table).items():
+        for target, threshold in chosen_pairs(release, table).items():
             wanted.setdefault(target, {})[table.method] = threshold
     tasks = []
     for target, thresholds in sorted(wanted.items(), key=lambda item: item[0]):
@@ -156,16 +157,23 @@ def _baselines_of(upsampling: str, task: tuple[BaselineTask, Mapping[str, float]
     return {name: _drawn(grid, thresholds[name], upsampling) for name, grid in predicted(baselines)}
 
 
-def _chosen(release: Release, table: ScoreTable) -> dict[Target, float]:
+def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
     """The pairs of a method that are shown, and the thresholds that they were scored at."""
     protocols = table.settings.protocols
-    rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else protocols[0])}
-    rising = [
-        name for _, name in sorted((row.iou, name) for name, row in rows.items() if row.iou is not None)
-    ]
+    first = next((row.heading for row in table.rows if row.protocol == protocols[0]), protocols[0])
+    rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else first)}
+    figures = {name: _figure(row) for name, row in rows.items()}
+    rising = [name for _, name in sorted((of, name) for name, of in figures.items() if of is not None)]
     targets = {target.name: target for target in release.split("test")}
     shown = shown_pairs(rising, list(targets))
     return {targets[name]: rows[name].threshold for name in shown if name in rows}
+
+
+def _figure(row: ScoreRow) -> float | None:
+    """What pairs are sorted by, the better the higher: the IoU, else the Chamfer distance."""
+    if row.in_space:
+        return None if row.chamfer_l1_m is None else -row.chamfer_l1_m
+    return row.iou
 
 
 def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed:
@@ -294,7 +302,12 @@ def gallery_json(
     for table, cells in zip(tables, shown_by, strict=True):
         rows = {row.pair: row for row in table.pairs(protocol)}
         pairs = {
-            name: {"iou": rows[name].iou, "threshold": rows[name].threshold, "cells": cells[name]}
+            name: {
+                "iou": rows[name].iou,
+                "chamfer_m": rows[name].chamfer_l1_m,
+                "threshold": rows[name].threshold,
+                "cells": cells[name],
+            }
             for name in sorted(kept)
             if name in cells and name in rows
         }

@@ -21,6 +21,7 @@ from kinectbench.engine.stages import Job
 from kinectbench.report import charts, many, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
+from kinectbench.report.space_table import space_table
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.published import PUBLISHED_IN, PublishedTable, published_beside
 from kinectbench.settings.models import BenchmarkSettings
@@ -171,6 +172,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
         "tables": [tables.protocol_table(parsed, p, groups.get(p)) for p in protocols],
         "groups": beside.groups,
         "details": tables.details(ordered),
+        "space": space_table(ordered),
         "detail_names": list(tables.DETAILS),
         "more_is_better": tables.MORE_IS_BETTER,
         "objects": objects,
@@ -181,6 +183,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
         "bars": charts.iou_bars(ordered, primary),
         "threshold_charts": charts.threshold_charts(ordered, primary),
         "visible_charts": charts.visible_charts(ordered, primary),
+        "calibration_charts": charts.calibration_charts(ordered, primary),
         "extremes": tables.best_and_worst(ordered, primary),
         "gallery": gallery,
         "gallery_left_out": left_out,

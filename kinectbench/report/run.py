@@ -12,7 +12,9 @@ from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Groups, write_report
+from kinectbench.report.space_gallery import space_cells
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
+from kinectbench.scoring.declared import read_in_camera
 from kinectbench.scoring.of_release import not_of_release
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.protocols import PROTOCOLS
@@ -244,7 +246,11 @@ def write_galleries(
     for table, folder in zip(tables, folders, strict=True):
         if not table.rows:  # earlier scores, which are kept, have a gallery of their own
             continue
-        cells = gallery_cells(release, folder, table, upsampling, progress)
+        method = read_in_camera(folder)
+        if method is None:
+            cells = gallery_cells(release, folder, table, upsampling, progress)
+        else:
+            cells = space_cells(release, folder, method, table, progress)
         scores = out if len(tables) == 1 else out / table.method
         write_gallery(cells, scores / SCORES_JSON)
 

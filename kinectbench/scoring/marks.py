@@ -26,6 +26,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
         (kinds.THRESHOLDS_OWN, _from(table, METHOD_SOURCE, "the method's own,")),
         (kinds.THRESHOLDS_FIXED, _from(table, FIXED_SOURCE, "fixed at")),
         (kinds.THRESHOLDS_UNCHECKED, _unchecked(table)),
+        (kinds.CLOSED, _closed(table)),
     ]
     return tuple(Mark(kind=kind, words=words) for kind, words in marks if words)
 
@@ -73,6 +74,13 @@ def _unchecked(table: ScoreTable) -> str:
     if not table.threshold_source.startswith(FROM_FILE) or table.threshold_objects is not None:
         return ""
     return "thresholds from a file that names no objects"
+
+
+def _closed(table: ScoreTable) -> str:
+    """Open meshes that an option made solid."""
+    closed = {row.pair for row in table.rows if row.closed is not None}
+    views = len({row.pair for row in table.rows})
+    return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:

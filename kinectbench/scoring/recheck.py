@@ -68,6 +68,7 @@ def recheck(
         missing=check_missing(stated.settings.missing or "error"),
         upsampling=_upsampling(stated, path),
         surface=bool(stated.settings.surface_metrics),
+        close=stated.settings.close,
         jobs=jobs,
         progress=progress,
     )

@@ -19,6 +19,7 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
 from kinectbench.scoring.camera.score import protocols_in_space, score_in_camera
+from kinectbench.scoring.camera.solid import CLOSINGS
 from kinectbench.scoring.declared import (
     changed_files,
     changed_line,
@@ -47,6 +48,7 @@ def score(
     jobs: int | Executor = 1,
     progress: Progress | None = None,
     resume_in: Path | None = None,
+    close: str | None = None,
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split only choose the thresholds.
 
@@ -59,26 +61,25 @@ def score(
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes, or where else pairs are counted, those of a recording at a time; the result
-            does not depend on it.
+        jobs: number of processes, or where else pairs are counted; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder that keeps counts until all are complete; None keeps nothing.
+        close: how open meshes in the camera frame are made solid: "winding"; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
-        ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
-            is held back.
+        ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
-    check_words(protocols, upsampling)
-    if (method_file := read_in_camera(predictions)) is not None:
-        used, processes = protocols_in_space(protocols, method_file), _processes(jobs, thresholds_file)
-        return score_in_camera(release, predictions, method_file, method, used, missing, processes, progress)
+    check_words(protocols, upsampling, close)
+    if (file := read_in_camera(predictions)) is not None:
+        rest = (missing, _processes(jobs, thresholds_file), progress, close)
+        return score_in_camera(release, predictions, file, method, protocols_in_space(protocols, file), *rest)
     asked = plan(release, predictions, thresholds_file, missing)
-    if space := space_alone(protocols, upsampling):
+    if space := space_alone(protocols, upsampling, close):
         table = score_grid_in_space(release, asked, method, space, missing, _processes(jobs), progress)
         return _with_what_is_said(table, predictions, asked, release)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
@@ -153,8 +154,8 @@ def counting_of(
     return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
-def check_words(protocols: Sequence[str] | None, upsampling: str) -> None:
-    """Refuse names of protocols and of upsampling that are not known.
+def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | None = None) -> None:
+    """Refuse names of protocols, of upsampling and of ways to close meshes that are not known.
 
     Raises:
         SettingsError: one that is not.
@@ -162,6 +163,8 @@ def check_words(protocols: Sequence[str] | None, upsampling: str) -> None:
     check_protocols(protocols)
     if upsampling not in CONVENTIONS:
         raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
+    if close not in (None, *CLOSINGS):
+        raise SettingsError(f"--close {close}: choose {' or '.join(CLOSINGS)}")
 
 
 def score_methods(
@@ -178,6 +181,7 @@ def score_methods(
     surface: bool = True,
     jobs: int | Executor = 1,
     progress: Progress | None = None,
+    close: str | None = None,
 ) -> list[ScoreTable]:
     """Score every method in a folder and write `out/scores.json`, or `out/<method>/scores.json` of several.
 
@@ -191,18 +195,17 @@ def score_methods(
         save_thresholds: freeze the thresholds in this file, if any was found on validation.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
-        surface: whether surface metrics are computed.
+        surface: see `score`.
         jobs: see `score`.
         progress: called with (pairs done, pairs in all) for each method in turn.
+        close: see `score`.
 
     Raises:
-        SettingsError: a name or a file for thresholds is given to several methods, `missing` is neither word,
-            or there are no thresholds to be saved.
+        SettingsError: what is of one method is given to several, or there are no thresholds to be saved.
         PredictionError: no predictions there, or none that can be scored; earlier scores are kept.
     """
     rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
-    methods = _methods(release, predictions, method, save_thresholds)
-    tables = []
+    methods, tables = _methods(release, predictions, method, save_thresholds), list[ScoreTable]()
     for name, folder in methods.items():
         target = out if len(methods) == 1 else out / name
         table = score(
@@ -217,6 +220,7 @@ def score_methods(
             jobs=jobs,
             progress=progress,
             resume_in=target,
+            close=close,
         )
         _write(table, folder, target, alone=len(methods) == 1)
         tables.append(table)
@@ -291,6 +295,7 @@ def check_request(
     thresholds_file: Path | None,
     missing: str,
     upsampling: str,
+    close: str | None = None,
 ) -> Missing:
     """Refuse errors that can be found without the release; arguments and errors as of `score_methods`.
 
@@ -300,7 +305,7 @@ def check_request(
         What is to be done with a missing prediction.
     """
     rule = check_missing(missing)
-    check_words(protocols, upsampling)
+    check_words(protocols, upsampling, close)
     if predictions is not None:
         check_folder(predictions)
     if thresholds_file is not None:

@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
 SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
 UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
+Closing = Annotated[str | None, Field(json_schema_extra={"enum": ["winding", None]})]
 OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 
 
@@ -226,6 +227,20 @@ class AsPapers:
 
 
 @dataclass(frozen=True, config=FINITE)
+class Calibration:
+    """How often truth is solid where a share of several predictions is; docs/scoring-in-space.md."""
+
+    error: UnitRange = Field(description="expected calibration error: mean of |said - true| over the cells")
+    cells: tuple[int, ...] = Field(
+        description="known cells by tenth of the votes, those without a vote left out"
+    )
+    said: tuple[float | None, ...] = Field(description="mean share of predictions that are solid, by tenth")
+    true: tuple[float | None, ...] = Field(
+        description="share of the cells that are solid in the truth, by tenth"
+    )
+
+
+@dataclass(frozen=True, config=FINITE)
 class InSpace:
     """Values that only rows of the protocols `camera` and `aligned` have."""
 
@@ -237,7 +252,7 @@ class InSpace:
         default=None, description="of several predictions of the view; null: of the first or only one"
     )
     solid: bool | None = Field(
-        default=None, description="whether it has an inside: a closed mesh, voxels or distances"
+        default=None, description="whether it has an inside: a closed mesh, voxels or distances, by itself"
     )
     predicted_unknown_share: OptionalUnitRange = Field(
         default=None, description="of the predicted surface, what lies in unknown space and is left out"
@@ -255,6 +270,12 @@ class InSpace:
         default=None, description="best figures that the truth's surface_sigma_m allows; null where it is 0"
     )
     as_papers: AsPapers | None = Field(default=None, description="of the whole under `camera`")
+    closed: Closing = Field(
+        default=None, description="how an open mesh was made solid, by `--close`; null where it was not"
+    )
+    calibration: Calibration | None = Field(
+        default=None, description="of the votes of several solids, in the rows of their mean"
+    )
 
 
 @dataclass(frozen=True, config=FINITE)

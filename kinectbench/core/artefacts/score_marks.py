@@ -16,6 +16,7 @@ THRESHOLDS_POOLED: Final = "thresholds-pooled"
 THRESHOLDS_OWN: Final = "thresholds-own"
 THRESHOLDS_UNCHECKED: Final = "thresholds-unchecked"
 VALIDATION_PARTIAL: Final = "validation-partial"
+CLOSED: Final = "closed"
 Kind = Literal[
     "baseline",
     "older-version",
@@ -25,6 +26,7 @@ Kind = Literal[
     "thresholds-own",
     "thresholds-unchecked",
     "validation-partial",
+    "closed",
 ]
 # From this version of `score` on a table accounts for its thresholds and for what is missing.
 ACCOUNTED = 4

@@ -18,6 +18,7 @@ from kinectbench.core.artefacts.score_figures import (
     SURFACE_METRICS,
     Averages,
     ByThreshold,
+    Closing,
     InSpace,
     OptionalUnitRange,
     Resolution,
@@ -106,6 +107,7 @@ class ScoreSettings(StoredPart):
     upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
     averages: str | None = Field(None, description="the order of the means")
     surface_metrics: bool | None = Field(None, description="whether they were computed")
+    close: Closing = Field(None, description="how open meshes are made solid; null: they are not")
     f_score_mm: tuple[float, ...] = Field((), description="tolerances of the F-scores in millimetres")
     surface_dice_sigmas: float | None = Field(None, description="tolerance of the surface Dice")
     interval_level: float | None = Field(None, description="of the confidence intervals")
@@ -358,7 +360,7 @@ class ScoreTable(Stored):
         return table.model_copy(update={"rows": rows, "rows_file": None})
 
 
-# Fields that follow from rows and settings, or have no effect on the numbers.
+# What follows from rows and settings, or has no effect on the numbers.
 DERIVED = (
     *("by_category", "overall", "truth_unknown_share", "all_unknown_pairs", "notes", "extremes"),
     *("iou_by_threshold", "marks"),

@@ -146,17 +146,44 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
         faces: (m, 3) int32.
         shape: number of lines along both.
     """
-    most = np.array(shape, np.int32)
-    cells = np.floor(np.clip(vertices_cells, -1, most)).astype(np.int32)
-    corners = [cells[faces[:, corner]] for corner in range(3)]
-    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
-    crossing = ((high >= 0) & (low < most)).all(axis=1)
-    low, high = low[crossing] + 1, high[crossing] + 2
-    total = int((high - low).astype(np.int64).prod(axis=1).sum())
-    steps = np.zeros(most + 3, np.int64)
-    for x, y, sign in ((low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)):
-        np.add.at(steps, (x[:, 0], y[:, 1]), sign)
-    return bool(total > MAX_CROSSINGS or steps.cumsum(axis=0).cumsum(axis=1).max() > MAX_IN_A_COLUMN)
+    total, most = _crossable(np.ascontiguousarray(vertices_cells), faces, shape)
+    return bool(total > MAX_CROSSINGS or most > MAX_IN_A_COLUMN)
+
+
+@numba.njit(cache=True, nogil=True)
+def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
+    """How many columns all faces can cross together, and how many faces can cross the same column."""
+    nu, nv = shape
+    # How many more rectangles cover a column than the one before, along both sides.
+    steps = np.zeros((nu + 3, nv + 3), np.int64)
+    total = 0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        u0, u1 = _columns(vertices[a, 0], vertices[b, 0], vertices[c, 0], nu)
+        v0, v1 = _columns(vertices[a, 1], vertices[b, 1], vertices[c, 1], nv)
+        if u1 < 0 or v1 < 0 or u0 >= nu or v0 >= nv:
+            continue
+        total += (u1 - u0 + 1) * (v1 - v0 + 1)
+        steps[u0 + 1, v0 + 1] += 1
+        steps[u1 + 2, v1 + 2] += 1
+        steps[u0 + 1, v1 + 2] -= 1
+        steps[u1 + 2, v0 + 1] -= 1
+    most = 0
+    for i in range(nu + 3):
+        row = 0
+        for j in range(nv + 3):
+            row += steps[i, j]
+            steps[i, j] = row + (steps[i - 1, j] if i else 0)
+            if steps[i, j] > most:
+                most = steps[i, j]
+    return total, most
+
+
+@numba.njit(cache=True, nogil=True)
+def _columns(a, b, c, most):  # type: ignore[no-untyped-def]
+    """The first and the last cell of three places along one side, from -1 to `most`."""
+    low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
+    return np.int64(min(max(low, -1.0), most)), np.int64(min(max(high, -1.0), most))
 
 
 def voxelize_solid(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:

@@ -21,12 +21,16 @@ from kinectbench.scoring.workers import run_tasks
 SEARCHING = Counting(("paper",), surface=False)
 
 
-def space_alone(protocols: Sequence[str] | None, upsampling: str) -> tuple[str, ...]:
+def space_alone(
+    protocols: Sequence[str] | None, upsampling: str, close: str | None = None
+) -> tuple[str, ...]:
     """Those of some protocols that are of space; () where none is.
 
     Raises:
-        SettingsError: others are among them, or coarse grids are to be upsampled in another way.
+        SettingsError: others are among them, another upsampling is asked, or meshes are to be closed.
     """
+    if close is not None:
+        raise SettingsError(f"--close {close}: only of meshes whose method.json has 'frame': 'camera'")
     asked = tuple(name for name in IN_SPACE if name in (protocols or ()))
     if others := [name for name in protocols or () if asked and name not in asked]:
         raise SettingsError(

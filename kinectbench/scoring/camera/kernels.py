@@ -56,7 +56,14 @@ def _faces(cells, ni, nj, nk, steps, inside, axes, signs):  # type: ignore[no-un
 def outward(cells, inside):  # type: ignore[no-untyped-def]
     """(n, 3) float64: away from the mass of the 7^3 cells around each surface cell, of length 1 or 0."""
     normals = np.zeros((len(inside), 3))
-    size = cells.shape
+    size, rows = cells.shape, _rows(cells)
+    # Of seven cells along k, as bits: how many there are, and the sum of their distances.
+    counts, moments = np.zeros(128, np.int64), np.zeros(128, np.int64)
+    for code in range(128):
+        for bit in range(7):
+            if code >> bit & 1:
+                counts[code] += 1
+                moments[code] += bit - RADIUS_CELLS
     for n in range(len(inside)):
         i, j, k = inside[n]
         if n and inside[n - 1, 0] == i and inside[n - 1, 1] == j and inside[n - 1, 2] == k:
@@ -65,15 +72,31 @@ def outward(cells, inside):  # type: ignore[no-untyped-def]
         x = y = z = 0
         for a in range(max(i - RADIUS_CELLS, 0), min(i + RADIUS_CELLS + 1, size[0])):
             for b in range(max(j - RADIUS_CELLS, 0), min(j + RADIUS_CELLS + 1, size[1])):
-                for c in range(max(k - RADIUS_CELLS, 0), min(k + RADIUS_CELLS + 1, size[2])):
-                    if cells[a, b, c]:
-                        x += i - a
-                        y += j - b
-                        z += k - c
+                code = rows[a, b, k]
+                x += (i - a) * counts[code]
+                y += (j - b) * counts[code]
+                z += moments[code]
         length = np.sqrt(np.float64(x * x + y * y + z * z))
         if length > 0:
             normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
     return normals
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _rows(cells):  # type: ignore[no-untyped-def]
+    """(i, j, k) uint8: the seven cells around each along k as bits, the last one lowest."""
+    rows = np.empty(cells.shape, np.uint8)
+    last = cells.shape[2]
+    for i in range(cells.shape[0]):
+        for j in range(cells.shape[1]):
+            code = 0
+            for k in range(last + RADIUS_CELLS):
+                code = code << 1 & 127
+                if k < last and cells[i, j, k]:
+                    code |= 1
+                if k >= RADIUS_CELLS:
+                    rows[i, j, k - RADIUS_CELLS] = code
+    return rows
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -186,6 +209,30 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
             a, b, c, d = affine[axis]
             found[n, axis] = a * x + b * y + c * z + d
     return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-def]
+    """(n,) bool each: whether points lie in known cells, and in seen ones; all outside is known, not seen.
+
+    Args:
+        points: (n, 3), in the unit of `voxel_size`.
+        voxel_size: edge of a cell.
+        known: (i, j, k / 8) uint8, packed.
+        seen: likewise.
+    """
+    is_known, is_seen = np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    ni, nj, nk = known.shape[0], known.shape[1], 8 * known.shape[2]
+    for n in range(len(points)):
+        a = np.floor(points[n, 0] / voxel_size)
+        b = np.floor(points[n, 1] / voxel_size)
+        c = np.floor(points[n, 2] / voxel_size)
+        if 0 <= a < ni and 0 <= b < nj and 0 <= c < nk:
+            i, j, k = np.int64(a), np.int64(b), np.int64(c)
+            bit = 7 - (k & 7)
+            is_known[n] = known[i, j, k >> 3] >> bit & 1 == 1
+            is_seen[n] = seen[i, j, k >> 3] >> bit & 1 == 1
+    return is_known, is_seen
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

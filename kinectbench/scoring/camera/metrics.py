@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.score_figures import (
     VoxelMetrics,
 )
 from kinectbench.core.types import MM_PER_M, Bools, Float64, Int64
-from kinectbench.core.voxels.pair_file import FULL_CELLS, packed_count
+from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, packed_count
 from kinectbench.scoring.camera import bounds
 from kinectbench.scoring.camera.solid import Solid
 from kinectbench.scoring.camera.surface import Surface, point_surface
@@ -217,11 +217,16 @@ def _f_score(precision: float, recall: float) -> float:
     return min(2 * precision * recall / (precision + recall), 1.0) if precision + recall else 0.0
 
 
+def counted_cells(truth: SpaceTruth, part: str) -> Packed:
+    """The known cells of a part, packed."""
+    if part == "whole":
+        return truth.known
+    return truth.known & (truth.seen if part == "visible" else ~truth.seen)
+
+
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
-    counted = truth.known
-    if part != "whole":
-        counted = counted & (truth.seen if part == "visible" else ~truth.seen)
+    counted = counted_cells(truth, part)
     occupied = counted & truth.full
     true, shape = packed_count(occupied), packed_count(truth.full)
     shares = packed_count(counted) / FULL_CELLS**3, true / shape if shape else 1.0

@@ -45,6 +45,7 @@ def score_in_camera(
     missing: Missing,
     jobs: int,
     progress: Progress | None,
+    close: str | None = None,
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
 
@@ -57,6 +58,7 @@ def score_in_camera(
         missing: "error" lists a missing prediction as a failure; "empty" scores the worst of each figure.
         jobs: number of processes.
         progress: called with (views done, views in all).
+        close: how open meshes are made solid, of `CLOSINGS`; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
@@ -69,7 +71,7 @@ def score_in_camera(
     test = pairs_to_score(release, validation=False, solid=False)
     files, failures = _files(folder, test, declared, missing)
     tasks = [
-        ViewJob(target, files_of(release, target), files[target], declared, protocols)
+        ViewJob(target, files_of(release, target), files[target], declared, protocols, close)
         for target in sorted(files)
     ]
     outcomes = dict(zip(sorted(files), run_tasks(score_view, tasks, jobs, progress), strict=True))
@@ -77,9 +79,8 @@ def score_in_camera(
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
     empty = [target.name for target in sorted(files) if not files[target]]
     fixed = fixed_thresholds({target.category for target in results})
-    table = table_in_space(
-        release, method, results, failures, settings_in_space(protocols, missing), empty, fixed
-    )
+    settings = settings_in_space(protocols, missing).model_copy(update={"close": close})
+    table = table_in_space(release, method, results, failures, settings, empty, fixed)
     looked_at = [found for target in sorted(files) for found in files[target][:1]]
     said = (
         *method_lines(folder, declared, release),
@@ -227,6 +228,8 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
             part=one.part,
             alignment=one.alignment,
             hypotheses=one.hypotheses,
+            closed=one.closed,
+            calibration=one.calibration,
             solid=one.solid,
             predicted_unknown_share=one.predicted_unknown_share,
             surface_unknown_share=one.figures.surface_unknown_share,
@@ -241,13 +244,21 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 def _without_inside(results: Mapping[Target, ViewResult]) -> list[str]:
     """A line on predictions that have no inside; none if all have."""
-    without = [target.name for target, found in sorted(results.items()) if found.rows[0].solid is False]
-    if not without:
-        return []
-    return [
-        f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: they "
-        "have no inside, so they have metrics of surfaces alone"
-    ]
+    open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
+    without = [name for name, closed in open_ones.items() if closed is None]
+    closed = [name for name in open_ones if name not in without]
+    lines = []
+    if without:
+        lines.append(
+            f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: "
+            "they have no inside, so they have metrics of surfaces alone"
+        )
+    if closed:
+        lines.append(
+            f"{len(closed)} of {len(results)} predictions are open meshes, such as {closed[0]}, made solid "
+            f"by --close {open_ones[closed[0]]}"
+        )
+    return lines
 
 
 def _open_truth(release: Release, test: Sequence[Target]) -> list[str]:

@@ -15,6 +15,9 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_outside import outside_share
 from kinectbench.scoring.mesh_prediction import MAX_FAR
 
+# How open meshes can be made solid: by generalised winding numbers above 1/2.
+CLOSINGS = ("winding",)
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -46,9 +49,13 @@ def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
 
 
 def solid_in(
-    truth: SpaceTruth, shape: CameraShape, mesh: ClosedMesh | None, T_grid_prediction: Float64
+    truth: SpaceTruth,
+    shape: CameraShape,
+    mesh: ClosedMesh | None,
+    T_grid_prediction: Float64,
+    close: str | None = None,
 ) -> Solid | None:
-    """A predicted solid in the cells of the truth; None of open meshes and of points.
+    """A predicted solid in the cells of the truth; None of points, and of open meshes unless they are closed.
 
     A cell is occupied if its centre is inside a closed mesh, in an occupied cell, or where distances that are
     interpolated linearly are negative.
@@ -58,14 +65,17 @@ def solid_in(
         shape: that is predicted.
         mesh: what `closed_mesh` makes of it.
         T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid.
+        close: how open meshes are made solid, of `CLOSINGS`.
 
     Raises:
         PredictionError: the mesh is too far away, or has too many faces across each other.
     """
-    if mesh is not None:
+    if shape.form == "mesh" and (mesh is not None or close is not None):
         from kinectbench.scoring.camera.kernels import mapped
 
-        return _of_mesh(truth, mapped(mesh.vertices_m, T_grid_prediction[:3]), mesh.faces)
+        if mesh is not None:
+            return _of_mesh(truth, mapped(mesh.vertices_m, T_grid_prediction[:3]), mesh.faces)
+        return _by_winding(truth, mapped(shape.points_m, T_grid_prediction[:3]), shape.faces.astype(np.int32))
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
         return None
     T = T_grid_prediction @ shape.T_camera_grid
@@ -86,13 +96,7 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 
     grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
-    vertices = vertices_m / truth.voxel_size_m
-    if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
-        far_m = MAX_FAR * FULL_CELLS * truth.voxel_size_m
-        raise PredictionError(
-            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
-            what="far-off",
-        )
+    vertices = _in_cells(truth, vertices_m)
     if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
     cells = voxelize_solid(vertices_m, faces, grid)
@@ -102,6 +106,25 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
+
+
+def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
+    from kinectbench.scoring.camera.winding import inside_winding
+
+    found, outside = inside_winding(_in_cells(truth, vertices_m), faces, FULL_CELLS)
+    return Solid(pack(found), outside)
+
+
+def _in_cells(truth: SpaceTruth, vertices_m: Float64) -> Float64:
+    """Vertices (n, 3) in cells of the truth; those that are too far away are refused."""
+    vertices = vertices_m / truth.voxel_size_m
+    if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
+        far_m = MAX_FAR * FULL_CELLS * truth.voxel_size_m
+        raise PredictionError(
+            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
+            what="far-off",
+        )
+    return vertices
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:

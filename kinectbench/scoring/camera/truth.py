@@ -11,7 +11,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unknown_share, unpack
+from kinectbench.core.voxels.pair_file import Packed, unknown_share, unpack
 from kinectbench.release import view_images
 from kinectbench.release.contents import surface_name
 from kinectbench.release.published import published_bytes
@@ -74,10 +74,10 @@ class SpaceTruth:
 
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
         """Whether points (n, 3) lie in known space, and in space that the view saw."""
-        cells = np.floor(points_m / self.voxel_size_m)
-        inside = np.asarray(((cells >= 0) & (cells < FULL_CELLS)).all(axis=1))
-        at = np.where(inside[:, None], cells, 0).astype(np.int64)
-        return ~inside | cells_set(self.known, at), inside & cells_set(self.seen, at)
+        from kinectbench.scoring.camera.kernels import known_and_seen
+
+        found: tuple[Bools, Bools] = known_and_seen(points_m, self.voxel_size_m, self.known, self.seen)
+        return found
 
 
 def cells_set(packed: Packed, cells: Int64) -> Bools:

@@ -8,6 +8,7 @@ import numpy as np
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import (
     Alignment,
+    Calibration,
     Hypotheses,
     ShapePart,
     SurfaceMetrics,
@@ -26,6 +27,7 @@ from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
+from kinectbench.scoring.camera.votes import Votes
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.prediction_file import blake3_of
@@ -48,6 +50,8 @@ class Scored:
         cut: of the true known shape, what lies outside the method's own volume; None where it has none.
         silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
         hypotheses: of several predictions; None of the first or only one.
+        closed: how an open mesh was made solid, as `--close` has it; None where it was not.
+        calibration: of the votes of several predictions that have an inside.
     """
 
     protocol: str
@@ -59,6 +63,8 @@ class Scored:
     cut: float | None = None
     silhouette: float | None = None
     hypotheses: Hypotheses | None = None
+    closed: str | None = None
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,7 @@ class ViewJob:
         files: of its predictions, the main one first; () for an empty one.
         method: what method.json declares.
         protocols: camera, aligned or both.
+        close: how open meshes are made solid; None: not at all.
     """
 
     target: Target
@@ -78,6 +85,7 @@ class ViewJob:
     files: tuple[CameraPredictionFile, ...]
     method: MethodFile
     protocols: tuple[str, ...]
+    close: str | None = None
 
 
 @dataclass(frozen=True)
@@ -107,13 +115,14 @@ def score_view(job: ViewJob) -> ViewResult | str:
     asked = asked_rows(job.protocols, job.method.scale)
     if not job.files:
         return ViewResult(empty_rows(truth, asked), truth.unknown_share, None, 0)
-    found, digests = [], []
+    found, digests, votes = [], [], Votes()
     volume = (job.method.volume_m or {}).get(job.target.name)
     for file in job.files:
         try:
             with open_plain(file.path) as content:
                 digests.append(blake3_of(content))
-            found.append(score_shape(truth, load_camera_shape(file, job.method), asked, volume))
+            shape = load_camera_shape(file, job.method)
+            found.append(score_shape(truth, shape, asked, volume, job.close, votes))
         except PredictionError as error:
             line = str(error)
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
@@ -122,11 +131,16 @@ def score_view(job: ViewJob) -> ViewResult | str:
         except (ValueError, MemoryError) as error:  # one view's file does not end the others
             return f"{file.name}{file.path.suffix}: cannot be scored ({printable(str(error), 120)})"
     digest = digests[0] if len(digests) == 1 else blake3_of("".join(digests).encode())
-    return ViewResult((*found[0], *_over(found)), truth.unknown_share, digest)
+    return ViewResult((*found[0], *_over(truth, found, votes)), truth.unknown_share, digest)
 
 
 def score_shape(
-    truth: SpaceTruth, shape: CameraShape, asked: Sequence[Asked], volume_m: Float64 | None = None
+    truth: SpaceTruth,
+    shape: CameraShape,
+    asked: Sequence[Asked],
+    volume_m: Float64 | None = None,
+    close: str | None = None,
+    votes: Votes | None = None,
 ) -> tuple[Scored, ...]:
     """The rows of one predicted shape, in the camera frame, by protocol, kind of registration and part.
 
@@ -136,6 +150,8 @@ def score_shape(
         asked: see `asked_rows`.
         volume_m: (2, 3), lowest and highest corner of what the method looks at, camera frame; None: all,
             or the shape's own grid.
+        close: how an open mesh is made solid; None: not at all.
+        votes: gets its solids; None: nobody asks for them.
 
     Raises:
         PredictionError: its solid cannot be made in the truth's cells.
@@ -144,6 +160,9 @@ def score_shape(
     if not len(surface):
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
+    closed = close if shape.form == "mesh" and mesh is None and not truth.is_open else None
+    # An open truth has no inside to compare with.
+    is_solid = None if truth.is_open else closed is None and (mesh is not None or shape.cells is not None)
     rows: list[Scored] = []
     for protocol, kind in asked:
         T, alignment, moved = truth.T_grid_camera, None, as_predicted
@@ -151,14 +170,15 @@ def score_shape(
             found_T, alignment = _aligned(truth, as_predicted, kind)
             T = found_T @ T
             moved = surface.transformed(T)
-        solid = None if truth.is_open else solid_in(truth, shape, mesh, T)
-        has_inside = None if truth.is_open else solid is not None
+        solid = None if truth.is_open else solid_in(truth, shape, mesh, T, close)
+        if votes is not None and solid is not None:
+            votes.solids.setdefault((protocol, kind), []).append(solid.cells)
         found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
         # A registration moves what was predicted off its view.
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [
-            Scored(protocol, part, figures, alignment, has_inside, left_out, cut, silhouette)
+            Scored(protocol, part, figures, alignment, is_solid, left_out, cut, silhouette, closed=closed)
             for part, figures in found.items()
         ]
     return tuple(rows)
@@ -208,7 +228,7 @@ def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
     )
 
 
-def _over(found: Sequence[tuple[Scored, ...]]) -> list[Scored]:
+def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) -> list[Scored]:
     """The rows over several predictions of a view: the best by Chamfer distance of the whole, and means."""
     k = len(found)
     if k == 1:
@@ -221,7 +241,9 @@ def _over(found: Sequence[tuple[Scored, ...]]) -> list[Scored]:
             far = [row.figures.surface.chamfer_l1_m for row in of_one]
             leader = int(np.argmin([np.inf if one is None else one for one in far]))
         rows.append(replace(of_one[leader], hypotheses=best))
-        rows.append(replace(_mean(of_one), hypotheses=mean))
+        asked = of_one[0].protocol, of_one[0].alignment.kind if of_one[0].alignment else None
+        calibration = votes.calibration(truth, asked, of_one[0].part, k)
+        rows.append(replace(_mean(of_one), hypotheses=mean, calibration=calibration))
     return rows
 
 

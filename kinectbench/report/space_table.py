@@ -1,15 +1,12 @@
-"""The table of scores of predictions in the camera frame that people see in the terminal."""
+"""The table of scores of predictions in the camera frame, for the terminal and the page."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 from kinectbench.core.artefacts.score_figures import AsPapers, ScoreRow, fields_of
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.averages import plain_mean
-
-if TYPE_CHECKING:
-    from kinectbench.cli.wide_table import WideTable
 
 TITLE = "predictions in the camera frame: means over all categories"
 # Key of the figure -> heading, and how it is written.
@@ -40,42 +37,53 @@ NOTHING_NOTE = "(n empty): views of which nothing is predicted; each counts with
 BESIDE_NOTE = "cut: of the truth, outside the method's volume; outside mask: of the predicted surface"
 
 
-def space_table(tables: Sequence[ScoreTable]) -> "WideTable":
+@dataclass(frozen=True)
+class SpaceTable:
+    """The figures of predictions in the camera frame, as the terminal and the page show them.
+
+    Attributes:
+        columns: headings of the figures.
+        groups: {heading of rows: its lines, best first, the ceiling at last}: a name and a text a column.
+        notes: below the table, one line each.
+    """
+
+    columns: tuple[str, ...]
+    groups: dict[str, list[tuple[str, list[str]]]]
+    notes: tuple[str, ...]
+
+
+def space_table(tables: Sequence[ScoreTable]) -> SpaceTable:
     """A line for each method and heading (protocol, registration, part, hypotheses); best first."""
-    from rich.text import Text
-
-    from kinectbench.cli.wide_table import WideTable
-
-    result = WideTable(title=TITLE)
-    result.add_column("protocol")
-    result.add_column("method")
-    for name, _ in (COLUMNS | BESIDE).values():
-        result.add_column(name, justify="right")
-    headings = dict.fromkeys(name for table in tables for name in table.overall or {})
-    has_ceiling = False
+    headings = dict.fromkeys(
+        name
+        for table in tables
+        for name in table.overall or {}
+        if any(row.in_space for row in table.pairs(name)[:1])
+    )
+    groups: dict[str, list[tuple[str, list[str]]]] = {}
     for heading in headings:
         ordered = [
             t for t in sorted(tables, key=lambda t: _far(t, heading)) if OVERALL in t.averages(heading)
         ]
+        lines = groups[heading] = []
         for table in ordered:
-            beside = _beside(table.pairs(heading))
-            method = Text(f"{table.method}{_empty(table.pairs(heading))}")
-            result.add_row(heading, method, *_cells(table.averages(heading)[OVERALL]), *beside)
+            rows = table.pairs(heading)
+            closed = f" (closed: {table.settings.close})" * any(row.closed for row in rows)
+            cells = [*_cells(table.averages(heading)[OVERALL]), *_beside(rows)]
+            lines.append((f"{table.method}{closed}{_empty(rows)}", cells))
         if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
-            has_ceiling = True
-            result.add_row(heading, CEILING, *ceiling)
-        result.add_section()
+            lines.append((CEILING, ceiling))
     failed = [f"{t.method}: {len(t.failures)} views failed" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
-    has_empty = any(_empty(table.pairs(heading)) for table in tables for heading in headings)
+    names = [name for lines in groups.values() for name, _ in lines]
     notes = [
-        *([NOTHING_NOTE] if has_empty else []),
+        *([NOTHING_NOTE] if any(name.endswith(" empty)") for name in names) else []),
         EMPTY_NOTE,
         BESIDE_NOTE,
-        *([CEILING_NOTE] if has_ceiling else []),
+        *([CEILING_NOTE] if CEILING in names else []),
     ]
-    result.caption = "\n".join([*failed, *left_out, *notes])
-    return result
+    columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
+    return SpaceTable(columns, groups, (*failed, *left_out, *notes))
 
 
 def _far(table: ScoreTable, heading: str) -> float:
