@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 SHOWN_PROTOCOLS = (PRIMARY, "paper")
 TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better), under the protocol named"
 # Below the tables that have the line `truth unknown`.
+PARTS_NOTE = "of whole shapes; the page and scores.csv have their visible and their occluded parts, too"
 UNKNOWN_NOTE = (
     "truth unknown: of the true shapes' volume, what is a guess; space that nobody saw and that is taken for "
     "air is no part of it"
@@ -69,13 +70,13 @@ def is_baseline(table: ScoreTable) -> bool:
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """A line for each method and heading of predictions in the camera frame; see `space_table`."""
+    """A line for each method and heading of predictions in the camera frame, of whole shapes: `space_table`."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable
 
-    found = space_table(tables)
-    result = WideTable(title=SPACE_TITLE)
+    found = space_table(tables, parts=("whole",))
+    result = WideTable(title=SPACE_TITLE, keep=2)
     result.add_column("protocol")
     result.add_column("method")
     for name in found.columns:
@@ -84,7 +85,7 @@ def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
         for name, cells in lines:
             result.add_row(heading, Text(name), *cells)
         result.add_section()
-    result.caption = "\n".join(found.notes)
+    result.caption = "\n".join((*found.notes, PARTS_NOTE))
     return result
 
 

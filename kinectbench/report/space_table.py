@@ -1,6 +1,6 @@
 """The table of scores of predictions in the camera frame, for the terminal and the page."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -52,13 +52,18 @@ class SpaceTable:
     notes: tuple[str, ...]
 
 
-def space_table(tables: Sequence[ScoreTable]) -> SpaceTable:
-    """A line for each method and heading (protocol, registration, part, hypotheses); best first."""
+def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = None) -> SpaceTable:
+    """A line for each method and heading (protocol, registration, part, hypotheses); best first.
+
+    Args:
+        tables: some of them of predictions in the camera frame.
+        parts: of the shape, those that have lines (whole, visible, occluded); None: all.
+    """
     headings = dict.fromkeys(
         name
         for table in tables
         for name in table.overall or {}
-        if any(row.in_space for row in table.pairs(name)[:1])
+        if any(row.in_space and (parts is None or row.part in parts) for row in table.pairs(name)[:1])
     )
     groups: dict[str, list[tuple[str, list[str]]]] = {}
     for heading in headings:
@@ -83,7 +88,18 @@ def space_table(tables: Sequence[ScoreTable]) -> SpaceTable:
         *([CEILING_NOTE] if CEILING in names else []),
     ]
     columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
-    return SpaceTable(columns, groups, (*failed, *left_out, *notes))
+    return _without_empty(SpaceTable(columns, groups, (*failed, *left_out, *notes)))
+
+
+def _without_empty(table: SpaceTable) -> SpaceTable:
+    """The columns in which some line has a figure."""
+    lines = [cells for of in table.groups.values() for _, cells in of]
+    kept = [i for i in range(len(table.columns)) if any(cells[i] for cells in lines)]
+    groups = {
+        heading: [(name, [cells[i] for i in kept]) for name, cells in of]
+        for heading, of in table.groups.items()
+    }
+    return SpaceTable(tuple(table.columns[i] for i in kept), groups, table.notes)
 
 
 def _far(table: ScoreTable, heading: str) -> float:

@@ -1,13 +1,16 @@
 """Methods that predict in the camera frame on the page: all figures that the terminal has, and pictures."""
 
 import json
+from io import StringIO
 from pathlib import Path
+from typing import cast
 
 import analytic_release
 import numpy as np
 import pytest
+from rich.console import Console
 
-from kinectbench.cli.score_tables import space_lines
+from kinectbench.cli.score_tables import PARTS_NOTE, space_lines
 from kinectbench.core.artefacts.gallery import read_gallery
 from kinectbench.core.artefacts.score_figures import Ceiling
 from kinectbench.core.voxels.pair_file import unpack
@@ -83,4 +86,14 @@ def test_ceilings_and_empty_views_are_named_alike(release: Release, tmp_path: Pa
     assert found.groups["camera"][1][1][0] == "0.0010"
     terminal = space_lines([table])
     assert [str(cell) for cell in terminal.columns[1].cells][:2] == ["net (1 empty)", "(ceiling)"]
-    assert terminal.caption == "\n".join(found.notes)
+    assert terminal.caption == "\n".join((*found.notes, PARTS_NOTE))
+    # Nothing was declared to be cut: the column would be empty.
+    assert (
+        list(found.groups) == ["camera", "camera-visible", "camera-occluded"] and "cut" not in found.columns
+    )
+    assert {str(cell) for cell in terminal.columns[0].cells} == {"camera"}
+    # Both of what names a line stands in each piece.
+    narrow = Console(width=80, file=StringIO())
+    narrow.print(terminal)
+    pieces = cast(StringIO, narrow.file).getvalue().split("┏")[1:]
+    assert len(pieces) > 1 and all(piece.count("net (1 empty)") == 1 for piece in pieces)

@@ -19,7 +19,7 @@ from kinectbench.scoring.assemble import describe
 from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
 from kinectbench.scoring.baselines.predict import possible_baselines
-from kinectbench.scoring.baselines.registry import BASE_RATE
+from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.read_table import read_table
@@ -62,7 +62,7 @@ def baselines_beside(
     differ: Any = baselines_that_differ
     how: Any = counting
     if any_in_space(protocols):
-        names, how = [name for name in names if name != BASE_RATE], ("camera",)
+        names, how = [name for name in names if name not in WITHOUT_SURFACE], ("camera",)
         settings, sign = settings_in_space(how, "error"), "+camera"
         make, differ = space_baselines, space_baselines_that_differ
     settings = settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})

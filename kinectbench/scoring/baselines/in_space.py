@@ -10,7 +10,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Progress
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
-from kinectbench.scoring.baselines.registry import BASE_RATE
+from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.grid import grid_result
 from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, table_in_space
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
@@ -37,7 +37,7 @@ def space_baselines(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[ScoreTable]:
-    """The table of each of some baselines, in the order of `names`, but of `base-rate`: it has no surface.
+    """The table of each of some baselines, in the order of `names`, but of those `WITHOUT_SURFACE`.
 
     Args:
         release: of the predictions.
@@ -51,7 +51,8 @@ def space_baselines(
         PairError, ReleaseError: a pair cannot be read.
         SettingsError: an unusable threshold file.
     """
-    names, rates = [name for name in names if name != BASE_RATE], base_rates(release, jobs)
+    names = [name for name in names if name not in WITHOUT_SURFACE]
+    rates = base_rates(release, jobs)
     validation: dict[Target, str | None] = {}
     if thresholds_file is None:
         tasks = baseline_tasks(release, names, rates, ("validation",))
