@@ -70,7 +70,7 @@ def is_baseline(table: ScoreTable) -> bool:
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """A line for each method and heading of predictions in the camera frame, of whole shapes: `space_table`."""
+    """A line for each method and heading of predictions in the camera frame, of whole shapes."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable

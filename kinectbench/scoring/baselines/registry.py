@@ -71,8 +71,8 @@ BASELINES: Mapping[str, Baseline] = {
     "mean-shape": mean_shape,
     "nearest": nearest,
 }
-# Those that have no surface in space: a constant, and where depth pixels are farther apart than cells a comb of
-# rays, of 3.8 to 9.1 million faces (four views of the sample's chairs and table).
+# Those that have no surface in space: a constant; and, where depth pixels are farther apart than cells, a
+# comb of rays (3.8 to 9.1 million faces on four views of the sample's chairs and table).
 WITHOUT_SURFACE = (BASE_RATE, "silhouette")
 # Those that need training pairs of the category.
 LEARNED = ("mean-shape", "nearest")
