@@ -108,7 +108,7 @@ def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 def tell_status(common: Common, ids: list[str] | None) -> int:
     """Print which recordings are built, failed or missing; 3 unless all are built."""
     from kinectbench.cli import console
-    from kinectbench.engine.status import in_words, statuses
+    from kinectbench.engine.place import in_words, statuses
 
     rows = statuses(shard_jobs(common, ids))
     left = [row for row in rows if row.state != "done"]
@@ -330,7 +330,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-    from kinectbench.engine.status import statuses
+    from kinectbench.engine.place import statuses
     from kinectbench.release.publish.current import already_published, publish_if_stale, scoring_folder
     from kinectbench.release.release import open_release
 

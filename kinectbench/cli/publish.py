@@ -132,9 +132,8 @@ def store_at(url: str) -> "Store":
     Raises:
         SettingsError: it is not a URL, or one where nothing can be put, or obstore is not installed.
     """
-    from kinectbench.core.store.address import is_web
+    from kinectbench.core.store.address import is_web, require_usable
     from kinectbench.core.store.store import Store
-    from kinectbench.core.store.usable import require_usable
 
     if problem := unusable(url):
         raise SettingsError(f"--to: {printable(problem, 300)}", what="bad-url")

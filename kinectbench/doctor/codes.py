@@ -12,10 +12,9 @@ from kinectbench.doctor.depth import is_likely
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.probe import Probe
 from kinectbench.doctor.trajectory import PoseFit, fit_trajectory
-from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths
+from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths, unrotated
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES
 from kinectbench.stages.ingest.recording import FileRecording
-from kinectbench.stages.ingest.rotated_depth import unrotated
 
 UInt16 = NDArray[np.uint16]
 # Common near and far planes of renderers, metres, chosen by hand; and the 16-bit value of the far plane.

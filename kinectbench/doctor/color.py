@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.images import image_sharpness, relative_blur
-from kinectbench.core.trajectory.order import in_order_of_time
+from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.probe import Probe, SmallFrame
 

@@ -78,7 +78,7 @@ class OffsetWatch:
         """One line for each offset, with the setting for benchmark.yaml or other advice."""
         reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
-            _line(finding)
+            f"{finding.where}: {finding.what}; {finding.advice}"
             for finding in reported
             if finding.name in ("color_drift", LENGTHS) or "delay_s" in finding.advice
         ]
@@ -101,7 +101,3 @@ class OffsetWatch:
         if fit is not None and given is not None and not fit.convention.changes:
             late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
             yield from late or check_lengths(probe, fit.lengths)
-
-
-def _line(finding: Finding) -> str:
-    return f"{finding.where}: {finding.what}; {finding.advice}"

@@ -15,7 +15,7 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.image_normals import image_normals
-from kinectbench.core.trajectory.order import in_order_of_time
+from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.core.types import Float64
 from kinectbench.doctor.probe import Probe
 

@@ -99,8 +99,9 @@ def seen_floor(
     posed = None if poses is None or poses.best > FITTING else _posed(probe, poses)
     if poses is not None and posed is not None and len(posed[0]) > 1:
         # Gravity in the frame of poses with another convention has another convention, too.
-        recording = ground.recording if poses.given == poses.best else _without_poses(ground.recording)
-        return _heights_together(probe, *posed, max_depth_m, replace(ground, recording=recording))
+        if poses.given != poses.best:
+            ground = replace(ground, recording=replace(ground.recording, given_trajectory=None))
+        return _heights_together(probe, *posed, max_depth_m, ground)
     count = len(probe.frames)
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
     alone = [_floor_alone(probe.frames[i], probe.small_camera, ground.recording) for i in indices]
@@ -109,10 +110,6 @@ def seen_floor(
     counts = Counter(line for each in alone if each is not None for line in each.against)
     warnings = tuple(line for line, count in counts.items() if 2 * count > len(alone))
     return SeenFloor(np.array(heights_m), warnings)
-
-
-def _without_poses(recording: Recording) -> Recording:
-    return replace(recording, given_trajectory=None)
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:

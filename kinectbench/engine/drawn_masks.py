@@ -238,7 +238,9 @@ class DrawnMasks:
             image, was = self.entries[file].image, self.entries[file].picture
             if was is None:
                 entries[file] = DrawnOn(image=image, picture=now)
-            elif was != now and not (RECORDED in (was, now) and _as_recorded(sequence, frame) in (was, now)):
+            elif was != now and not (  # the pictures of an uncorrected view show the frame as recorded
+                RECORDED in (was, now) and picture_digest(pictures_of(sequence, frame)) in (was, now)
+            ):
                 other.append(file)
         if other:
             raise SettingsError(
@@ -370,11 +372,6 @@ def image_digest(sequence: Sequence, frame: int) -> str:
     """SHA-256 of a frame's image: the size and every pixel of its depth, in native units, as recorded."""
     depth = sequence.frames.depth_native(frame)
     return hashlib.sha256(f"{depth.shape}".encode() + depth.astype("<u2").tobytes()).hexdigest()
-
-
-def _as_recorded(sequence: Sequence, frame: int) -> str:
-    """The digest of a frame's pictures as an uncorrected view."""
-    return picture_digest(pictures_of(sequence, frame))
 
 
 def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:

@@ -24,6 +24,14 @@ OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError
 OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
+def stored_failure(build: Path) -> Failed | None:
+    """Why the last run of `build/<recording>/` failed; None if it did not, or nobody can read why."""
+    try:
+        return Failed.read_if_there(build)
+    except StorageError:
+        return None
+
+
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
     """Why a stage would fail again: it failed before, with the same inputs.
 
@@ -34,18 +42,9 @@ def failed_before(build: Path, artefact: Artefact) -> Failed | None:
     Returns:
         The failure that was kept; None if it may be tried.
     """
-    try:
-        failed = Failed.read_if_there(build)
-    except StorageError:
-        return None  # damaged: the failure is unreadable
-    if (
-        failed is not None
-        and failed.stage == artefact.stage
-        and failed.fingerprint == artefact.fingerprint
-        and failed.package_version == __version__
-    ):
-        return failed
-    return None
+    failed, now = stored_failure(build), (artefact.stage, artefact.fingerprint, __version__)
+    then = failed and (failed.stage, failed.fingerprint, failed.package_version)
+    return failed if then == now else None
 
 
 def keep_failure(
@@ -79,12 +78,8 @@ def keep_failure(
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:
     """Remove failed.json of `build/<recording>/` if it is of one of these stages, which have succeeded."""
-    try:
-        failed = Failed.read_if_there(build)
-        of_others = failed is not None and failed.stage is not None and failed.stage not in stages
-    except StorageError:
-        of_others = False  # damaged: nobody can read the reason
-    if not of_others:
+    failed = stored_failure(build)
+    if failed is None or failed.stage is None or failed.stage in stages:
         (build / Failed.FILE).unlink(missing_ok=True)
 
 

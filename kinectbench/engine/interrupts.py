@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 # What asks for an end: people by Ctrl-C, `kill`, `timeout` and batch systems by SIGTERM.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -39,19 +38,15 @@ def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> It
             library computes. It is to end the process. None: the signal waits for the library.
     """
     with _watch(unanswered):
-        yield from _remembered()
-
-
-def _remembered() -> Iterator[None]:
-    previous = [signal.signal(number, _remember) for number in STOP_SIGNALS]
-    hook = sys.unraisablehook
-    sys.unraisablehook = _without_interrupts(hook)
-    try:
-        yield
-    finally:
-        for number, handler in zip(STOP_SIGNALS, previous, strict=True):
-            signal.signal(number, handler)
-        sys.unraisablehook = hook
+        previous = [signal.signal(number, _remember) for number in STOP_SIGNALS]
+        hook = sys.unraisablehook
+        sys.unraisablehook = lambda each: None if each.exc_type is KeyboardInterrupt else hook(each)
+        try:
+            yield
+        finally:
+            for number, handler in zip(STOP_SIGNALS, previous, strict=True):
+                signal.signal(number, handler)
+            sys.unraisablehook = hook
 
 
 @contextmanager
@@ -151,11 +146,6 @@ def interrupts_held() -> Iterator[None]:
                 signal.signal(number, handler)
         if asked:
             signal.raise_signal(asked[0])
-
-
-def _without_interrupts(hook: Callable[[Any], object]) -> Callable[[Any], object]:
-    """A hook that passes unraisable errors on, except interrupts, which are remembered."""
-    return lambda unraisable: None if unraisable.exc_type is KeyboardInterrupt else hook(unraisable)
 
 
 def _remember(number: int, frame: object) -> None:

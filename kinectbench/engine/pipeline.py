@@ -26,9 +26,9 @@ from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
 from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.slim import refuse_slim
+from kinectbench.engine.stage_settings import MASKS, Source, Work
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage, check_masks, stages_upto
 from kinectbench.engine.time_limit import Hung, time_limit
-from kinectbench.engine.work import MASKS, Source, Work
 
 NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (fusion.voxel_size_m)"
 

@@ -1,17 +1,25 @@
-"""Where a recording is built: in its local folder, or for a store if its root is a URL."""
+"""Where a recording is built, in its local folder or for a store, and how far it is there."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+from pydantic import Field
 
 from kinectbench.core.artefacts.manifest import Failed
+from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import KILLED, StorageError
 from kinectbench.core.store.address import url_of
-from kinectbench.engine.failures import keep_failure
+from kinectbench.core.store.store import in_parallel
+from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
-from kinectbench.engine.stages import Job, current_stages
+from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.engine.time_limit import Hung
+
+State = Literal["done", "failed", "missing"]
 
 
 def build_at_its_place(
@@ -38,11 +46,7 @@ def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
         from kinectbench.engine.checkout import status_there
 
         return status_there(job)
-    try:
-        failed = Failed.read_if_there(job.build)
-    except StorageError:  # nobody can read why
-        failed = None
-    return tuple(current_stages(job.build, job)), failed
+    return tuple(current_stages(job.build, job)), stored_failure(job.build)
 
 
 def keep_killed(job: Job, error: str) -> None:
@@ -72,3 +76,45 @@ def clear_away(job: Job) -> None:
         return
     with contextlib.suppress(StorageError), locked(job.build, wait=False):
         pass
+
+
+class RecordingStatus(StoredPart):
+    """The progress of one recording."""
+
+    recording: str = Field(description="its id")
+    state: State = Field(
+        description="failed: the last run failed, whatever earlier ones left; done: all stages are current; "
+        "missing"
+    )
+    current: tuple[str, ...] = Field(description="stages that are made and current")
+    next: str | None = Field(description="the first stage that is not; null: all are, of an earlier run")
+    error: str | None = Field(description="why the last run failed")
+    code: str | None = Field(description="of that error")
+
+
+def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
+    """The progress of each recording under the present settings; builds and reads nothing.
+
+    Whether a recording's own files changed since is therefore not seen here; `build` looks at them.
+    """
+    return in_parallel(partial(_status, job) for job in jobs)
+
+
+def _status(job: Job) -> RecordingStatus:
+    current, failed = status_of(job)
+    left = [stage.name for stage in STAGES if stage.name not in current]
+    state: State = "failed" if failed else "missing" if left else "done"
+    return RecordingStatus(
+        recording=job.recording.id,
+        state=state,
+        current=current,
+        next=left[0] if left else None,
+        error=failed.error if failed else None,
+        code=failed.code if failed else None,
+    )
+
+
+def in_words(rows: Sequence[RecordingStatus]) -> str:
+    """A summary line."""
+    counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
+    return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"

@@ -1,14 +1,17 @@
-"""The settings of each stage: one value per stage, which is all that its step receives.
+"""The settings of each stage, one value per stage, and the rest of what its step receives.
 
 The value's JSON is the settings in the stage's fingerprint, so that a step cannot read a setting that is not
 in it. `stages` makes them of a job.
 """
 
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
 
 from pydantic import Field
 
-from kinectbench.core.types import Underside
+from kinectbench.core.types import Progress, Underside
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import (
     BoxSettings,
@@ -27,6 +30,11 @@ from kinectbench.settings.models import (
 )
 
 Section = TypeVar("Section", bound=Settings)
+# The name of the source that a person's masks are.
+MASKS = "masks"
+# The name of the source that is a mesh in place of the fused truth.
+REFERENCE = "reference"
+Needed = TypeVar("Needed", bound="StageSettings")
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
@@ -145,3 +153,40 @@ class PairsSettings(StageSettings):
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 
     pairs: PairSettings
+
+
+@dataclass(frozen=True)
+class Source:
+    """An input of a stage from outside `build/`: the recording, a person's masks, or a reference mesh.
+
+    Attributes:
+        path: the file or folder.
+        sha256: one hash over the names and contents of its files.
+    """
+
+    path: Path
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Work(Generic[Needed]):
+    """The inputs of one stage.
+
+    Attributes:
+        settings: those that the stage depends on.
+        stages: by their names the folders of the stages that it stands on, and of no others.
+        sources: by their names those whose hashes are in the stage's fingerprint, and no others.
+        folder: to be filled; it is empty.
+        progress: called with (done, total).
+    """
+
+    settings: Needed
+    stages: Mapping[str, Path]
+    sources: Mapping[str, Source]
+    folder: Path
+    progress: Progress
+
+    @property
+    def masks(self) -> Path | None:
+        """The folder of a person's masks, if the stage depends on one."""
+        return self.sources[MASKS].path if MASKS in self.sources else None

@@ -11,6 +11,8 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
 from kinectbench.engine.slim import kept_source
 from kinectbench.engine.stage_settings import (
+    MASKS,
+    REFERENCE,
     FuseSettings,
     IngestSettings,
     ObjectFusion,
@@ -18,12 +20,12 @@ from kinectbench.engine.stage_settings import (
     SampleSettings,
     SceneFusion,
     SegmentSettings,
+    Source,
     StageSettings,
     SuggestSettings,
     TrackSettings,
     part_of,
 )
-from kinectbench.engine.work import MASKS, REFERENCE, Source
 from kinectbench.settings.models import (
     BenchmarkSettings,
     FitLimits,

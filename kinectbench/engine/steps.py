@@ -8,16 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.errors import SegmentationError
+import numpy as np
+
+from kinectbench.core.errors import SegmentationError, TrackingError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
-from kinectbench.core.sequence import Sequence
+from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
+from kinectbench.core.types import Progress
 from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
+from kinectbench.doctor.still import turntable_warning
 from kinectbench.engine.frame_masks import frame_masks, plane_given
 from kinectbench.engine.stage_settings import (
+    REFERENCE,
     FuseSettings,
     IngestSettings,
     PairsSettings,
@@ -25,10 +30,10 @@ from kinectbench.engine.stage_settings import (
     SegmentSettings,
     SuggestSettings,
     TrackSettings,
+    Work,
 )
 from kinectbench.engine.stages import SUGGEST
-from kinectbench.engine.track_scene import track_scene
-from kinectbench.engine.work import REFERENCE, Work
+from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
 from kinectbench.stages.ingest.readers import open_recording
@@ -41,6 +46,7 @@ from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.object_model import read_object, write_object
 from kinectbench.stages.segment.reference.truth import reference_as_truth
 from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.track import track
 from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures
 
@@ -52,6 +58,8 @@ NOTHING_TO_CHOOSE = (
 
 # By the stage's name: files of `build/<recording>/` that show results that it replaces.
 OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
+# What given poses of a camera on a tripod stray at most, metres.
+STRAY_M = 0.02
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
@@ -93,10 +101,8 @@ def _ingest(work: Work[IngestSettings]) -> None:
 
 def _track(work: Work[TrackSettings]) -> None:
     sequence, settings = read_sequence(work.stages["ingest"]), work.settings
-    masks, how = (
-        frame_masks(sequence, settings.segment_by, work.masks),
-        (settings.trajectory, settings.tracking),
-    )
+    masks = frame_masks(sequence, settings.segment_by, work.masks)
+    how = settings.trajectory, settings.tracking
     if masks is None:
         trajectory = track_scene(sequence, *how, work.progress)
     else:
@@ -171,3 +177,37 @@ STEPS: Mapping[str, Callable[[Work[Any]], None]] = {
     "pairs": _pairs,
     SUGGEST.name: _suggest,
 }
+
+
+def track_scene(
+    sequence: Sequence,
+    mode: TrajectoryMode | None,
+    settings: TrackingSettings,
+    progress: Progress | None = None,
+) -> Trajectory:
+    """`track`; unless given poses say that the camera moves, health.json warns of one that stands still.
+
+    Args:
+        sequence: the recording.
+        mode: of a given trajectory.
+        settings: what counts as disagreement.
+        progress: called with (done, total).
+
+    Raises:
+        TrackingError: as `track`.
+    """
+    given = None if mode == "ignore" else sequence.given_trajectory
+    line = "" if given is not None and _moves(given) else turntable_warning(sequence)
+    try:
+        trajectory = track(sequence, mode, settings, progress)
+    except TrackingError as error:
+        raise TrackingError(f"{error}; {line}" if line else str(error), what=error.what) from error
+    if not line or trajectory.health is None:
+        return trajectory
+    warnings = (line, *trajectory.health.warnings)
+    return replace(trajectory, health=trajectory.health.model_copy(update={"warnings": warnings}))
+
+
+def _moves(given: GivenTrajectory) -> bool:
+    """Whether the camera's positions vary by more than noise."""
+    return bool(np.ptp(given.T_world_camera[:, :3, 3], axis=0).max() > STRAY_M)

@@ -72,8 +72,13 @@ def build_stored(
     """
     report = progress or nobody
     started = time.monotonic()
+
+    def once(force: Sequence[str]) -> Outcome | None:
+        with checked_out(job, upto, report) as copy:
+            build = partial(build_recording, copy.job, upto, force, report, limit_s=limit_s, hung=hung)
+            return _built(copy, upto, force, build, report)
+
     try:
-        once = partial(_once, job, upto, report=report, limit_s=limit_s, hung=hung)
         outcome = once(force)
         while outcome is None:  # each time a stage more is there already
             outcome = once(())
@@ -85,20 +90,6 @@ def build_stored(
             with contextlib.suppress(StorageError):
                 put_failure(job, Failed(stage=STAGES[0].name, error=str(failure), code=failure.code))
     return replace(outcome, seconds=time.monotonic() - started)
-
-
-def _once(
-    job: Job,
-    upto: str,
-    force: Sequence[str],
-    *,
-    report: Report,
-    limit_s: float | None,
-    hung: Hung | None,
-) -> Outcome | None:
-    with checked_out(job, upto, report) as copy:
-        build = partial(build_recording, copy.job, upto, force, report, limit_s=limit_s, hung=hung)
-        return _built(copy, upto, force, build, report)
 
 
 def _built(

@@ -17,6 +17,12 @@ from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import Job
 
+# Figures of health.json and of quality.json that the table has under the same names.
+OF_POSES = ("source", "grade", "verdict", "recommended")
+OF_OBJECT = (
+    *("repeatability_iou", "estimated_iou", "estimated_iou_low", "estimated_iou_high"),
+    *("estimated_iou_reasons", "frontiers"),
+)
 File = TypeVar("File", bound=Stored)
 
 
@@ -71,16 +77,8 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         frames=sequence.frames if sequence else None,
         left_out=tuple(row.frame for row in health.rejected) if health else None,
         lost=len(health.lost) if health else None,
-        source=health.source if health else None,
-        grade=health.grade if health else None,
-        verdict=health.verdict if health else None,
-        recommended=health.recommended if health else None,
-        repeatability_iou=quality.repeatability_iou if quality else None,
-        estimated_iou=quality.estimated_iou if quality else None,
-        estimated_iou_low=quality.estimated_iou_low if quality else None,
-        estimated_iou_high=quality.estimated_iou_high if quality else None,
-        estimated_iou_reasons=quality.estimated_iou_reasons if quality else None,
-        frontiers=quality.frontiers if quality else None,
+        **{key: getattr(health, key, None) for key in OF_POSES},
+        **{key: getattr(quality, key, None) for key in OF_OBJECT},
         views=len(views.views) if views else None,
         pairs=len(rows) if pairs else None,
         refused=len(pairs.refused) + (len(views.refused) if views else 0) if pairs else None,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from ingest_writers import png
+from kinectbench_plugins.formats.scene_folders import rotated
 from numpy.typing import NDArray
 
 from kinectbench.doctor import inspect
@@ -18,7 +19,6 @@ from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_codes import ray_lengths
 from kinectbench.stages.ingest.readers import open_recording
-from kinectbench.stages.ingest.rotated_depth import rotated
 
 Metres = NDArray[np.float64]
 pytestmark = pytest.mark.xdist_group("depth codes")

@@ -19,8 +19,8 @@ from kinectbench.core.errors import (
 from kinectbench.engine import failures, pipeline, steps
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.pipeline import STAGE_NAMES, Outcome, build_recording
+from kinectbench.engine.stage_settings import Work
 from kinectbench.engine.stages import Job
-from kinectbench.engine.work import Work
 from kinectbench.settings.models import BenchmarkSettings
 
 REASON = "frame 7: too dark; record again"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_benchmark import copied
 
-from kinectbench.engine.memory import LIBRARIES_GB, UNKNOWN_PIXELS, UNKNOWN_VOXELS, expected_gb
+from kinectbench.engine.parallel import LIBRARIES_GB, UNKNOWN_PIXELS, UNKNOWN_VOXELS, expected_gb
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings

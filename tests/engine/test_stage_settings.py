@@ -11,9 +11,9 @@ from pydantic import ValidationError
 
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.engine import steps
+from kinectbench.engine.stage_settings import Source, Work
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage
 from kinectbench.engine.steps import STEPS
-from kinectbench.engine.work import Source, Work
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 

@@ -20,9 +20,9 @@ from kinectbench.engine import steps
 from kinectbench.engine import time_limit as module
 from kinectbench.engine.cluster import cluster
 from kinectbench.engine.parallel import build
+from kinectbench.engine.stage_settings import Work
 from kinectbench.engine.stages import Job
 from kinectbench.engine.time_limit import TimeLimitError, time_limit, watched
-from kinectbench.engine.work import Work
 from kinectbench.settings.file import load_benchmark
 
 Command = Callable[..., Run]

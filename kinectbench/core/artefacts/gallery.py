@@ -16,8 +16,6 @@ FORMAT_VERSION = 1
 CELLS_SHAPE = (PARTIAL_CELLS, PARTIAL_CELLS, PARTIAL_CELLS // 8)
 MAX_PAIRS = 256
 MAX_BYTES = 16 << 20
-
-
 # Predictions of one method, {`<recording>/<view>`: (64, 64, 8) uint8, packed}: where each is above its
 # threshold.
 Gallery = Mapping[str, Packed]

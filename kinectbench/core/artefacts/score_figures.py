@@ -19,7 +19,6 @@ UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
 Closing = Annotated[str | None, Field(json_schema_extra={"enum": ["winding", None]})]
 OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 
-
 # Protocols of predictions in the camera frame.
 IN_SPACE = ("camera", "aligned")
 # The part of a shape in a row: all, seen by the view, or the rest.

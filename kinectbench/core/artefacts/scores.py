@@ -210,8 +210,7 @@ class ScoreTable(Stored):
         json_schema_extra={"pattern": "^(validation|pooled|method|fixed|file:[0-9a-f]{64})$"},
     )
     threshold_source_by_category: dict[str, str] = Field(
-        {},
-        description="category -> where its threshold is from, in the words of threshold_source",
+        {}, description="category -> where its threshold is from, in the words of threshold_source"
     )
     threshold_objects: Lines | None = Field(
         None,

@@ -46,7 +46,6 @@ MOST_ERRORS = 1000
 # (chosen here; forty copies of it are 40 MB of text).
 LONG_TEXT = 1 << 20
 
-
 # What can be left at its first wrong entry; mappings since pydantic 2.13.
 EARLY = [
     kind

@@ -1,12 +1,11 @@
 """views.json and pairs.json: the views of a recording with their figures, and the pairs made of them."""
 
-from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StringConstraints
 
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
-from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import MOST_SIDE_PX
 
 UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
@@ -20,27 +19,20 @@ Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
 
 
-def _checked_side(pixels: int) -> int:
-    if not 1 <= pixels <= MOST_SIDE_PX:
-        raise ValueError(f"must be 1 to {MOST_SIDE_PX} pixels")
-    return pixels
+def _must(what: str, is_so: Callable[[Any], bool]) -> AfterValidator:
+    """Refuse a value that is not as it must be, by this message."""
+
+    def checked(value: Any) -> Any:
+        if not is_so(value):
+            raise ValueError(f"must {what}")
+        return value
+
+    return AfterValidator(checked)
 
 
-def _checked_focal(pixels: float) -> float:
-    if not pixels > 0:
-        raise ValueError("must be a positive focal length")
-    return pixels
-
-
-def _checked_intrinsics(K: Float64) -> Float64:
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise ValueError("must have positive focal lengths")
-    return K
-
-
-Side = Annotated[int, AfterValidator(_checked_side)]
-Focal = Annotated[float, AfterValidator(_checked_focal)]
-Intrinsics = Annotated[Matrix3, AfterValidator(_checked_intrinsics)]
+Side = Annotated[int, _must(f"be 1 to {MOST_SIDE_PX} pixels", lambda pixels: 1 <= pixels <= MOST_SIDE_PX)]
+Focal = Annotated[float, _must("be a positive focal length", lambda pixels: pixels > 0)]
+Intrinsics = Annotated[Matrix3, _must("have positive focal lengths", lambda K: K[0, 0] > 0 and K[1, 1] > 0)]
 
 
 class ViewRow(StoredPart):

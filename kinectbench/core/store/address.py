@@ -1,8 +1,13 @@
-"""URLs of stores: recognised in place of a path, joined, and printed without secrets."""
+"""URLs of stores: recognised in place of a path, checked, joined, and printed without secrets."""
 
+import os
 import posixpath
 import re
 from pathlib import Path
+from urllib.parse import urlsplit
+
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
 
 # Schemes that obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
@@ -18,6 +23,9 @@ _WRITTEN = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):(/*)(.*)", re.DOTALL)
 _BUCKET = re.compile(r"[A-Za-z0-9$][A-Za-z0-9._$@-]*(?=/|\?|$)")
 _HOST = re.compile(r"([^/@]*@)?([^\s/@:?#\[\]]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?(?=/|\?|$)")
 _SECRET = re.compile(r"(//)[^/]*@")
+MISSING = "needs obstore; run pip install 'kinectbench[cluster]'"
+# Variables that the Rust crate object_store reads; it panics if an endpoint is no URL.
+ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 
 
 def url_of(path: str | Path) -> str | None:
@@ -86,3 +94,39 @@ def shown(place: str | Path) -> str:
 def _shown(url: str) -> str:
     plain = _SECRET.sub(r"\1", url)
     return f"{plain.partition('?')[0]}?…" if "?" in plain and not plain.startswith("file:") else plain
+
+
+def require_usable(url: str, place: str) -> None:
+    """Refuse errors that a retry cannot change.
+
+    Args:
+        url: of the store.
+        place: the URL that the error names.
+
+    Raises:
+        SettingsError: obstore is not installed, the URL has no bucket or host, or the endpoint is no URL.
+    """
+    try:
+        import obstore  # noqa: F401
+    except ImportError:
+        raise SettingsError(f"{place}: {MISSING}", what="no-package") from None
+    scheme = url.partition(":")[0]
+    if text := unusable(url):
+        raise SettingsError(text, what="bad-url")
+    for name in ENDPOINTS if scheme in ("s3", "s3a") else ():
+        endpoint = os.environ.get(name, "")
+        if endpoint and not _is_endpoint(endpoint):
+            text = printable(endpoint.rpartition("@")[2], 80)
+            raise SettingsError(
+                f"{name}={text}: must begin with http:// or https:// and name a host", what="bad-environment"
+            )
+
+
+def _is_endpoint(text: str) -> bool:
+    """Whether an endpoint is a usable URL."""
+    try:
+        parts = urlsplit(text)
+        _ = parts.port
+    except ValueError:
+        return False
+    return bool(re.match(r"https?://[!-~]+$", text)) and bool(parts.hostname)

@@ -243,8 +243,12 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
     """Raise errors that a retry cannot change; `known`: the store has answered before."""
     if isinstance(error, UnsettledError):
         return
-    if isinstance(error, FileNotFoundError) or "NoSuchBucket" in str(error):
-        raise _missing(place, str(error)) from None
+    if "NoSuchBucket" in str(error):
+        raise StorageError(
+            f"{place}: there is no such bucket; make it, or correct the URL", what="no-bucket"
+        ) from None
+    if isinstance(error, FileNotFoundError):
+        raise MissingObjectError(f"{place}: there is no such file; correct the URL") from None
     if isinstance(error, ValueError):  # a name that no store may have
         raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}", what="bad-address") from None
     if type(error).__module__.partition(".")[0] != "obstore":
@@ -285,14 +289,6 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
         ) from None
     if number in LASTING or (400 <= number < 500 and number not in PASSING) or name != "GenericError":
         raise _lasting(place, error) from None
-
-
-def _missing(place: str, text: str) -> StorageError:
-    if "NoSuchBucket" in text:
-        return StorageError(
-            f"{place}: there is no such bucket; make it, or correct the URL", what="no-bucket"
-        )
-    return MissingObjectError(f"{place}: there is no such file; correct the URL")
 
 
 def _lasting(place: str, error: Exception) -> StorageError:

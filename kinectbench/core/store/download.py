@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 from urllib.parse import urljoin
@@ -128,22 +129,18 @@ def begun(path: Path) -> list[Path]:
     return [each for each in names if each.name.startswith(f"{path.name}.")]
 
 
+@dataclass(frozen=True)
 class _Download:
     """One attempt to download from one address."""
 
-    def __init__(
-        self,
-        url: str,
-        path: Path,
-        sha256: str | None,
-        size: int | None,
-        check: Callable[[Path], object],
-        most_bytes: int,
-        room: Callable[[int], object],
-        come: Callable[[int], None],
-    ) -> None:
-        self.url, self.path, self.sha256, self.size, self.check = url, path, sha256, size, check
-        self.most_bytes, self.room, self.come = most_bytes, room, come
+    url: str
+    path: Path
+    sha256: str | None
+    size: int | None
+    check: Callable[[Path], object]
+    most_bytes: int
+    room: Callable[[int], object]
+    come: Callable[[int], None]
 
     def run(self) -> Content:
         """Download the file to its place.
@@ -154,7 +151,8 @@ class _Download:
         """
         with _opened(self.url) as answer:
             size, mark = self._checked_size(answer), _mark(answer)
-            part = self.path.with_name(f"{self.path.name}.{_key(self.url, mark, size)}{ENDING}")
+            key = hashlib.sha256(f"{self.url}\n{mark}\n{size}".encode()).hexdigest()[:8]
+            part = self.path.with_name(f"{self.path.name}.{key}{ENDING}")
             at = part.stat().st_size if mark and part.is_file() else 0
             at = at if at <= size else 0
             self.room(size - at)
@@ -231,10 +229,6 @@ def _mark(answer: Any) -> str:
     """The validator of this content, which changes with it (RFC 9110, 8.8), or ""."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
-
-
-def _key(url: str, mark: str, size: int) -> str:
-    return hashlib.sha256(f"{url}\n{mark}\n{size}".encode()).hexdigest()[:8]
 
 
 def _shown(url: str) -> str:

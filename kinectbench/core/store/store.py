@@ -15,9 +15,8 @@ from urllib.parse import unquote
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import replaced_file
-from kinectbench.core.store.address import is_web, joined, shown
+from kinectbench.core.store.address import is_web, joined, require_usable, shown
 from kinectbench.core.store.attempts import MissingObjectError, UnsettledError, patiently, wait_until
-from kinectbench.core.store.usable import require_usable
 from kinectbench.core.untrusted import TEXT_BYTES, printable
 
 if TYPE_CHECKING:
@@ -119,11 +118,9 @@ class Store:
         options = {"chunk_size": PART_BYTES, "max_concurrency": PARTS_AT_ONCE}
 
         def put() -> object:
-            import obstore
-
             if isinstance(content, Path):
                 self._check_readable(content)
-            return obstore.put(self._opened(make=True), name, content, **options)  # type: ignore[arg-type]
+            return _obstore().put(self._opened(make=True), name, content, **options)
 
         self._try(name, put)
 
@@ -165,7 +162,7 @@ class Store:
     def head(self, name: str) -> StoredObject | None:
         """Size and metadata of a file without reading it; None if it does not exist."""
         try:
-            return self._try_read(name, lambda: self._head(name))
+            return self._try_read(name, lambda: _object(_obstore().head(self._opened(), name)))
         except MissingObjectError:
             return None
 
@@ -173,7 +170,7 @@ class Store:
         """Delete files; missing ones are ignored."""
         found = list(names)
         if found:
-            self._try("", lambda: self._delete(found))
+            self._try("", lambda: _obstore().delete(self._opened(), found))
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
         """A writing call: a store that stops accepting data is treated as gone."""
@@ -183,16 +180,6 @@ class Store:
     def _try_read(self, name: str, call: Callable[[], T], progress: Callable[[], object] = lambda: None) -> T:
         require_usable(self.url, self.place(name))
         return patiently(self.place(name), call, progress, self._first_listed if self.can_list else None)
-
-    def _head(self, name: str) -> StoredObject:
-        import obstore
-
-        return _object(obstore.head(self._opened(), name))
-
-    def _delete(self, names: list[str]) -> None:
-        import obstore
-
-        obstore.delete(self._opened(), names)
 
     def _first_listed(self) -> object:
         """A small request that tests whether the store answers."""
@@ -204,9 +191,7 @@ class Store:
         Raises:
             StorageError: the next do not come.
         """
-        import obstore
-
-        pages = obstore.list(self._opened(), prefix=below, offset=after, chunk_size=at_once).__aiter__()
+        pages = _obstore().list(self._opened(), prefix=below, offset=after, chunk_size=at_once).__aiter__()
         # In a thread of its own: the caller's may run an event loop, as a notebook's does.
         with ThreadPoolExecutor(1, "listing") as pool:
             while True:
@@ -232,18 +217,15 @@ class Store:
         return _opened(self.url, make, os.getpid())
 
     def _content(self, name: str, most_bytes: int) -> bytes:
-        import obstore
-
-        result = obstore.get(self._opened(), name)
+        result = _obstore().get(self._opened(), name)
         self._check_size(name, result.meta["size"], most_bytes)
         return bytes(result.bytes())
 
     def _put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool]) -> bool:
-        import obstore
         from obstore.exceptions import AlreadyExistsError
 
         try:
-            obstore.put(self._opened(make=True), name, content, mode="create")
+            _obstore().put(self._opened(make=True), name, content, mode="create")
         except AlreadyExistsError:
             try:
                 stored = self._content(name, max(TEXT_BYTES, len(content)))
@@ -259,15 +241,13 @@ class Store:
 
     def _append(self, name: str, out: IO[bytes], first: list[Any], most_bytes: int) -> None:
         """Download the rest of a file; `first` keeps the metadata of its first answer."""
-        import obstore
-
         at = out.tell()
         if first and at == first[0]["size"]:
             return
         options: Any = {"range": {"offset": at}} if at else {}
         if at and first[0]["e_tag"]:
             options["if_match"] = first[0]["e_tag"]
-        result = obstore.get(self._opened(), name, options=options or None)
+        result = _obstore().get(self._opened(), name, options=options or None)
         self._check_size(name, result.meta["size"], most_bytes)
         first[:] = first or [result.meta]
         for part in result.stream():
@@ -310,9 +290,7 @@ class Store:
 
 
 def in_parallel(
-    calls: Iterable[Callable[[], T]],
-    done: Callable[[int], None] = lambda count: None,
-    at_once: int = AT_ONCE,
+    calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None, at_once: int = AT_ONCE
 ) -> list[T]:
     """Run calls in parallel. The first error cancels the calls that have not started.
 
@@ -345,6 +323,12 @@ async def _next(pages: AsyncIterator[Sequence[Any]]) -> Sequence[Any] | None:
         TimeoutError: they do not come.
     """
     return await asyncio.wait_for(anext(pages, None), LISTED_S)
+
+
+def _obstore() -> Any:
+    import obstore
+
+    return obstore
 
 
 def _object(meta: Any) -> StoredObject:

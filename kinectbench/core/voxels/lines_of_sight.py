@@ -286,11 +286,7 @@ def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ig
     last_k = k
     count = 0
     while True:
-        a, b, c = (
-            i + int(np.rint(dx * count)),
-            j + int(np.rint(dy * count)),
-            k + int(np.rint(dz * count)),
-        )
+        a, b, c = (i + int(np.rint(dx * count)), j + int(np.rint(dy * count)), k + int(np.rint(dz * count)))
         if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
             return distance_m - step + _beyond(heights_m[last_k], way[2], least_m) >= near_m
         if state[a, b, c] == BLOCKED:

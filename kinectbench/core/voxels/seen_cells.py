@@ -20,12 +20,7 @@ NONE, ALL, SOME = 0, 1, 2
 
 
 def seen_cells(
-    depth_m: Float32,
-    camera: Camera,
-    T_world_camera: Float64,
-    grid: Grid,
-    *,
-    noisy: bool = True,
+    depth_m: Float32, camera: Camera, T_world_camera: Float64, grid: Grid, *, noisy: bool = True
 ) -> NDArray[np.uint8]:
     """Cells in the view's frustum with a valid depth d and z <= d + 2 sigma(d) + one voxel.
 

@@ -66,13 +66,7 @@ def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
     return low, high
 
 
-def depth_cells(
-    depth_m: Float32,
-    mask: Bools,
-    camera: Camera,
-    T_world_camera: Float64,
-    grid: Grid,
-) -> Int64:
+def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: Float64, grid: Grid) -> Int64:
     """The cells, also beyond the grid's bounds, that each pixel of a view's masked depth falls into.
 
     Args:

@@ -268,29 +268,18 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
 
 
 def rig_calibration(
-    K_color: Float64,
-    color_px: tuple[int, int],
-    color_extrinsic: Float64,
-    depth_extrinsic: Float64,
-    path: Path,
+    color: Intrinsics, color_px: tuple[int, int], color_to_rig: Float64, depth_to_rig: Float64, path: Path
 ) -> ColorCalibration | None:
     """Relation of colour to depth from ScanNet's matrices, which place each camera in the rig.
 
-    Args:
-        K_color: (3, 3) or larger, pixels.
-        color_px: width and height of the colour images.
-        color_extrinsic: (4, 4), colour camera to rig, metres.
-        depth_extrinsic: (4, 4), depth camera to rig, metres.
-        path: the recording.
-
-    Returns:
-        None where one of them is no calibration, or of images of another size.
+    Both extrinsics are (4, 4), camera to rig, metres. It is None where one of them is no calibration, or of
+    images of another size.
     """
-    T_rig_color, T_rig_depth = rigid_or_none(color_extrinsic), rigid_or_none(depth_extrinsic)
+    T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
         return None
     try:
-        camera = Intrinsics.of_matrix(K_color).camera(color_px, path)
+        camera = color.camera(color_px, path)
     except RecordingError:
         return None
     return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)

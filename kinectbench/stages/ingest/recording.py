@@ -332,14 +332,11 @@ def tried(count: int) -> str:
     return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 
-def _size_px(file: Path) -> tuple[int, int]:
-    return image_header(read_image_file(file), str(file))[1:]
-
-
 def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
     """Width and height in pixels of the first colour image that is whole, or None."""
     with suppress(DamagedImageError):
-        return first_whole(_size_px, (frame.color for frame in files if frame.color is not None))
+        colors = (frame.color for frame in files if frame.color is not None)
+        return first_whole(lambda file: image_header(read_image_file(file), str(file))[1:], colors)
     return None
 
 

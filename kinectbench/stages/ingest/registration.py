@@ -85,14 +85,7 @@ def _filled(depth_m: Float32) -> Float32:
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def _splat(
-    u: Float32,
-    v: Float32,
-    z: Float32,
-    known: Bools,
-    shrink: float,
-    zbuffer: Float32,
-) -> None:
+def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuffer: Float32) -> None:
     """Enter the nearest depth into every z-buffer pixel that a depth pixel covers."""
     height, width = zbuffer.shape
     for row in range(u.shape[0]):
@@ -109,13 +102,7 @@ def _splat(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _find_seen(
-    u: Float32,
-    v: Float32,
-    z: Float32,
-    shrink: float,
-    zbuffer: Float32,
-    size: Float32,
-    seen: Bools,
+    u: Float32, v: Float32, z: Float32, shrink: float, zbuffer: Float32, size: Float32, seen: Bools
 ) -> None:
     """Whether each point is in the colour image and unoccluded there."""
     for row in range(u.shape[0]):

@@ -233,11 +233,7 @@ def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame
 
 
 def _write_frames(
-    recording: Recording,
-    folder: Path,
-    checks: FrameChecks,
-    progress: Progress | None,
-    watch: Watch | None,
+    recording: Recording, folder: Path, checks: FrameChecks, progress: Progress | None, watch: Watch | None
 ) -> list[FrameRow]:
     """Write every whole frame; returns the rows of frames.json."""
     register = onto_depth(recording)

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.trajectory.order import in_order_of_time
+from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.core.types import Bools, Float64, Int64, Progress
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track.disagreement import (
@@ -72,10 +72,7 @@ class FrameCheck:
 
 
 def check_frames(
-    maps: MapCache,
-    T_given: Float64,
-    settings: TrackingSettings,
-    progress: Progress | None = None,
+    maps: MapCache, T_given: Float64, settings: TrackingSettings, progress: Progress | None = None
 ) -> FrameCheck:
     """Compare every frame that has a pose with frames of similar views.
 

@@ -43,11 +43,7 @@ COVISIBLE_KEYFRAMES = 60
 
 
 def health(
-    sequence: Sequence,
-    source: Source,
-    tracked: Tracked,
-    warnings: Rows[str],
-    given: GivenCheck | None = None,
+    sequence: Sequence, source: Source, tracked: Tracked, warnings: Rows[str], given: GivenCheck | None = None
 ) -> TrajectoryHealth:
     """The figures of health.json, and a verdict; docs/tracking.md defines each figure.
 

@@ -65,10 +65,7 @@ class KeyframeGraph:
 
 
 def build_graph(
-    maps: MapCache,
-    features: FeatureCache,
-    odometry: Odometry,
-    T_given: Float64 | None = None,
+    maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None = None
 ) -> KeyframeGraph:
     """Find constraints, join segments and optimise, in rounds with ever better poses.
 

@@ -228,10 +228,7 @@ def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: T
 
 
 def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None:
-    for wanted, color, style, label in (
-        (True, BLUE, "-", "loops"),
-        (False, ORANGE, "--", "uncertain loops"),
-    ):
+    for wanted, color, style, label in ((True, BLUE, "-", "loops"), (False, ORANGE, "--", "uncertain loops")):
         rows = [row for row in health.loops if row.believed is wanted]
         every = -(-len(rows) // MAX_LOOPS_DRAWN) or 1
         for row in rows[::every]:

@@ -47,9 +47,7 @@ DISAGREES = "its depth does not agree with the keyframes around it"
 
 
 def track_frames(
-    sequence: Sequence,
-    T_given: Float64 | None = None,
-    progress: Progress | None = None,
+    sequence: Sequence, T_given: Float64 | None = None, progress: Progress | None = None
 ) -> Tracked:
     """Estimate the pose of every frame.
 

@@ -118,10 +118,7 @@ def _distant(given: GivenFigures) -> Iterator[tuple[int, str]]:
     if given.distant_unmatched is not None and given.distant_unmatched > UNMATCHED_SHARE[0]:
         level = _at_most(given.distant_unmatched, UNMATCHED_SHARE)
         share = f"{100 * given.distant_unmatched:.0f} %"
-        yield (
-            level,
-            f"{share} of the pairs of distant frames that ought to see the same place do not fit",
-        )
+        yield (level, f"{share} of the pairs of distant frames that ought to see the same place do not fit")
     if given.largest_jump_m:
         yield 2, f"the given trajectory jumps by {1000 * given.largest_jump_m:.0f} mm"
 

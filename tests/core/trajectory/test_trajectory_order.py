@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from analytic_scenes import look_at
 
-from kinectbench.core.trajectory.order import in_order_of_time
+from kinectbench.core.trajectory.coverage import in_order_of_time
 
 
 def ring(frames: int, turns: float = 1.0) -> np.ndarray:

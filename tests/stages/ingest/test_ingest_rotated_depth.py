@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ingest_writers import png, write_bag, write_folder, write_seven_scenes
+from kinectbench_plugins.formats.scene_folders import rotated
 from numpy.typing import NDArray
 from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_codes import find_pattern, unrotated
 from kinectbench.stages.ingest.readers import open_recording
-from kinectbench.stages.ingest.rotated_depth import find_pattern, rotated, unrotated
 
 Depth = NDArray[np.uint16]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, color_image, depth_image, jpeg, png, write_folder
+from kinectbench_plugins.formats.scene_folders import rotated
 from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import format_of, open_recording
-from kinectbench.stages.ingest.rotated_depth import rotated
 
 K = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
 # Turned by 90 degrees about y.

@@ -25,9 +25,9 @@ from test_ingest_rosbag2 import check, messages, write_bag
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.bags import ros_messages, rosbag1, rosbag2_mcap
-from kinectbench.stages.ingest.bags.ros_definitions import known_types
 from kinectbench.stages.ingest.bags.ros_messages import (
     DamagedRecordError,
+    known_types,
     unpacked_chunk,
 )
 from kinectbench.stages.ingest.readers import open_recording

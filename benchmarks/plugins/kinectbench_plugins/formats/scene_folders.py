@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float64
@@ -15,10 +16,15 @@ from kinectbench.lab.simulate.writers.frame import (
     png_bytes,
     write_lines,
 )
-from kinectbench.stages.ingest.rotated_depth import rotated
+from kinectbench.stages.ingest.depth_codes import BITS
 
 # The pose of a frame that was lost.
 LOST: Float64 = np.full((4, 4), -np.inf, np.float64)
+
+
+def rotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Depth in mm as SUN3D stores it: the inverse of `depth_codes.unrotated`."""
+    return np.asarray((depth << np.uint16(BITS)) | (depth >> np.uint16(16 - BITS)), np.uint16)
 
 
 def write_scannet(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:

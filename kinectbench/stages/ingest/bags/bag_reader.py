@@ -28,7 +28,7 @@ class WalkBudget:
         """Start before the first record of a bag whose files have this size together."""
         self._records = ALWAYS_RECORDS + bag_bytes // LEAST_RECORD_BYTES
         self._steps = ALWAYS_STEPS + bag_bytes * STEPS_A_BYTE
-        self._bytes = unpacked_bound(bag_bytes)
+        self.bytes_left = unpacked_bound(bag_bytes)
 
     def take_record(self) -> None:
         """Count a record.
@@ -45,24 +45,15 @@ class WalkBudget:
         self._steps -= STEPS_AT_ONCE
         return self._steps >= 0
 
-    @property
-    def bytes_left(self) -> int:
-        """The bytes that may still be unpacked."""
-        return self._bytes
-
-    def take_file(self, count: int) -> None:
-        """Count the unpacked size of a compressed file, at most `bytes_left`."""
-        self._bytes -= count
-
     def take_bytes(self, count: int) -> None:
         """Count the size of a chunk before unpacking it.
 
         Raises:
             DamagedRecordError: it is too much, alone or with those before.
         """
-        if count > min(UNPACKED_BYTES, self._bytes):
+        if count > min(UNPACKED_BYTES, self.bytes_left):
             raise DamagedRecordError
-        self._bytes -= count
+        self.bytes_left -= count
 
 
 class BagReader:

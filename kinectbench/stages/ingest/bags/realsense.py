@@ -66,21 +66,14 @@ class RealsenseRecording(Rosbag1Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """`T_color_depth`, if both streams have extrinsics with one reference."""
-        of_depth = _place_of_stream(bag, depth.name)
-        of_color = _place_of_stream(bag, color.name)
-        if of_depth is None or of_color is None or of_depth[0] != of_color[0]:
-            return None
-        return np.asarray(of_color[1] @ np.linalg.inv(of_depth[1]))
+        return _between(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
         """`T_depth_imu`, if both streams have extrinsics with one reference."""
-        of_depth, of_imu = _place_of_stream(bag, depth.name), _place_of_stream(bag, imu.name)
-        if of_depth is None or of_imu is None or of_depth[0] != of_imu[0]:
-            return None
-        return np.asarray(of_depth[1] @ np.linalg.inv(of_imu[1]))
+        return _between(bag, depth.name, imu.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
@@ -127,6 +120,14 @@ def _positive(text: str) -> float | None:
     except ValueError:
         return None
     return number if number > 0 else None  # which NaN is not
+
+
+def _between(bag: RosBag, to: str, of: str) -> Float64 | None:
+    """`T_to_of` of two streams."""
+    T_to, T_of = _place_of_stream(bag, to), _place_of_stream(bag, of)
+    if T_to is None or T_of is None or T_to[0] != T_of[0]:
+        return None
+    return np.asarray(T_to[1] @ np.linalg.inv(T_of[1]))
 
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:

@@ -1,18 +1,29 @@
-"""Messages of ROS bags of any kind: position, time and content."""
+"""Messages of ROS bags of any kind: position, time and content.
 
+rosbags makes code of a message's definition, into which it unrolls arrays of a fixed length and the messages
+in them: a few bytes of a definition may make any amount of it. So it is compiled only within bounds.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from kinectbench.core.untrusted import HEAD_BYTES
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Typestore
 import bz2
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from io import BytesIO
 from pathlib import Path
 from sqlite3 import Blob
-from typing import Any, BinaryIO, Literal, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 from kinectbench.core.untrusted import UNPACKED_BYTES
-from kinectbench.stages.ingest.bags.ros_definitions import known_types
 from kinectbench.stages.ingest.images import DamagedImageError
 
 Encoding = Literal["ros1", "cdr"]
@@ -32,6 +43,9 @@ TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
 HEADERLESS = frozenset(
     {TF_MESSAGE, OLD_TF_MESSAGE, "geometry_msgs/Transform", "std_msgs/Float32", "diagnostic_msgs/KeyValue"}
 )
+# Numbers of a fixed array: a covariance has 36; fields in all once arrays are unrolled, and
+# messages in each other: stream_info of librealsense has 47 and 3.
+MOST_IN_ARRAY, MOST_FIELDS, MOST_DEPTH = 64, 1000, 8
 
 
 class DamagedRecordError(Exception):
@@ -179,19 +193,13 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
     return tuple(sorted(places, key=lambda place: place.stamp_ns))
 
 
+@dataclass
 class FoundMessages:
-    """The messages of the wanted types that a walk through a bag's file meets.
+    """The messages of the wanted types that a walk through a bag's file meets, by number of a connection."""
 
-    Attributes:
-        connections: the bag's description of each, by number.
-        places: where the messages of each lie, in the order of the file.
-    """
-
-    def __init__(self, types: frozenset[str]) -> None:
-        """Start before the first record."""
-        self.connections: dict[int, BagTopic] = {}
-        self._types = types
-        self.places: dict[int, list[MessagePlace]] = {}
+    types: frozenset[str]
+    connections: dict[int, BagTopic] = field(default_factory=dict)
+    places: dict[int, list[MessagePlace]] = field(default_factory=dict)
 
     def take(
         self,
@@ -216,7 +224,7 @@ class FoundMessages:
         """
         known = self.connections.get(connection)
         # The connection of a message can be in a chunk that is lost, and again at the end.
-        if known is not None and known.type not in self._types:
+        if known is not None and known.type not in self.types:
             return
         size = place[2]
         if size > UNPACKED_BYTES:
@@ -233,7 +241,7 @@ class FoundMessages:
         joined: dict[BagTopic, list[MessagePlace]] = {}
         for number, places in self.places.items():
             connection = self.connections.get(number)
-            if connection is not None and connection.type in self._types:
+            if connection is not None and connection.type in self.types:
                 joined.setdefault(connection, []).extend(places)
         return tuple(key._replace(messages=by_stamp(joined[key])) for key in sorted(joined))
 
@@ -306,3 +314,52 @@ def unpacked_message(data: bytes) -> bytes:
         return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
     except zstandard.ZstdError:
         return b""
+
+
+def known_types(name: str, definition: str, store: "Typestore") -> dict[str, Any]:
+    """The types of a definition that a store lacks, for it to register.
+
+    Args:
+        name: of the type, in ROS 2's spelling.
+        definition: its text, with those of the types in it.
+        store: of the types that are known.
+
+    Raises:
+        ValueError: it is damaged, or more than is compiled; the message says what.
+    """
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    if len(definition) > HEAD_BYTES:
+        raise ValueError(f"a definition of {len(definition)} characters")
+    try:
+        types = get_types_from_msg(definition, name)
+    except (TypesysError, RecursionError) as error:
+        raise ValueError(f"is no definition ({type(error).__name__})") from error
+    lacking = {key: value for key, value in types.items() if key not in store.fielddefs}
+    fields = {key: value[1] for key, value in (store.fielddefs | lacking).items()}
+    met: set[str] = set()
+    if sum(1 for _ in islice(_unrolled(name, fields, met, 0), MOST_FIELDS + 1)) > MOST_FIELDS:
+        raise ValueError(f"more than {MOST_FIELDS} fields")
+    for own in lacking.keys() & met:
+        # Each message of such a list may have no bytes, so that a list without end takes none.
+        if any(kind == Nodetype.SEQUENCE and node[0][0] == Nodetype.NAME for _, (kind, node) in fields[own]):
+            raise ValueError(f"{own} holds a list of messages")
+    return {key: value for key, value in lacking.items() if key in met}
+
+
+def _unrolled(name: str, fields: Mapping[str, Any], met: set[str], depth: int) -> Iterator[None]:
+    """Once for each field of a type, and of those in it, with arrays unrolled; notes the types it meets."""
+    from rosbags.interfaces import Nodetype
+
+    if depth > MOST_DEPTH or name not in fields:
+        raise ValueError(f"{name} is nested too deep, or not defined")
+    met.add(name)
+    for _, (kind, node) in fields[name]:
+        inner, count = node if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else ((kind, node), 1)
+        if kind == Nodetype.ARRAY and count > MOST_IN_ARRAY:
+            raise ValueError(f"an array of {count}")
+        for _ in range(count if kind == Nodetype.ARRAY else 1):
+            yield
+            if inner[0] == Nodetype.NAME:
+                yield from _unrolled(inner[1], fields, met, depth + 1)

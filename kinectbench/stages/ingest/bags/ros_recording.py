@@ -1,29 +1,28 @@
 """Common steps for all ROS bags: choose topics, pair depth with colour, decode frames."""
 
 from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
+import numpy as np
+
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import UpSample
 from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.bags.ros_gravity import measured_up
-from kinectbench.stages.ingest.bags.ros_images import (
-    FLOAT_DEPTH,
-    INTEGER_SCALE,
-    color_of,
-    depth_of,
-)
+from kinectbench.stages.ingest.bags.ros_images import FLOAT_DEPTH, INTEGER_SCALE, color_of, depth_of
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, MessagePlace, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_ros_poses, read_transforms
 from kinectbench.stages.ingest.bags.ros_topics import (
     CAMERA_INFO,
     COLOR_KIND,
     DEPTH_KIND,
+    IMU,
     WANTED,
     CameraInfo,
     ImageTopic,
@@ -36,6 +35,7 @@ from kinectbench.stages.ingest.bags.ros_topics import (
     intrinsics_of,
     is_named_registered,
 )
+from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.images import (
     FLOAT_SCALE,
     DamagedImageError,
@@ -47,6 +47,9 @@ from kinectbench.stages.ingest.intrinsics import scale_warnings
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
+
+# `T_depth_imu` (4, 4) of a topic and its messages' frame_id, where the bag says it.
+PlaceOfImu = Callable[[BagTopic, str], Float64 | None]
 
 
 class MessagePair(NamedTuple):
@@ -311,3 +314,33 @@ def _calibration(
     except RecordingError:
         return None, []
     return calibration, [info_warnings] if info_warnings else []
+
+
+def measured_up(bag: RosBag, stamps_ns: Sequence[int], place: PlaceOfImu) -> tuple[UpSample, ...]:
+    """Up at some frames, by the first accelerometer whose place is known; () if none measures gravity.
+
+    Args:
+        bag: that was walked through.
+        stamps_ns: of the depth frames, ascending.
+        place: tells where an accelerometer is.
+    """
+    for topic in bag.topics:
+        first = bag.first(topic) if topic.type == IMU else None
+        # By the message's definition -1 says that there is no such measurement.
+        if first is None or first.linear_acceleration_covariance[0] == -1:
+            continue
+        T_depth_imu = place(topic, first.header.frame_id.lstrip("/"))
+        if T_depth_imu is None:
+            continue
+        times_ns = np.array([message.stamp_ns for message in topic.messages], np.int64)
+        samples = tuple(
+            up_at_rest(times_ns, partial(_acceleration, bag, topic), stamps_ns, T_depth_imu[:3, :3])
+        )
+        if samples:
+            return samples
+    return ()
+
+
+def _acceleration(bag: RosBag, topic: BagTopic, index: int) -> tuple[float, float, float]:
+    said = bag.decode(topic, index).linear_acceleration
+    return said.x, said.y, said.z

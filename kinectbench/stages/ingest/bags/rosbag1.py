@@ -8,6 +8,7 @@ compressed it reads no more than the records' headers. Layout: http://wiki.ros.o
 import os
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, ClassVar
@@ -50,14 +51,15 @@ class Rosbag1Recording(RosRecording):
         """Walk through the bag's chunks."""
         reader = BagReader(path, _chunk_at)
         with open_plain(path) as file:
-            walk = _Walk(cls.wanted, cls.own_types, reader.keep, WalkBudget(size_of(file)))
+            found, budget = FoundMessages(cls.wanted), WalkBudget(size_of(file))
+            walk = _Walk(found, cls.own_types, reader.keep, budget)
             complete = walk.take_all(file, path)
-        topics = walk.found.topics()
-        reader.start_reading(sum(len(topic.messages) for topic in topics))
+        topics = found.topics()
+        count = sum(len(topic.messages) for topic in topics)
+        reader.start_reading(count)
         if complete and not walk.damaged_chunks:
             return RosBag(path, topics, reader)
         what = "is damaged" if complete else "is cut off or has no index"
-        count = sum(len(topic.messages) for topic in topics)
         if not count:
             raise RecordingError(f"{path}: {what}, and nothing in it can be saved; copy it again")
         trouble = (
@@ -67,22 +69,16 @@ class Rosbag1Recording(RosRecording):
         return RosBag(path, topics, reader, trouble)
 
 
+@dataclass
 class _Walk:
     """The state of a walk: messages so far, and the number of whole and of damaged chunks."""
 
-    def __init__(
-        self,
-        types: frozenset[str],
-        own_types: frozenset[str],
-        keep: Callable[[int, bytes], None],
-        budget: WalkBudget,
-    ) -> None:
-        self.budget = budget
-        self.found = FoundMessages(types)
-        self.chunks = 0
-        self.damaged_chunks = 0
-        self._own_types = own_types
-        self._keep = keep
+    found: FoundMessages
+    own_types: frozenset[str]
+    keep: Callable[[int, bytes], None]
+    budget: WalkBudget
+    chunks: int = 0
+    damaged_chunks: int = 0
 
     def take_all(self, file: BinaryIO, path: Path) -> bool:
         """Walk through the file; whether it ends as it should and has an index.
@@ -138,7 +134,7 @@ class _Walk:
         try:
             self.budget.take_bytes(_number(fields, b"size", "<I"))
             chunk = _decompress(fields, data)
-            self._keep(position, chunk)
+            self.keep(position, chunk)
             unpacked = BytesIO(chunk)
             for inner, offset, length in _records_of(unpacked, len(chunk)):
                 self._take(inner, unpacked, offset, length, chunk=position)
@@ -166,7 +162,7 @@ class _Walk:
         topic, type_, definition = (value.decode(errors="replace") for value in values)
         if max(len(topic), len(type_)) > LONGEST_NAME:
             raise DamagedRecordError
-        own = definition if type_ in self._own_types else ""
+        own = definition if type_ in self.own_types else ""
         self.found.connections[_number(fields, b"conn", "<I")] = BagTopic(topic, type_, "ros1", own)
 
 

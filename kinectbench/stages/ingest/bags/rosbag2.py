@@ -120,7 +120,7 @@ def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBa
                 raise
             raise RecordingError(f"{file}: {error.strerror}, which no bag of its size does") from error
         finally:
-            budget.take_file(target.tell())
+            budget.bytes_left -= target.tell()
     if not _start_of(unpacked).startswith(MAGICS):
         trouble = trouble or f"{file}: is cut off or holds no ROS 2 bag"
         return RosBag(file, (), lambda place: b"", trouble)

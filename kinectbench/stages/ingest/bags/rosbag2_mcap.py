@@ -57,14 +57,14 @@ def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
         except DamagedRecordError:
             complete = False
     topics = walked.found.topics()
-    reader.start_reading(sum(len(topic.messages) for topic in topics))
+    count = sum(len(topic.messages) for topic in topics)
+    reader.start_reading(count)
     if walked.unknown and not topics:
         raise RecordingError(
             f"{path}: its messages are encoded as {', '.join(sorted(walked.unknown))}; only cdr (ROS 2) and "
             "ros1 can be read",
             what="unsupported",
         )
-    count = sum(len(topic.messages) for topic in topics)
     trouble = ""
     if not complete or walked.damaged_chunks:
         trouble = (

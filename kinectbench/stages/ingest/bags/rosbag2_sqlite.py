@@ -96,7 +96,8 @@ class _Reader:
                 copy_bounded(source, target, self.file_bytes)
                 if self.file_bytes >= HEAD_BYTES:
                     target.seek(VALID_FOR)
-                    target.write(bytes(255 - byte for byte in _bytes_at(path, CHANGE_COUNTER)))
+                    changes = read_head(path, HEAD_BYTES)[CHANGE_COUNTER]
+                    target.write(bytes(255 - byte for byte in changes))
 
     def connect(self) -> sqlite3.Connection:
         """Open the file read-only, as untrusted input."""
@@ -142,10 +143,6 @@ def _check_tables(database: sqlite3.Connection) -> None:
             raise ValueError(f"it has no table '{name}'")
         if any(column[6] for column in database.execute(f"PRAGMA table_xinfo({name})")):
             raise ValueError(f"its table '{name}' has columns that are computed")
-
-
-def _bytes_at(path: Path, place: slice) -> bytes:
-    return read_head(path, HEAD_BYTES)[place]
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:

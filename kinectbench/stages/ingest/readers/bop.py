@@ -85,6 +85,8 @@ class BopRecording(FileRecording):
                 f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart",
                 what="two-cameras",
             )
+        apart = f"its images have principal points up to {right}, {down} px apart: they are moved to one"
+        moved = [f"{path}: {apart}"] if right or down else []
         intrinsics = recorded.overridden_by(settings)
         poses = [_pose(cameras[number]) for number in sorted(cameras)]
         stamps_ns = [file.stamp_ns for file in files]
@@ -98,7 +100,7 @@ class BopRecording(FileRecording):
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
             warnings=(
-                *_moved_line(path, right, down),
+                *moved,
                 *without_color(path, files),
                 *warnings,
                 *scale_warnings(path, recorded.depth_scale, settings),
@@ -122,11 +124,6 @@ class BopRecording(FileRecording):
             return encoded
         bgr = decode_color_bgr(encoded[1], str(self.places[index].color))
         return ".png", encode_png(_moved(bgr, self.moved_px[index], self.camera))
-
-
-def _moved_line(path: Path, right: int, down: int) -> tuple[str, ...]:
-    line = f"{path}: its images have principal points up to {right}, {down} px apart: they are moved to one"
-    return (line,) if right or down else ()
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:

@@ -4,17 +4,14 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed_paths, printable, read_head
-from kinectbench.stages.ingest.images import is_depth_png
-from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD
+from kinectbench.core.untrusted import listed_paths, printable
+from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, is_16_bit
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 # Enough to tell a recording from a stray picture, and to find a folder of depth.
 LEAST_IMAGES = 5
 LOOKED_AT = 20_000
-# The head of a PNG, which tells its bits.
-HEAD_BYTES = 26
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
@@ -36,7 +33,7 @@ def without_depth(path: Path) -> str | None:
     for folder, files in _image_folders(path):
         images += len(files)
         folders.append((folder, files))
-    deep = next((folder for folder, files in folders if _is_depth(files[0])), None)
+    deep = next((folder for folder, files in folders if is_16_bit(files[0])), None)
     if deep is not None:
         return (
             f"{path}: {deep.name}/ holds 16-bit PNG images that look like depth, but in no layout that is "
@@ -77,7 +74,3 @@ def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
         images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
         if images:
             yield folder, images
-
-
-def _is_depth(file: Path) -> bool:
-    return is_depth_png(read_head(file, HEAD_BYTES))

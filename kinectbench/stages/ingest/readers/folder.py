@@ -32,11 +32,12 @@ from kinectbench.stages.ingest.readers.folder_images import (
 from kinectbench.stages.ingest.readers.pose_files import (
     POSE_FILES,
     pose_file,
+    pose_folder,
     read_log,
     read_pose_file,
+    read_pose_folder,
     unread_poses,
 )
-from kinectbench.stages.ingest.readers.pose_folder import pose_folder, read_pose_folder
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,

@@ -39,8 +39,10 @@ def depth_images(path: Path) -> NamedImages:
     suffixes = {file.suffix.lower() for file in listed_paths(folder)} & DEPTH_SUFFIXES
     # Pictures of depth may lie beside the depth itself.
     raw = suffixes - {".png"}
-    if raw and ".png" in suffixes and not any(_is_16_bit(f) for f in listed_paths(folder, wanted=_is_png)):
-        return in_folder(folder, frozenset(raw))
+    if raw and ".png" in suffixes:
+        pngs = listed_paths(folder, wanted=lambda name: name.lower().endswith(".png"))
+        if not any(map(is_16_bit, pngs)):
+            return in_folder(folder, frozenset(raw))
     return in_folder(folder, frozenset({".png"}) if ".png" in suffixes else frozenset(raw))
 
 
@@ -77,7 +79,7 @@ def lie_beside_each_other(path: Path) -> bool:
         return False
     depth = next(listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
     color = next(listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES)), None)
-    return depth is not None and color is not None and _is_16_bit(depth)
+    return depth is not None and color is not None and is_16_bit(depth)
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
@@ -97,11 +99,8 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
     return NamedImages(tuple(file for _, file in named), tuple(stem for stem, _ in named))
 
 
-def _is_png(name: str) -> bool:
-    return name.lower().endswith(".png")
-
-
-def _is_16_bit(file: Path) -> bool:
+def is_16_bit(file: Path) -> bool:
+    """Whether a file begins like depth, a grey PNG with 16 bits a pixel."""
     return is_depth_png(read_head(file, HEAD_BYTES))
 
 

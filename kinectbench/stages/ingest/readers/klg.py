@@ -107,12 +107,8 @@ class KlgRecording(PackedRecording):
                 f"{path}: a .klg has no intrinsics; ElasticFusion's are taken (528, 528, 320, 240)"
             )
         size_px = (settings.width or SIZE_PX[0], settings.height or SIZE_PX[1])
-        frames, trouble = _find_frames(path, size_px)
-        frames, untimed = timed(frames, path)
-        warnings += untimed
-        order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
-        if repeated:
-            warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
+        found, trouble = _find_frames(path, size_px)
+        frames, order, faults = timed(found, path)
         intrinsics = recorded.overridden_by(settings)
         return cls(
             path=path,
@@ -122,7 +118,7 @@ class KlgRecording(PackedRecording):
             camera=intrinsics.camera(size_px, path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=True,
-            warnings=(*trouble, *warnings),
+            warnings=(*trouble, *warnings, *faults),
         )
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
@@ -139,13 +135,16 @@ class KlgRecording(PackedRecording):
         return ".png", encode_png(np.ascontiguousarray(bgr[..., ::-1]))
 
 
-def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[str]]:
-    """The frames with their time stamps, else with counted ones and a warning with the reason."""
-    why = no_times([frame.stamp_ns for frame in frames])
-    if not why:
-        return frames, []
-    counted = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]
-    return counted, [f"{path}: its stamps are no times ({why}); its frames are counted instead"]
+def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
+    """The frames with their stamps, else with counted ones; their order, each stamp once; and warnings."""
+    warnings, why = [], no_times([frame.stamp_ns for frame in frames])
+    if why:
+        frames = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]
+        warnings.append(f"{path}: its stamps are no times ({why}); its frames are counted instead")
+    order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
+    if repeated:
+        warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
+    return frames, order, warnings
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:

@@ -85,7 +85,11 @@ class NerfstudioRecording(PhoneRecording):
             for index, (depth, frame) in enumerate(frames)
         )
         size_px = first_depth_size(files)
-        whole = [_of_frame(shared, frame) for _, frame in frames]
+        # Values of a frame, else of all frames; unused keys are left out.
+        whole = [
+            {key: home[key] for key in FRAME_KEYS for home in (shared, frame) if key in home}
+            for _, frame in frames
+        ]
         intrinsics, varied = _intrinsics(path, whole, first_color_size(files) or size_px, size_px)
         unit_m = number_of(_first(shared, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
@@ -136,11 +140,6 @@ def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]
     alone = len(frames) - len(named)
     warnings = [f"{file}: {alone} frames have no depth_file_path and were left out"] if alone else []
     return content, sorted(named, key=lambda row: counting_key(row[0])), warnings
-
-
-def _of_frame(shared: Frame, frame: Frame) -> Frame:
-    """Values of a frame, else of all frames; unused keys are left out."""
-    return {key: home[key] for key in FRAME_KEYS for home in (shared, frame) if key in home}
 
 
 def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> Any:

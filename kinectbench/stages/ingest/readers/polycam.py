@@ -74,7 +74,9 @@ class PolycamRecording(PhoneRecording):
             )
             for stem in stems
         )
-        cameras = [_read_camera(inside / f"{kind}cameras" / f"{stem}.json") for stem in stems]
+        needed, keys = "the intrinsics and t_00 to t_23", (*CAMERA_KEYS, *POSE_KEYS)
+        json_files = [inside / f"{kind}cameras" / f"{stem}.json" for stem in stems]
+        cameras = [read_camera_of_frame(file, needed, keys) for file in json_files]
         size_px = first_depth_size(files)
         K, color_px, varied = _shared(inside / f"{kind}cameras", cameras)
         recorded = scaled_to_depth(K, color_px, size_px, path)
@@ -99,11 +101,6 @@ class PolycamRecording(PhoneRecording):
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Polycam's 0, 127 and 255 as 0, 1 and 2."""
         return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
-
-
-def _read_camera(file: Path) -> dict[str, Any] | None:
-    """The JSON of a frame, or None if missing."""
-    return read_camera_of_frame(file, "the intrinsics and t_00 to t_23", (*CAMERA_KEYS, *POSE_KEYS))
 
 
 def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64, tuple[int, int], list[str]]:

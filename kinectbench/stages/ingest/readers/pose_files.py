@@ -1,4 +1,4 @@
-"""Poses of all frames in one text file: TUM's rows, RTAB-Map's with ids, KITTI's and flattened matrices."""
+"""Poses in text: of all frames in one file (TUM, RTAB-Map, KITTI, matrices), or one a frame, pose/N.txt."""
 
 import re
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from kinectbench.core.errors import GivenPosesError, RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
-from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, text_rows
+from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.recording import first_file
+from kinectbench.stages.ingest.recording import FrameFiles, first_file
 
 # The first that is there: RTAB-Map's and many others', TUM's, that of ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
@@ -30,6 +30,7 @@ LIKE_POSES = re.compile(
     r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)",
     re.IGNORECASE,
 )
+POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
@@ -167,3 +168,49 @@ def read_log(file: Path, frames: int) -> list[Float64]:
             raise GivenPosesError(f"{where}: the four rows after it are not four numbers each")
         matrices[int(index)] = np.array(values)
     return matrices
+
+
+def pose_folder(path: Path) -> Path | None:
+    """The recording's folder with a text file of each pose, or None."""
+    folders = (path / name for name in POSE_FOLDERS)
+    return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
+
+
+def read_pose_folder(
+    path: Path, files: Sequence[FrameFiles], T_camera_depth: Float64 | None = None
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Read the pose of each frame that has one; one that is not finite is of a frame that was lost.
+
+    Args:
+        path: the recording.
+        files: its frames, stamps strictly increasing.
+        T_camera_depth: (4, 4), depth camera to the camera that the poses are of, metres; None: the same.
+
+    Returns:
+        The trajectory of the depth camera, or None if no frame has a usable pose; and warnings.
+
+    Raises:
+        RecordingError: a file does not hold 16 numbers.
+    """
+    folder = pose_folder(path)
+    if folder is None:
+        return None, []
+    place = np.eye(4) if T_camera_depth is None else T_camera_depth
+    matrices = [_read(folder / f"{frame.depth.stem}.txt", place) for frame in files]
+    return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
+
+
+def finite_trajectory(
+    stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """`trajectory_from_matrices`; no trajectory and no warning if every frame was lost."""
+    if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
+        return None, []
+    return trajectory_from_matrices(stamps_ns, matrices, name)
+
+
+def _read(file: Path, T_camera_depth: Float64) -> Float64 | None:
+    if not file.is_file():
+        return None
+    T = read_matrix(file, 4)
+    return np.asarray(T @ T_camera_depth) if np.isfinite(T).all() else T

@@ -31,7 +31,7 @@ from kinectbench.stages.ingest.recording import (
 
 DEPTH_SCALE = 1000.0
 # What is read of the JSON of a frame.
-CAMERA_KEYS = ("time", "intrinsics", "cameraPoseARFrame")
+CAMERA_KEYS, NEEDED = ("time", "intrinsics", "cameraPoseARFrame"), "intrinsics and cameraPoseARFrame"
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
 
 
@@ -57,7 +57,8 @@ class ScannerAppRecording(PhoneRecording):
         """List the frames by number and read every JSON."""
         depth_files = listed_paths(path, wanted=DEPTH_NAME.fullmatch)
         stems = sorted((file.stem.removeprefix("depth_") for file in depth_files), key=int)
-        cameras = [_read_camera(path / f"frame_{stem}.json") for stem in stems]
+        json_files = [path / f"frame_{stem}.json" for stem in stems]
+        cameras = [read_camera_of_frame(file, NEEDED, CAMERA_KEYS) for file in json_files]
         stamps_ns, warnings = _stamps_ns(path, cameras)
         files = tuple(
             FrameFiles(stamp_ns, path / f"depth_{stem}.png", first_file([path / f"frame_{stem}.jpg"]))
@@ -83,11 +84,6 @@ class ScannerAppRecording(PhoneRecording):
             confidence=tuple(first_file([path / f"conf_{stem}.png"]) for stem in stems),
             min_confidence=settings.min_confidence,
         )
-
-
-def _read_camera(file: Path) -> dict[str, Any] | None:
-    """The JSON of a frame, or None if missing."""
-    return read_camera_of_frame(file, "intrinsics and cameraPoseARFrame", CAMERA_KEYS)
 
 
 def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:

@@ -15,22 +15,11 @@ from kinectbench.core.trajectory.text_rows import read_matrix
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import (
-    Intrinsics,
-    check_focal_lengths,
-    read_intrinsics_matrix,
-    rig_calibration,
-)
+from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix, rig_calibration
 from kinectbench.stages.ingest.readers.folder import pair_files
 from kinectbench.stages.ingest.readers.folder_images import color_images, in_folder
-from kinectbench.stages.ingest.readers.pose_folder import read_pose_folder
-from kinectbench.stages.ingest.recording import (
-    ColorCalibration,
-    FileRecording,
-    first_color_size,
-    first_depth_size,
-    first_file,
-)
+from kinectbench.stages.ingest.readers.pose_files import read_pose_folder
+from kinectbench.stages.ingest.recording import FileRecording, first_color_size, first_depth_size, first_file
 
 DEPTH_SCALE = 1000.0
 
@@ -56,11 +45,19 @@ class ScannetFolderRecording(FileRecording):
             )
         files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         size_px = first_depth_size(files)
-        intrinsics = _read_intrinsics(path, size_px, settings)
+        file = _matrix_file(path, "depth")
+        assert file is not None
+        intrinsics = read_intrinsics_matrix(file)
+        if settings.fx is None:
+            check_focal_lengths(intrinsics, size_px, file)
         camera = intrinsics.overridden_by(settings).camera(size_px, path)
         color_px = first_color_size(files) or (0, 0)
         depth_to_rig = _read_extrinsic(path, "depth")
-        calibration = _calibration(path, color_px, depth_to_rig)
+        calibration = None
+        color_file = _matrix_file(path, "color")
+        if color_file is not None and all(color_px):
+            color = read_intrinsics_matrix(color_file)
+            calibration = rig_calibration(color, color_px, _read_extrinsic(path, "color"), depth_to_rig, path)
         registered = color_px == size_px if calibration is None else calibration.lies_on(camera)
         place = rigid_or_none(depth_to_rig)
         trajectory, warnings, error = read_given(lambda: read_pose_folder(path, files, place))
@@ -83,29 +80,7 @@ def _matrix_file(path: Path, camera: str) -> Path | None:
     return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
 
 
-def _read_intrinsics(path: Path, size_px: tuple[int, int], settings: CameraSettings) -> Intrinsics:
-    file = _matrix_file(path, "depth")
-    assert file is not None
-    intrinsics = read_intrinsics_matrix(file)
-    if settings.fx is None:
-        check_focal_lengths(intrinsics, size_px, file)
-    return intrinsics
-
-
 def _read_extrinsic(path: Path, camera: str) -> Float64:
     """The pose (4, 4) of "depth" or "color" in the rig, metres; the identity if missing."""
     file = path / "intrinsic" / f"extrinsic_{camera}.txt"
     return read_matrix(file, 4) if file.is_file() else np.eye(4)
-
-
-def _calibration(path: Path, color_px: tuple[int, int], depth_to_rig: Float64) -> ColorCalibration | None:
-    """Relation of colour to depth, if stated for images of its size."""
-    file = _matrix_file(path, "color")
-    if file is None or not all(color_px):
-        return None
-    intrinsics = read_intrinsics_matrix(file)
-    assert None not in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-    K = np.array(
-        [[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]], np.float64
-    )
-    return rig_calibration(K, color_px, _read_extrinsic(path, "color"), depth_to_rig, path)

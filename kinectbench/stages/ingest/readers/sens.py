@@ -17,7 +17,7 @@ import numpy as np
 
 from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import is_too_large, open_plain, read_head, size_of
@@ -87,7 +87,7 @@ class SensRecording(PackedRecording):
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the head and find the frames; nothing is decoded."""
         with open_plain(path) as file:
-            head = _read_head(file, path, size_of(file))
+            head = _read_head(file, path)
             frames, matrices, cut = _find_frames(file, head, path)
         if not frames:
             raise RecordingError(
@@ -99,19 +99,14 @@ class SensRecording(PackedRecording):
         if len({frame.stamp_ns for frame in frames}) == 1 or max(f.stamp_ns for f in frames) > LATEST_NS:
             # Some files have no stamps: then the frames count seconds.
             frames = [frame._replace(stamp_ns=index * NS_PER_S) for index, frame in enumerate(frames)]
-        frames, untimed = timed(frames, path)
-        warnings += untimed
-        order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
-        if repeated:
-            warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
+        frames, order, faults = timed(frames, path)
         places = tuple(frames[i] for i in order)
         intrinsics = Intrinsics.of_matrix(head.depth_intrinsic, head.depth_shift).overridden_by(settings)
         stamps_ns = [place.stamp_ns for place in places]
         trajectory, lost = _trajectory(stamps_ns, [matrices[i] for i in order], head, path)
         camera = intrinsics.camera(head.depth_px, path)
-        calibration = rig_calibration(
-            head.color_intrinsic, head.color_px, head.color_extrinsic, head.depth_extrinsic, path
-        )
+        color = Intrinsics.of_matrix(head.color_intrinsic)
+        calibration = rig_calibration(color, head.color_px, head.color_extrinsic, head.depth_extrinsic, path)
         registered = calibration is not None and calibration.lies_on(camera)
         return cls(
             path=path,
@@ -122,7 +117,7 @@ class SensRecording(PackedRecording):
             color_registered=registered,
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
-            warnings=(*warnings, *scale_warnings(path, head.depth_shift, settings), *lost),
+            warnings=(*warnings, *faults, *scale_warnings(path, head.depth_shift, settings), *lost),
         )
 
     def is_raw(self, depth: bytes, size: int) -> bool:
@@ -141,7 +136,7 @@ class SensRecording(PackedRecording):
         return ".png", encode_png(np.ascontiguousarray(rgb[..., ::-1]))
 
 
-def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
+def _read_head(file: BinaryIO, path: Path) -> SensHead:
     start = file.read(START.size)
     if len(start) < START.size:
         raise RecordingError(f"{path}: the file is cut off before its first frame; copy it again")
@@ -167,19 +162,8 @@ def _read_head(file: BinaryIO, path: Path, size: int) -> SensHead:
         )
     if not (np.isfinite(shift) and shift > 0):
         raise IntrinsicsError(f"{path}: its depth shift is {shift:g}, not above 0: the file is damaged")
-    color_intrinsic, color_extrinsic, depth_intrinsic, depth_extrinsic = matrices
-    return SensHead(
-        color_intrinsic=color_intrinsic,
-        color_extrinsic=color_extrinsic,
-        depth_intrinsic=depth_intrinsic,
-        depth_extrinsic=depth_extrinsic,
-        color_compression=color,
-        depth_compression=depth,
-        color_px=color_px,
-        depth_px=depth_px,
-        depth_shift=shift,
-        frames=frames,
-    )
+    of_color, of_depth = (matrices[0], matrices[1]), (matrices[2], matrices[3])
+    return SensHead(*of_color, *of_depth, color, depth, color_px, depth_px, shift, frames)
 
 
 def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:

@@ -1,30 +1,32 @@
-"""7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`; depth in mm, not registered."""
+"""7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`, in mm; ScanNet's tools' info.txt."""
 
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.core.trajectory.text_rows import read_matrix
+from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed_paths
+from kinectbench.core.untrusted import listed_paths, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_depth_png
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
     check_focal_lengths,
     read_intrinsics_matrix,
+    rig_calibration,
     scale_warnings,
 )
-from kinectbench.stages.ingest.readers.scannet_info import ScannetRig, is_info, read_info
 from kinectbench.stages.ingest.recording import (
+    ColorCalibration,
     Evidence,
     FileRecording,
     FrameFiles,
@@ -53,6 +55,25 @@ INFO_FILES = ("_info.txt", "info.txt")
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 COLOR_KINDS = ("color.png", "color.jpg", "color.jpeg")
 DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.depth\.png")
+# The row of info.txt, as ScanNet's tools export it, that tells depth's intrinsics.
+DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
+
+
+@dataclass(frozen=True)
+class ScannetRig:
+    """The cameras of one rig, from a file.
+
+    Attributes:
+        file: the file, or the recording where none says it.
+        depth: of the depth camera.
+        color: the transform of colour to depth, or None if missing.
+        registered: colour is registered to depth, whatever the file states.
+    """
+
+    file: Path
+    depth: Intrinsics
+    color: ColorCalibration | None = None
+    registered: bool = False
 
 
 class SevenScenesRecording(FileRecording):
@@ -84,8 +105,11 @@ class SevenScenesRecording(FileRecording):
             for stamp_ns, file in zip(stamps_ns, depth, strict=True)
         )
         size_px = first_depth_size(files)
+        poses = [_beside(file, "pose.txt") for file in depth]
         trajectory, warnings, error = read_given(
-            lambda: trajectory_from_matrices(stamps_ns, [_pose_beside(file) for file in depth], str(path))
+            lambda: trajectory_from_matrices(
+                stamps_ns, [read_matrix(f, 4) if f.is_file() else None for f in poses], str(path)
+            )
         )
         camera_file = _camera_file(path)
         rig = _read_rig(camera_file, first_color_size(files) or (0, 0), size_px)
@@ -179,6 +203,59 @@ def _beside(depth: Path, kind: str) -> Path:
     return depth.with_name(f"{depth.name.removesuffix('depth.png')}{kind}")
 
 
-def _pose_beside(depth: Path) -> Float64 | None:
-    file = _beside(depth, "pose.txt")
-    return read_matrix(file, 4) if file.is_file() else None
+def is_info(file: Path) -> bool:
+    """Whether the file describes the cameras of such a recording."""
+    return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
+
+
+def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
+    """Read info.txt: `name = numbers` in each row, matrices as 16 numbers row by row.
+
+    Args:
+        file: `info.txt` or `_info.txt`.
+        color_px: width and height of the colour images; 0, 0 where there is none.
+
+    Raises:
+        RecordingError: depth's intrinsics are missing, or a row does not hold the numbers it should.
+    """
+    rows = {}
+    for where, row in text_rows(file):
+        key, _, value = (part.strip() for part in row.partition("="))
+        rows[key.removeprefix("m_")] = (where, value.split())
+    K = _matrix(rows, DEPTH_INTRINSIC)
+    if K is None:
+        raise IntrinsicsError(
+            f"{file}: has no row 'm_calibrationDepthIntrinsic = ' with the 16 numbers of a 4x4"
+        )
+    width, height, scale = (_number(rows, key) for key in ("depthWidth", "depthHeight", "depthShift"))
+    if scale is not None and not scale > 0:
+        raise IntrinsicsError(f"{file}: 'm_depthShift' must be above 0 (native units per metre)")
+    depth = Intrinsics.of_matrix(K, scale)
+    if width and height:
+        depth = replace(depth, width=int(width), height=int(height))
+    K_color = _matrix(rows, "calibrationColorIntrinsic")
+    if K_color is None:
+        return ScannetRig(file, depth)
+    color_place, depth_place = (
+        np.eye(4) if place is None else place
+        for place in (_matrix(rows, f"calibration{name}Extrinsic") for name in ("Color", "Depth"))
+    )
+    color = Intrinsics.of_matrix(K_color)
+    return ScannetRig(file, depth, rig_calibration(color, color_px, color_place, depth_place, file.parent))
+
+
+def _matrix(rows: dict[str, tuple[str, list[str]]], key: str) -> Float64 | None:
+    where, words = rows.get(key, ("", []))
+    if not words:
+        return None
+    if len(words) != 16:
+        raise IntrinsicsError(f"{where}: '{key}' holds {len(words)} numbers, not the 16 of a 4x4 matrix")
+    return np.array(parse_floats(words, where)).reshape(4, 4)
+
+
+def _number(rows: dict[str, tuple[str, list[str]]], key: str) -> float | None:
+    where, words = rows.get(key, ("", []))
+    value = parse_floats(words[:1], where) if words else []
+    if value and not (np.isfinite(value[0]) and 0 <= value[0] < 1e6):
+        raise IntrinsicsError(f"{where}: '{key}' is {value[0]:g}, which it cannot be")
+    return value[0] if value else None

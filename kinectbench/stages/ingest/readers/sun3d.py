@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_na
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.readers.folder_images import COLOR_SUFFIXES, in_folder
-from kinectbench.stages.ingest.readers.pose_folder import finite_trajectory
+from kinectbench.stages.ingest.readers.pose_files import finite_trajectory
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
 
 DEPTH_SCALE = 1000.0

@@ -19,12 +19,7 @@ from kinectbench.core.trajectory.trajectory_file import read_given, read_traject
 from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.gravity import up_at_rest
-from kinectbench.stages.ingest.intrinsics import (
-    HELD,
-    read_color_calibration,
-    read_json_object,
-    said_warnings,
-)
+from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, read_json_object, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.pose_files import unread_poses
@@ -136,12 +131,8 @@ def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> 
     times_ns = np.array([parse_stamp_ns(words[0], where) for where, words in rows], np.int64)
     order = np.argsort(times_ns, kind="stable")
     measured = np.array([parse_floats(words[1:], where) for where, words in rows]).reshape(-1, 3)[order]
-
-    def read(index: int) -> tuple[float, float, float]:
-        x, y, z = measured[index].tolist()
-        return x, y, z
-
-    return tuple(up_at_rest(times_ns[order], read, stamps_ns, np.eye(3)))
+    read = measured.tolist()
+    return tuple(up_at_rest(times_ns[order], lambda index: tuple(read[index]), stamps_ns, np.eye(3)))
 
 
 def _read_rows(path: Path) -> list[tuple[int, Path]]:

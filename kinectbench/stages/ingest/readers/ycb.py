@@ -24,7 +24,7 @@ from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajector
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.untrusted import is_too_large
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.hdf5 import hdf5_arrays
+from kinectbench.stages.ingest.depth_files import hdf5_arrays
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.intrinsics import Intrinsics, pinhole, scale_warnings
 from kinectbench.stages.ingest.recording import (
