@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import open_release
 from kinectbench.report.space_table import space_table
+from kinectbench.scoring.camera import winding
 from kinectbench.scoring.camera.winding import inside_winding
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.recheck import recheck
@@ -73,7 +74,9 @@ def test_volume_outside_the_grid_counts() -> None:
     assert half.sum() == pytest.approx(whole / 2, rel=0.02) and outside == pytest.approx(whole / 2, rel=0.05)
 
 
-def test_open_meshes_are_scored_as_solids_where_that_is_asked(analytic: Path, tmp_path: Path) -> None:
+def test_open_meshes_are_scored_as_solids_where_that_is_asked(
+    analytic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     release, folder = open_release(analytic / "benchmark"), tmp_path / "open"
     for target in release.split("test"):
         shape = analytic_release.true_in_camera(target.recording, target.category, target.view)
@@ -90,5 +93,8 @@ def test_open_meshes_are_scored_as_solids_where_that_is_asked(analytic: Path, tm
     table.write(tmp_path / "scores")
     assert recheck(release, tmp_path / "scores" / "scores.json", folder) == []
     assert score(release, folder, method="open", protocols=["camera"]).averages("camera")[OVERALL].iou is None
+    monkeypatch.setattr(winding, "MOST_STEPS", 10_000)
+    (reason, *_) = {found.reason for found in score(release, folder, method="open", close="winding").failures}
+    assert "faces across each other; simplify the mesh" in reason
     with raises(SettingsError, "settings.wrong-value", "--close poisson"):
         score(release, folder, method="open", close="poisson")

@@ -111,8 +111,10 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     from kinectbench.scoring.camera.winding import inside_winding
 
-    found, outside = inside_winding(_in_cells(truth, vertices_m), faces, FULL_CELLS)
-    return Solid(pack(found), outside)
+    found = inside_winding(_in_cells(truth, vertices_m), faces, FULL_CELLS)
+    if found is None:
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
+    return Solid(pack(found[0]), found[1])
 
 
 def _in_cells(truth: SpaceTruth, vertices_m: Float64) -> Float64:
