@@ -1,13 +1,14 @@
-"""Make what docs/architecture.md takes from the code: the picture of the rooms, the table of stored files.
+"""Make what docs/architecture.md takes from the code: the picture of the rooms, the list of stored files.
 
     .venv/bin/python scripts/docs_architecture.py
 
 Same code, same bytes. `tests/docs/test_docs_architecture.py` fails where the picture has other rooms or
-arrows than the code, or the table other files.
+arrows than the code, or the list other files.
 """
 
 import ast
 import pkgutil
+import textwrap
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "kinectbench"
 PAGE = ROOT / "docs" / "architecture.md"
 PICTURE = ROOT / "docs" / "pictures" / "architecture.svg"
-# The table of stored files lies between these lines of the page.
+# The list of stored files lies between these lines of the page.
 BEGIN, END = "<!-- files: written by scripts/docs_architecture.py -->\n", "<!-- end of files -->\n"
 
 # The stages in their order; other rooms have their packages by size.
@@ -166,68 +167,47 @@ def _bus(
     return drawn
 
 
-# Files whose owner is no model in core/artefacts: name, what it holds, and what writes and reads it.
+# Files whose owner is no model in core/artefacts: name, what writes and reads it, and its module.
 OTHER_FILES = (
-    ("<view>.npz", "a pair of `pairs/`: a view's input and its truth", "Pair", "core/voxels/pair_file.py"),
-    (
-        "volume.npz",
-        "`reconstruction/`: the scene's TSDF",
-        "write_reconstruction",
-        "stages/fuse/reconstruction.py",
-    ),
-    ("trajectory.txt", "the poses, as TUM text", "write_trajectory", "core/trajectory/trajectory.py"),
-    ("<view>.mask.png", "the object in a view", "write_views", "stages/sample_views/views.py"),
-    ("mesh.ply", "a surface, as binary PLY", "write_ply", "core/geometry/mesh.py"),
-    (
-        ".counted.jsonl",
-        "what is counted of each pair while a method is scored",
-        "CountedPair",
-        "core/artefacts/counted.py",
-    ),
-    (
-        ".predicted.jsonl",
-        "the files that a run of `predict` has written, until all are",
-        "PredictedFile",
-        "core/artefacts/method.py",
-    ),
-    ("gallery.npz", "some predictions at 64^3", "Gallery", "core/artefacts/gallery.py"),
-    (
-        "rows.npz",
-        "the rows of a score table that has very many",
-        "write_rows",
-        "core/artefacts/score_columns.py",
-    ),
-    ("targets.csv", "the pairs of a release", "Target", "core/artefacts/targets.py"),
+    ("<view>.npz", "Pair", "core/voxels/pair_file.py"),
+    ("volume.npz", "write_reconstruction", "stages/fuse/reconstruction.py"),
+    ("trajectory.txt", "write_trajectory", "core/trajectory/trajectory.py"),
+    ("<view>.mask.png", "write_views", "stages/sample_views/views.py"),
+    ("mesh.ply", "write_ply", "core/geometry/mesh.py"),
+    (".counted.jsonl", "CountedPair", "core/artefacts/counted.py"),
+    (".predicted.jsonl", "PredictedFile", "core/artefacts/method.py"),
+    ("gallery.npz", "Gallery", "core/artefacts/gallery.py"),
+    ("rows.npz", "write_rows", "core/artefacts/score_columns.py"),
+    ("targets.csv", "Target", "core/artefacts/targets.py"),
 )
 
 
-def files_table() -> str:
-    """A line for each class in core/artefacts that is a file, and each other file: name, content, owner."""
-    lines = ["| file | what it holds | owner |", "|---|---|---|"]
+def files_list() -> str:
+    """A line for each module that owns files: the module, and each file with its class or function."""
+    owned: dict[str, list[str]] = {}
     folder = PACKAGE / "core" / "artefacts"
     for module in sorted(info.name for info in pkgutil.iter_modules([str(folder)])):
         held = vars(import_module(f"kinectbench.core.artefacts.{module}")).values()
         for kind in held:
             if isinstance(kind, type) and kind.__module__.endswith(f".{module}") and "FILE" in vars(kind):
-                says = str(kind.__doc__).splitlines()[0].rstrip(".").removeprefix(f"{vars(kind)['FILE']}: ")
-                where = f"`{kind.__name__}` in `kinectbench/core/artefacts/{module}.py`"
-                lines.append(f"| `{vars(kind)['FILE']}` | {says} | {where} |")
-    lines += [
-        f"| `{name}` | {says} | `{owner}` in `kinectbench/{of}` |" for name, says, owner, of in OTHER_FILES
-    ]
-    return "\n".join(lines) + "\n"
+                files = owned.setdefault(f"core/artefacts/{module}.py", [])
+                files.append(f"`{vars(kind)['FILE']}` (`{kind.__name__}`)")
+    for name, owner, of in OTHER_FILES:
+        owned.setdefault(of, []).append(f"`{name}` (`{owner}`)")
+    lines = (f"- `kinectbench/{module}`: {', '.join(files)}" for module, files in owned.items())
+    return "".join("\n".join(textwrap.wrap(line, 110, subsequent_indent="  ")) + "\n" for line in lines)
 
 
-def with_table(page: str, table: str) -> str:
-    """The page's text with this table in place of the one between the two comments."""
+def with_list(page: str, lines: str) -> str:
+    """The page's text with this list in place of the one between the two comments."""
     head, _, rest = page.partition(BEGIN)
     _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n{table}\n{END}{tail}"
+    return f"{head}{BEGIN}\n{lines}\n{END}{tail}"
 
 
 def main() -> None:
     PICTURE.write_text(picture(rooms(), imports()))
-    PAGE.write_text(with_table(PAGE.read_text(), files_table()))
+    PAGE.write_text(with_list(PAGE.read_text(), files_list()))
 
 
 if __name__ == "__main__":

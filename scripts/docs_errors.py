@@ -1,4 +1,4 @@
-"""Write docs/errors.md, a table of the codes of all errors, from `kinectbench.core.error_codes`.
+"""Write docs/errors.md, a list of the codes of all errors, from `kinectbench.core.error_codes`.
 
 .venv/bin/python scripts/docs_errors.py
 """
@@ -10,11 +10,11 @@ from kinectbench.core.error_codes import ERROR_CODES, KINDS
 PAGE = Path(__file__).parents[1] / "docs" / "errors.md"
 HEAD = """# Errors
 
-Every error has a code, which stays the same where its line is reworded. The line says what, where
-and what to do. In Python the code is `error.code`. `failed.json`, `build --json` and
-`build --status --json` have it as the key `code`. `build --verbose` shows it, and so does any command
-with KINECTBENCH_DEBUG=1. This page is made of `kinectbench/core/error_codes.py` by
-`scripts/docs_errors.py`.
+Every error is one line, which says what, where and what to do. It has a code, which stays where the line
+is reworded. In Python it is `error.code`.
+`failed.json`, `build --json` and `build --status --json` have it as the key `code`. `build --verbose`
+shows it, and so does any command with KINECTBENCH_DEBUG=1. `scripts/docs_errors.py` makes this page of
+`kinectbench/core/error_codes.py`.
 """
 
 
@@ -22,9 +22,9 @@ def page() -> str:
     """The page: a section for each kind of error."""
     made = HEAD
     for kind, about in KINDS.items():
-        made += f"\n## {kind}\n\n{about}\n\n| code | meaning |\n| --- | --- |\n"
+        made += f"\n## {kind}\n\n{about}\n\n"
         codes = {code: text for code, text in ERROR_CODES.items() if code.startswith(f"{kind}.")}
-        made += "".join(f"| `{code}` | {text} |\n" for code, text in codes.items())
+        made += "".join(f"- `{code}`: {text.split('; ')[0]}.\n" for code, text in codes.items())
     return made
 
 

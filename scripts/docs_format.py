@@ -1,12 +1,15 @@
-"""Write docs/keys.md, a table of keys for each file, from the models that read and write the files.
+"""Write docs/keys.md, a list of keys for each file, from the models that read and write the files.
 
     .venv/bin/python scripts/docs_format.py
 
-What a model cannot say is prose in docs/format.md, which names each table.
+What a model cannot say is prose in docs/format.md, which links to each list.
 """
 
+import dataclasses
 import re
+import textwrap
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,7 @@ from kinectbench.core.artefacts.object import CandidatesFile, FloorFile, Quality
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.reference import ReferenceFile
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetrics
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
@@ -28,11 +32,17 @@ from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 PAGE = Path(__file__).parents[1] / "docs" / "keys.md"
 HEAD = """# Keys
 
-Every key of every file, made of the models that read and write them (`scripts/docs_format.py`).
-[Files](format.md) says what the files are for. `a.b` is the key `b` in the object `a`, `a[].b` that
-of every object in the list `a`, `a.<name>.b` that of every object in `a`, whatever it is called. An
-optional key is null or missing where its value is unknown or does not apply, and in files older
-than the key.
+Every key of every file. `scripts/docs_format.py` makes this page of the models that read and write them.
+[Files](format.md) says what the files are for.
+
+- An indented key belongs to the object above it, to each object of a list, or to each object `by name`.
+- Units are those of the key's name. Grids and frames: [Conventions](conventions.md).
+- A key without a kind is a number, or the object of the keys below it. JSON schemas name the integers.
+- A plural is a list: `texts`, `numbers`.
+- N in a meaning is the number in the key's name.
+- A key with `?` is null or missing where its value is unknown or does not apply, and in files older than
+  the key.
+- `format_version` is the version of the file's format. It is listed where it says more.
 """
 MODELS: tuple[type[Stored], ...] = (
     Manifest,
@@ -58,79 +68,192 @@ MODELS: tuple[type[Stored], ...] = (
     TrainingFile,
     ScoreTable,
 )
-WORDS = {"string": "text", "boolean": "true or false", "": "any value"}
-# Parts of which a table of their own says what they hold.
+WORDS = {"string": "text", "integer": "number", "": "any"}
+# What a key's name or its kind says already is left out of its meaning.
+UNITS = {"_m": "metres|m", "_mm": "mm|millimetres", "_m2": "square metres", "_m3": "cubic metres"}
+UNITS |= {
+    "_rad": "radians",
+    "_deg": "degrees",
+    "_ns": "nanoseconds",
+    "_s": "seconds",
+    "_ms": "ms",
+    "_px": "pixels",
+}
+NOTHING = re.compile(
+    r"; (?:null|absent|missing)(?: if none|: none|: nothing|:? (?:if )?not known| without one)$"
+)
+EMPTY = set(
+    re.findall(r"\w+", "a an the id of its it in by that this is name number each file whether keys and or")
+)
+# Parts of which a list of their own says what they hold.
 ELSEWHERE = {QualityFile.__name__: QualityFile.FILE}
+# Objects whose keys are described where the link leads: constants of a method, and other papers' figures.
+DESCRIBED = {
+    "SolidMethod": "described in `schemas/quality.schema.json` of a release",
+    "ScoreSettings": "described in [scores.schema.json](scores.schema.json)",
+    "Alignment": "[how it was registered](scoring-in-space.md#registration)",
+    "Calibration": "[its keys](scoring-in-space.md#several-hypotheses)",
+    "Ceiling": "[for some metrics](scoring-in-space.md#ceiling)",
+    "AsPapers": "[other papers' figures](scoring-in-space.md#as-other-papers)",
+}
+# Keys of metrics, and where they are defined.
+METRICS = tuple(field.name for of in (VoxelMetrics, SurfaceMetrics) for field in dataclasses.fields(of))
+DEFINED = "scoring.md#metrics"
+# So many keys at least that an object shares with an earlier one are named in one line.
+# Of another file it is one more.
+LEAST_SHARED = 2
+LONGEST_LINE = 110
+# A meaning of `format_version` of fewer words says nothing more than the name.
+MORE_WORDS = 7
 
 Schema = Mapping[str, Any]
+Row = tuple[str, bool, str, str]  # a key's name, whether it always has a value, its kind, what it means
+
+
+class _Listed:
+    """What stands on the page already: objects by name, and rows, each with the file and key that have it."""
+
+    def __init__(self) -> None:
+        self.file = ""
+        self.objects: dict[str, tuple[str, str]] = {}
+        self.rows: dict[Row, tuple[str, str]] = {}
+
+    def place(self, where: tuple[str, str]) -> str:
+        """A place as a reader of the current file finds it."""
+        file, key = where
+        if file == DEFINED:
+            return f"[Metrics]({DEFINED})"
+        link = "" if file == self.file else f"[{file}](#{re.sub(r'[^a-z_]', '', file)})"
+        return " of ".join(part for part in (f"`{key}`" if key else "", link) if part)
 
 
 def tables() -> dict[str, str]:
-    """The table of each file, by the file's name, as Markdown."""
-    made = {model.FILE: _table(model) for model in MODELS}
-    rows = [("column", "meaning"), ("---", "---")]
-    rows += [(f"`{name}`", text) for name, text in ALL_COLUMNS.items()]
-    return made | {TARGETS_CSV: _markdown(rows)}
+    """The keys of each file, by the file's name, as a Markdown list."""
+    listed, made = _Listed(), dict[str, str]()
+    for model in MODELS:
+        listed.file = model.FILE
+        # The models of scores have defaults for what older files lack; their schema has what is always there.
+        schema = scores_schema() if model is ScoreTable else model.model_json_schema(by_alias=True)
+        if model is ScoreTable:
+            row = schema["$defs"]["ScoreRow"]
+            said = (_said(name, row["properties"][name], row, schema) for name in METRICS)
+            listed.rows |= dict.fromkeys(said, (DEFINED, ""))
+        made[model.FILE] = "".join(_rows(schema, schema, "", listed))
+    return made | {
+        TARGETS_CSV: "".join(_line(0, f"`{name}`", "", text) for name, text in ALL_COLUMNS.items())
+    }
 
 
 def page() -> str:
     """The page: a section for each file."""
-    return HEAD + "".join(f"\n## {name}\n\n{table}" for name, table in tables().items())
+    return HEAD + "".join(f"\n## {name}\n\n{keys}" for name, keys in tables().items())
 
 
-def _table(model: type[Stored]) -> str:
-    """A row for each key: its name, what kind of value it has, and what it means."""
-    # The models of scores have defaults for what older tables lack; their schema tells what is always there.
-    schema = scores_schema() if model is ScoreTable else model.model_json_schema(by_alias=True)
-    return _markdown([("key", "value", "meaning"), ("---", "---", "---"), *_rows(schema, schema, "", {})])
+def _line(depth: int, names: str, kind: str, meaning: str) -> str:
+    """An item of the list, wrapped."""
+    head = " ".join(filter(None, [f"- {names}", "" if kind == "number" else _plain(kind)]))
+    indent = "    " * depth
+    lines = textwrap.wrap(
+        f"{head}: {_plain(meaning)}" if meaning else head,
+        LONGEST_LINE,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines) + "\n"
 
 
-def _markdown(rows: list[tuple[str, ...]]) -> str:
-    return "".join(f"| {' | '.join(map(_cell, row))} |\n" for row in rows)
-
-
-def _cell(text: str) -> str:
-    """A cell's text. Outside of code, Markdown would take a bracket for a link and `<` for a tag."""
-    plain_and_code = re.split(r"(`[^`]*`)", text.replace("|", "&#124;"))
+def _plain(text: str) -> str:
+    """A text of the list. Outside of code, Markdown would take a bracket for a link and `<` for a tag."""
+    plain_and_code = re.split(r"(`[^`]*`|\[[^\]]*\]\([^)\s]+\))", text)
     plain_and_code[::2] = [plain.replace("[", r"\[").replace("<", "&lt;") for plain in plain_and_code[::2]]
     return "".join(plain_and_code)
 
 
-def _rows(part: Schema, root: Schema, above: str, known: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """The rows of an object's keys, and of those of the objects in it.
+def _rows(part: Schema, root: Schema, above: str, listed: _Listed) -> Iterator[str]:
+    """The lines of an object's keys, and of those of the objects in it.
 
     Args:
         part: the object's schema.
         root: that of the whole file.
-        above: what the object's keys begin with.
-        known: the objects that have their rows already, by name, with the key they stand below.
+        above: the keys that lead to the object, with dots.
+        listed: what the page has already.
     """
-    for name, schema in part["properties"].items():
-        key, kind = f"{above}{name}", _kind(schema, root)
-        found = list(_objects(schema, root))
-        again = [known[title] for title, _, _ in found if title in known]
-        if name not in part.get("required", ()):
-            kind = f"{kind.removesuffix(' or null')}, optional"
-        meaning = "; ".join([schema.get("description", ""), *(f"keys as in `{one}`" for one in again)])
-        yield f"`{key}`", kind, meaning
-        for title, inner, steps in found:
-            if title not in known:
-                known[title] = key
-                yield from _rows(inner, root, f"{key}{steps}.", known)
+    depth = above.count(".") + bool(above)
+    rows = [_said(name, schema, part, root) for name, schema in part["properties"].items()]
+    inside = {name: list(_objects(schema, root)) for name, schema in part["properties"].items()}
+    shared: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row in listed.rows and not inside[row[0]]:
+            shared.setdefault(listed.rows[row], []).append(row)
+    shared = {
+        where: same for where, same in shared.items() if len(same) >= LEAST_SHARED + (where[0] != listed.file)
+    }
+    known = {row for same in shared.values() for row in same}
+    own = [row for row in rows if row not in known and not _said_by_head(row)]
+    for _, group in groupby(own, lambda row: row[0] if inside[row[0]] else _without_numbers(row)):
+        (name, _, kind, meaning), *others = together = list(group)
+        key, found = f"{above}.{name}".lstrip("."), inside[name]
+        if any(other[3] != meaning for other in others):
+            meaning = _without_numbers(together[0])[1]
+        again = [DESCRIBED[one] for one, _ in found if one in DESCRIBED]
+        again += [
+            f"keys as in {listed.place(listed.objects[one])}" for one, _ in found if one in listed.objects
+        ]
+        shown = "" if kind == "object" and found else kind.replace("object by name", "by name")
+        yield _line(
+            depth, ", ".join(map(_named, together)), shown, "; ".join(filter(None, [meaning, *again]))
+        )
+        for row in together:
+            listed.rows.setdefault(row, (listed.file, above))
+        for title, inner in found:
+            if title not in {*listed.objects, *DESCRIBED}:
+                listed.objects[title] = (listed.file, key)
+                yield from _rows(inner, root, key, listed)
+    for where, same in shared.items():
+        yield _line(depth, ", ".join(map(_named, same)), "", f"as in {listed.place(where)}")
 
 
-def _objects(schema: Schema, root: Schema, steps: str = "") -> Iterator[tuple[str, Schema, str]]:
-    """The objects with keys that a value holds: name, schema, and the way to them, such as "[]"."""
+def _said_by_head(row: Row) -> bool:
+    """Whether a row says no more than the head of the page."""
+    return row[0] == "format_version" and len(row[3].split()) < MORE_WORDS
+
+
+def _without_numbers(row: Row) -> tuple[str, str]:
+    """A row's kind and meaning with N for each number: neighbours that agree in them stand in one line."""
+    return row[2], re.sub(r"\d+", "N", row[3])
+
+
+def _named(row: Row) -> str:
+    """A key's name in the list."""
+    return f"`{row[0]}`" if row[1] else f"`{row[0]}`?"
+
+
+def _said(name: str, schema: Schema, part: Schema, root: Schema) -> Row:
+    """A key's row, without what its name and its kind say already."""
+    kind = _kind(schema, root).removesuffix(" or null")
+    always = name in part.get("required", ()) and schema.get("anyOf", [{}])[-1].get("type") != "null"
+    meaning = NOTHING.sub("", re.sub(r"^\(\d, \d\),? ", "", schema.get("description", "")).removesuffix("."))
+    for suffix, unit in UNITS.items():
+        if name.endswith(suffix):
+            meaning = re.sub(rf"[,;] (?:{unit})(?=$|[,;])", "", meaning)
+    words = set(re.findall(r"[a-z]\w*", meaning.lower())) - EMPTY
+    said = words <= {*name.lower().split("_"), *re.findall(r"\w+", kind)}
+    return name, always, kind, "" if said else meaning
+
+
+def _objects(schema: Schema, root: Schema) -> Iterator[tuple[str, Schema]]:
+    """The objects with keys that a value holds, each with its name."""
     if "$ref" in schema:
         name, target = _target(schema, root)
         if "properties" in target and name not in ELSEWHERE:
-            yield name, target, steps
+            yield name, target
     for choice in schema.get("anyOf", ()):
-        yield from _objects(choice, root, steps)
-    if isinstance(schema.get("items"), Mapping):
-        yield from _objects(schema["items"], root, f"{steps}[]")
-    if isinstance(schema.get("additionalProperties"), Mapping):
-        yield from _objects(schema["additionalProperties"], root, f"{steps}.<name>")
+        yield from _objects(choice, root)
+    for inner in (schema.get("items"), schema.get("additionalProperties")):
+        if isinstance(inner, Mapping):
+            yield from _objects(inner, root)
 
 
 def _target(schema: Schema, root: Schema) -> tuple[str, Schema]:
@@ -154,7 +277,7 @@ def _kind(schema: Schema, root: Schema) -> str:
         return _list_kind(schema, root)
     if schema.get("type") == "object" and "properties" not in schema:
         values = schema.get("additionalProperties")
-        return f"name → {_kind(values, root)}" if isinstance(values, Mapping) else "object"
+        return f"{_kind(values, root)} by name" if isinstance(values, Mapping) else "object"
     kind = str(schema.get("type", ""))
     return WORDS.get(kind, kind)
 
@@ -163,16 +286,25 @@ def _list_kind(schema: Schema, root: Schema) -> str:
     """A list in words: a matrix by its shape, a short list of fixed length by its length."""
     if "prefixItems" in schema:
         kinds = [_kind(item, root) for item in schema["prefixItems"]]
-        return f"{len(kinds)} × {kinds[0]}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
+        return f"{len(kinds)} {_several(kinds[0])}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
     items, length = schema.get("items", {}), schema.get("minItems")
     if items.get("type") == "array" and length is not None and length == schema.get("maxItems"):
-        return f"{length} × {items['minItems']} matrix"
-    count = f"{length} × " if length is not None and length == schema.get("maxItems") else "list of "
-    return f"{count}{_kind(items, root)}"
+        return f"{length}×{items['minItems']} matrix"
+    kind = _kind(items, root)
+    if length is not None and length == schema.get("maxItems"):
+        return f"{length} {_several(kind)}"
+    if kind == "object":
+        return "list"
+    return _several(kind) if _several(kind) != kind else f"list of {kind}"
+
+
+def _several(kind: str) -> str:
+    """The plural of a kind, where it is a word."""
+    return f"{kind}s" if kind in ("number", "text") else kind
 
 
 def main() -> None:
-    """Fill the tables of the page."""
+    """Write the page."""
     PAGE.write_text(page(), encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""The tables of keys in docs/keys.md are those of the models, and docs/format.md leads to each."""
+"""The lists of keys in docs/keys.md are those of the models, and docs/format.md leads to each."""
 
 import re
 import sys
@@ -15,27 +15,40 @@ def _scripts_are_found() -> None:
     sys.path.insert(0, str(ROOT / "scripts"))
 
 
-def test_the_tables_are_those_of_the_models() -> None:
+def test_the_lists_are_those_of_the_models() -> None:
     from docs_format import page
 
     assert page() == PAGE.read_text(encoding="utf-8"), "run scripts/docs_format.py"
 
 
-def test_the_page_on_files_leads_to_every_table() -> None:
+def test_the_page_on_files_leads_to_every_list() -> None:
     from docs_format import tables
 
-    linked = re.findall(r"\[Keys of (\S+)\]\(keys\.md#", FILES.read_text(encoding="utf-8"))
-    assert sorted(linked) == sorted(tables())
+    linked = re.findall(r"\]\(keys\.md#(\w+)\)", FILES.read_text(encoding="utf-8"))
+    assert set(linked) == {name.replace(".", "") for name in tables()}
 
 
 def test_rows_are_made_of_the_models() -> None:
     from docs_format import tables
 
     made = tables()
+    assert "- `T_floor_world` 4×4 matrix: metres; frame floor: z up, floor at z = 0\n" in made["floor.json"]
+    assert "    - `K`? 3×3 matrix: intrinsics, pixels; pixel centres" in made["views.json"]
+    assert "    - `quality` as `quality.json`: " in made["benchmark.json"]
+    assert "- `view`: zero-padded index of the view\n" in made["targets.csv"]
+
+
+def test_what_stands_on_the_page_already_is_named_in_one_line() -> None:
+    from docs_format import tables
+
+    made = tables()
+    assert "- `box_odd`?: of the odd frames alone; keys as in `box`\n" in made["quality.json"]
     assert (
-        "| `T_floor_world` | 4 × 4 matrix | (4, 4), metres; frame floor: z up, floor at z = 0 |"
-        in made["floor.json"]
+        made["scores.json"].count("as in [Metrics](scoring.md#metrics)") == 3
+    )  # of rows, categories, overall
+    assert made["pairs.json"].count("as in `views` of [views.json](#viewsjson)") == 1
+    # The name and the kind say these.
+    assert (
+        "- `stage` text\n" in made["manifest.json"]
+        and "- `first_frame`, `last_frame`\n" in made["health.json"]
     )
-    assert "| `views[].K` | 3 × 3 matrix, optional | (3, 3) intrinsics" in made["views.json"]
-    assert "| `recordings.<name>.quality` | as `quality.json` |" in made["benchmark.json"]
-    assert "| `view` | zero-padded index of the view |" in made["targets.csv"]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import run as runner
 
-DOCUMENT = Path(runner.ROOT).parent / "docs" / "benchmarks.md"
+DOCUMENT = Path(runner.ROOT).parent / "docs" / "evidence" / "benchmarks.md"
 SCRIPT = '''"""A benchmark of two figures."""
 
 from figures import arguments, at_least, run, told
@@ -76,7 +76,7 @@ def test_a_wrong_name_is_one_line(words: list[str], capsys: pytest.CaptureFixtur
 
 
 def test_every_benchmark_is_listed_and_documented(capsys: pytest.CaptureFixture[str]) -> None:
-    """A reader finds each in the list and in docs/benchmarks.md; there are few enough to read."""
+    """A reader finds each in the list and in docs/evidence/benchmarks.md; there are few enough to read."""
     assert runner.main([]) == 0
     listed, text = capsys.readouterr().out, DOCUMENT.read_text(encoding="utf-8")
     names = runner.scripts()

@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.publish import publish
 
-DOCS = Path(__file__).parents[2] / "docs" / "format.md"
+DOCS = Path(__file__).parents[2] / "docs" / "evidence" / "releases.md"
 ROW = re.compile(r"^\| (`.+`) \| (.+) \|$", re.MULTILINE)
 WANTED = (
     ("poor", "chair", "red", "test", 1),
@@ -56,7 +56,7 @@ def keys(model: type[StoredPart], before: str = "") -> Iterator[str]:
 
 
 def documented() -> dict[str, str]:
-    """{key: what it is compared with}, as the page on formats says."""
+    """{key: what it is compared with}, as the evidence for releases says."""
     text = DOCS.read_text(encoding="utf-8").split("| key | compared with |")[1].split("\n\n")[0]
     return {key: what for names, what in ROW.findall(text) for key in re.findall("`([^`]+)`", names)}
 

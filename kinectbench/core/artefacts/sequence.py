@@ -23,12 +23,12 @@ class CameraFile(Stored):
     format_version: int = Field(
         description="Version of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd)."
     )
-    width: int = Field(description="Width of the depth images, pixels.")
-    height: int = Field(description="Height of the depth images, pixels.")
-    fx: float = Field(description="Focal length of the depth images along x, pixels.")
-    fy: float = Field(description="Focal length of the depth images along y, pixels.")
-    cx: float = Field(description="Principal point of the depth images along x, pixels.")
-    cy: float = Field(description="Principal point of the depth images along y, pixels.")
+    width: int = Field(description="Of the depth images, pixels.")
+    height: int = Field(description="Of the depth images, pixels.")
+    fx: float = Field(description="Focal length of the depth images, pixels.")
+    fy: float = Field(description="Focal length of the depth images, pixels.")
+    cx: float = Field(description="Principal point of the depth images, pixels.")
+    cy: float = Field(description="Principal point of the depth images, pixels.")
     depth_scale: float = Field(gt=0, description="Native depth units per metre.")
     color_registered: bool = Field(description="Whether colour pixels lie on depth pixels.")
     registered_by: Literal["recording", "calibration"] | None = Field(

@@ -31,7 +31,7 @@ MOST_LOST, MOST_MOVING, MOST_BEYOND, MOST_BEHIND = 0.1, 0.1, 0.02, 0.2
 # a box is seen from nowhere.
 MOST_UNSEEN_RAD = 2.1
 # F at 10 mm of a reference that fits: below it a person should look. Simulated objects and their own meshes
-# have 0.97 or more (docs/second-truth.md).
+# have 0.97 or more (docs/evidence/ground-truth.md).
 LEAST_REFERENCE_F = 0.9
 # Words of the warnings of ingest that say that frames are missing.
 DAMAGED = ("is cut off", "is damaged", "frame left out", "depth images are empty")

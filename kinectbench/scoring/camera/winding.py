@@ -19,7 +19,7 @@ FAR_RADII = 2.0
 STEEPEST = 1.5
 # Outside the grid a volume alone is asked: its blocks are at most so many along the mesh's box (chosen here).
 BLOCKS_OUTSIDE = 64
-# Nodes and triangles that are looked at, in all. Open balls, sheets, chairs and tables of 150 to 210,000 faces,
+# Nodes and triangles that are looked at, in all. Open balls, sheets, chairs, tables of 150 to 210,000 faces,
 # smooth and noisy, take 0.4 to 2 billion at 256 cells (2 to 15 s of a busy core); a soup of 20,000 triangles
 # across each other takes 30 or more.
 MOST_STEPS = 3 * 10**9

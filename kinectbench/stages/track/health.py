@@ -45,7 +45,7 @@ COVISIBLE_KEYFRAMES = 60
 def health(
     sequence: Sequence, source: Source, tracked: Tracked, warnings: Rows[str], given: GivenCheck | None = None
 ) -> TrajectoryHealth:
-    """The figures of health.json, and a verdict; docs/tracking.md defines each figure.
+    """The figures of health.json, and a verdict; docs/keys.md lists them, docs/tracking.md defines them.
 
     Args:
         sequence: the recording, n frames.

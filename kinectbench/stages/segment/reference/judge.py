@@ -1,6 +1,7 @@
 """Whether a reference mesh is that of the built object: the rules by which another one is refused.
 
-docs/second-truth.md has the rules, and the figures of right and wrong meshes that they were chosen by.
+docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of right and wrong meshes that
+they were chosen by.
 """
 
 from dataclasses import dataclass
