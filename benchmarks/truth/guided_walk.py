@@ -49,6 +49,8 @@ class Walk:
         self.distance_m = float(np.linalg.norm(first))
         self.rise = float(np.arcsin(first[2] / self.distance_m))
         self.back = 0
+        self.advice: Advice | None = None
+        self.turn_left = self.rise_left = np.inf
 
     def poses(self, time_s: Float64) -> Float64:
         """The pose of the frame that is walked now, for all times."""
@@ -61,8 +63,14 @@ class Walk:
         if self.back:
             self.poses_room.append(self.poses_room[max(len(self.poses_room) - self.back, 0)])
             return
-        self.turn += TURN_RAD_PER_S * by_s * {"right": 1, "begin": 1, "left": -1}.get(kind, 0)
-        self.rise += RISE_RAD_PER_S * by_s * {"higher": 1, "top": 1, "lower": -1}.get(kind, 0)
+        if advice is not self.advice:
+            self.advice = advice
+            self.turn_left = np.inf if advice.turn_rad is None else advice.turn_rad
+            self.rise_left = np.inf if advice.rise_rad is None else advice.rise_rad
+        turn, rise = min(TURN_RAD_PER_S * by_s, self.turn_left), min(RISE_RAD_PER_S * by_s, self.rise_left)
+        self.turn += turn * {"right": 1, "begin": 1, "left": -1}.get(kind, 0)
+        self.rise += rise * {"higher": 1, "top": 1, "lower": -1}.get(kind, 0)
+        self.turn_left, self.rise_left = self.turn_left - turn, self.rise_left - rise
         if advice.distance_m is not None:
             most_m = STEP_MPS * by_s
             self.distance_m += float(np.clip(advice.distance_m - self.distance_m, -most_m, most_m))

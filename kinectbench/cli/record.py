@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +12,7 @@ from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
+    from kinectbench.record.begin import OdometryProcess
     from kinectbench.record.guide.process import GuideProcess
     from kinectbench.record.recorder import Recorded
 
@@ -61,22 +62,37 @@ def record_command(
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
-    with (
-        _guide(port, guided) as guide,
-        console.frames_counted(f"record {out}") as progress,
-    ):
-        done = record_with(
-            camera,
-            out,
-            seconds,
-            observers=[guide] if guide else [],
-            progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
-        )
-    ended_s = time.monotonic()
-    _tell(common, done)
-    if done.failure:
-        return CANNOT_BE_USED
-    return _build(common, out, ended_s) if built else 0
+    with _odometry(out) if built else nullcontext() as odometry:
+        with _guide(port, guided) as guide, console.frames_counted(f"record {out}") as progress:
+            done = record_with(
+                camera,
+                out,
+                seconds,
+                observers=[guide] if guide else [],
+                progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
+            )
+        ended_s = time.monotonic()
+        _tell(common, done)
+        if done.failure:
+            return CANNOT_BE_USED
+        return _build(common, out, ended_s, odometry) if built else 0
+
+
+@contextmanager
+def _odometry(out: Path) -> "Iterator[OdometryProcess | None]":
+    """Begin the build's odometry while one records; None if the package that it needs is missing."""
+    from kinectbench.core.extras import missing_extra
+
+    if missing_extra("build"):
+        yield None  # the build says so
+        return
+    from kinectbench.record.begin import OdometryProcess
+
+    odometry = OdometryProcess(out)
+    try:
+        yield odometry
+    finally:
+        odometry.close()
 
 
 @contextmanager
@@ -106,17 +122,21 @@ def _guide(port: int, wanted: bool | None) -> "Iterator[GuideProcess | None]":
             guide.close()
 
 
-def _build(common: Common, out: Path, ended_s: float) -> int:
+def _build(common: Common, out: Path, ended_s: float, odometry: "OdometryProcess | None") -> int:
     """Write a benchmark.yaml into the new folder, build it, and say how long after the last frame it was."""
     from dataclasses import replace
 
     from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
+    from kinectbench.stages.track.begun import using_begun
 
+    if odometry is not None:
+        odometry.ended()
     quiet = replace(common, as_json=False)
     init_command(folder=out)
-    status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
+    with using_begun(odometry.begun) if odometry is not None else nullcontext():
+        status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
     return status

@@ -6,6 +6,7 @@ import signal
 import struct
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,21 @@ from small_benchmark import Run
 from written_frames import read
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import truth_folder
 from kinectbench.record.devices.replay import Replay
 from kinectbench.record.guide.guide import Guide
 from kinectbench.record.guide.process import GuideProcess
+from kinectbench.record.guide.straight import Straight
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.recorder import record
+from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.track import track
 
 # Pixels of the ring that were seen.
 PAINTED = """(() => {
@@ -90,6 +97,27 @@ def test_the_camera_is_followed_lost_and_found_again(source: Path) -> None:
     again = guide.take(FRAMES + 1, later(frames[20], 60))
     assert not again.lost
     assert np.linalg.norm(guide.poses[-1][1][:3, 3] - moved[20]) < 0.01
+
+
+def test_depth_is_calibrated_by_the_keyframes(source: Path, tmp_path: Path) -> None:
+    """The correction is like that of a build; keyframes that came meanwhile move with the last."""
+    setup, frames = replayed(source)
+    guide = Guide(setup, beside=False)
+    for number, each in enumerate(frames):
+        guide.take(number, each)
+    write_sequence(open_recording(source), tmp_path)
+    built = track(read_sequence(tmp_path), "ignore", TrackingSettings())
+    found = guide.tracker.calibration
+    assert not found.is_none and not built.depth_calibration.is_none
+    ours, theirs = (c.correction_per_m(320, 240).ravel() for c in (found, built.depth_calibration))
+    assert np.corrcoef(ours, theirs)[0, 1] > 0.8  # measured: .87
+    before = guide.tracker.keyframes
+    moved = replace(before[-2], T_world_camera=before[-2].T_world_camera @ rigid_from_twist(np.full(6, 0.1)))
+    guide.tracker.take_over(Straight((*before[:-2], moved), found))
+    after = guide.tracker.keyframes
+    steps = [invert_rigid(some[-2].T_world_camera) @ some[-1].T_world_camera for some in (before, after)]
+    assert np.allclose(*steps, rtol=0, atol=1e-9)
+    assert np.array_equal(after[-1].maps[0].depth_m, before[-1].maps[0].depth_m)
 
 
 def later(frame: Frame, seconds: int, *, covered: bool = False) -> Frame:

@@ -132,6 +132,20 @@ def test_a_sentence_stays_for_five_seconds() -> None:
     assert len(changes) > 5 and (np.diff(changes) >= STAYS_S).all()
 
 
+def test_it_is_said_how_far_to_go_to_an_opening() -> None:
+    """A quarter around, and a little on; up to where it is seen into; what is left is kept up to date."""
+    opening = frontier((0, -1, 0.3))
+    left = advice(replace(ROUND, frontiers=[opening]))
+    assert left.turn_rad == pytest.approx(np.radians(100)) and left.rise_rad is None
+    nearer = advice(replace(ROUND, frontiers=[opening], position=standing(-60)))
+    assert nearer.turn_rad == pytest.approx(np.radians(40)) and nearer.sentence == left.sentence
+    higher = advice(replace(ROUND, frontiers=[frontier((1, 0, 1.0))]))
+    assert higher.rise_rad == pytest.approx(np.radians(25)) and higher.turn_rad is None
+    assert advice(replace(ROUND, ring=ring((3,)))).turn_rad is None  # on, as far as there is something to see
+    speaker = Speaker()
+    assert speaker.hear(left, 0.0) == left and speaker.hear(nearer, 0.1) == nearer
+
+
 def test_a_sentence_of_a_moment_is_not_said() -> None:
     speaker, left, slower = Speaker(), Advice("left", "go left"), Advice("slower", "slower")
     heard = [left] * 200 + [slower] * 10 + [left] * 20

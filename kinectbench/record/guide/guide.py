@@ -26,6 +26,8 @@ from kinectbench.record.interface import Frame, Setup
 
 # What was seen is looked at so often, by the clock of the frames, if a new keyframe came.
 LOOK_EVERY_S = 3.0
+# Depth is calibrated from so many keyframes on, and again when they are so many times as many.
+LEAST_CALIBRATED, CALIBRATED_AGAIN = 8, 1.5
 # Speeds are means of about so long: a hand shakes at several Hz.
 SPEED_S = 0.5
 # A ball around the object fills the picture but for a margin.
@@ -82,6 +84,7 @@ class Guide:
         self._speaker, self._looks, self._looked_at = Speaker(), 0, (0, -np.inf)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
         self._look: Future[ObjectLook] | None = None
+        self._calibrated_at = 0
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
@@ -130,13 +133,17 @@ class Guide:
         if self._look is not None or count < max(LEAST_KEYFRAMES, known + 1) or now_s - last_s < LOOK_EVERY_S:
             return
         self._looked_at = count, now_s
-        keyframes = tuple(self.tracker.keyframes)
+        keyframes, calibration = tuple(self.tracker.keyframes), self.tracker.calibration
+        again = count >= max(LEAST_CALIBRATED, CALIBRATED_AGAIN * self._calibrated_at)
+        if again:
+            self._calibrated_at = count
+        given = keyframes, self.tracker.camera, None if again else calibration
         if self._pool is not None:
-            self._look = self._pool.submit(look, keyframes, self.tracker.camera)
+            self._look = self._pool.submit(look, *given)
             return
         self._look = Future()
         try:
-            self._look.set_result(look(keyframes, self.tracker.camera))
+            self._look.set_result(look(*given))
         except KinectBenchError as error:
             self._look.set_exception(error)
 
@@ -145,6 +152,8 @@ class Guide:
             self.seen = done.result()
         except KinectBenchError:
             return  # too little was seen; the next look knows more
+        if self.seen.straight is not None:
+            self.tracker.take_over(self.seen.straight)
         self._looks += 1
         self.ring = Ring()
         if self.poses:

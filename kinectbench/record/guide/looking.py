@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
+from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-from kinectbench.record.guide.tracker import Keyframe
+from kinectbench.record.guide.straight import Keyframe, Straight, straightened
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.fuse import fuse, observe
 from kinectbench.stages.segment.find.gravity import floor_hint
@@ -42,12 +43,14 @@ class ObjectLook:
         box: around the object, floor frame.
         mesh: the object and what lies near it, floor frame.
         frontiers: openings that no keyframe saw into, the largest first.
+        straight: all keyframes calibrated, if that was asked for and found something.
     """
 
     T_floor_world: Float64
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
+    straight: Straight | None
 
 
 class _Depths:
@@ -63,21 +66,28 @@ class _Depths:
         return None
 
 
-def look(keyframes: Rows[Keyframe], camera: Camera) -> ObjectLook:
+def look(
+    keyframes: Rows[Keyframe], camera: Camera, calibration: DepthCalibration | None = None
+) -> ObjectLook:
     """Find the object in what the keyframes saw, and what of it they did not see.
 
     Args:
         keyframes: at least `LEAST_KEYFRAMES`.
         camera: of their depth.
+        calibration: of their depth; None: find it first.
 
     Raises:
         SegmentationError: there is no floor, or nothing stands where the cameras look.
         ShapeError, TrackingError: too little was seen.
     """
+    straight = straightened(keyframes) if calibration is None else None
+    if straight is not None:
+        keyframes, calibration = straight.keyframes, straight.calibration
     chosen = np.unique(np.linspace(0, len(keyframes) - 1, MOST_KEYFRAMES).round().astype(int))
     keyframes = [keyframes[k] for k in chosen]
     stamps_ns = np.array([each.stamp_ns for each in keyframes])
     sequence = Sequence(camera, STORED_PER_M, stamps_ns, False, None, _Depths(keyframes))
+    sequence = sequence.calibrated(calibration or NO_CALIBRATION)
     poses = np.array([each.T_world_camera for each in keyframes])
     trajectory = Trajectory(stamps_ns, poses, "tracked")
     scene = fuse(sequence, trajectory, FUSION).mesh
@@ -90,7 +100,8 @@ def look(keyframes: Rows[Keyframe], camera: Camera) -> ObjectLook:
     solid = make_solid(seen, evidence, rules)
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
-    return ObjectLook(T_floor_world, found.box, _around(scene, T_floor_world, found.box), frontiers)
+    mesh = _around(scene, T_floor_world, found.box)
+    return ObjectLook(T_floor_world, found.box, mesh, frontiers, straight)
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:

@@ -87,6 +87,14 @@ function above() {
   pen.moveTo(u, v);
   pen.lineTo(u + look[0] / length * 24, v - look[1] / length * 24);
   pen.stroke();
+  if (!state.turn_rad) return;
+  // How far to go around the object until the opening is seen into.
+  const from = Math.atan2(v - middle, u - middle), to = from - state.turn_rad;
+  pen.setLineDash([4, 6]);
+  pen.beginPath();
+  pen.arc(middle, middle, Math.hypot(u - middle, v - middle), from, to, state.turn_rad > 0);
+  pen.stroke();
+  pen.setLineDash([]);
 }
 
 // A short tone when the sentence changes; browsers allow it after the first click on the page.

@@ -157,6 +157,8 @@ class _Shown:
         value: dict[str, Any] = {"number": last.number, "kind": last.advice.kind}
         value |= {"sentence": last.advice.sentence, "lost": last.lost, "looks": last.looks}
         value |= {"distance_m": last.distance_m, "speed_mps": last.speed_mps, **guide.shown()}
+        to_go_rad = last.advice.turn_rad
+        value["turn_rad"] = -to_go_rad if to_go_rad and last.advice.kind == "left" else to_go_rad
         value["pose"] = None if last.T_floor_camera is None else last.T_floor_camera.tolist()
         return "application/json", json.dumps(value).encode()
 

@@ -35,6 +35,8 @@ TOO_NEAR, TOO_FAR, LEAST_DISTANCE_M, MARGIN_M = 0.7, 2.0, 0.6, 0.2
 LOOKED_RAD, LOOKED_ENOUGH = np.radians(20.0), 2
 # Whoever is within these of a direction is there (chosen by hand: half a sector, and a third of a height).
 THERE_TURN_RAD, THERE_RISE_RAD = np.radians(15.0), np.radians(10.0)
+# Whoever goes to an opening goes on by so much, so that two keyframes see into it (chosen by hand).
+BEYOND_RAD = np.radians(10.0)
 # Steeper than this nobody walks around an opening: it is looked into from where one stands.
 STEEP_RAD = np.radians(60.0)
 # A camera is held no lower than this over the floor. An underside that it would see at a flatter angle than
@@ -52,11 +54,15 @@ class Advice(NamedTuple):
         sentence: one line.
         distance_m: where `nearer` and `farther` end, from the middle of the object: a sentence stays for five
             seconds, in which whoever goes on would walk into the object.
+        turn_rad: how far `left` and `right` go around the object until the opening is seen into; None: on.
+        rise_rad: how far `higher`, `top` and `lower` go up or down around it; None: on.
     """
 
     kind: Kind
     sentence: str
     distance_m: float | None = None
+    turn_rad: float | None = None
+    rise_rad: float | None = None
 
 
 class Ring:
@@ -179,14 +185,16 @@ def _into_openings(now: Situation, position: Float64) -> Advice | None:
         if rise_rad < STEEP_RAD and abs(turn_rad) > THERE_TURN_RAD and not first:
             side = _side(towards_rad + turn_rad, now.first_rad)
             where = "the top" if at_top else side
-            return _sideways(turn_rad, f"an opening at {where} is unseen")
+            return _sideways(turn_rad, f"an opening at {where} is unseen", abs(turn_rad) + BEYOND_RAD)
+        to_go_rad = abs(rise_rad - at_rad)
         if too_low:
             if at_top:
-                return Advice("top", "look into the opening at the top")
-            return Advice("higher", "hold the camera higher: an opening at the side is unseen")
+                return Advice("top", "look into the opening at the top", rise_rad=to_go_rad)
+            sentence = "hold the camera higher: an opening at the side is unseen"
+            return Advice("higher", sentence, rise_rad=to_go_rad)
         if too_high and not at_top:
             below = "what lies below is unseen" if rise_rad < 0 else "an opening at the side is unseen"
-            return Advice("lower", f"hold the camera lower: {below}")
+            return Advice("lower", f"hold the camera lower: {below}", rise_rad=to_go_rad)
     return None
 
 
@@ -239,10 +247,10 @@ def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: 
     return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
 
 
-def _sideways(turn_rad: float, why: str) -> Advice:
+def _sideways(turn_rad: float, why: str, to_go_rad: float | None = None) -> Advice:
     """Facing the object, whoever goes counterclockwise around it goes to the right."""
     kind: Kind = "right" if turn_rad > 0 else "left"
-    return Advice(kind, f"go {kind}: {why}")
+    return Advice(kind, f"go {kind}: {why}", turn_rad=to_go_rad)
 
 
 def _side(towards_rad: float, first_rad: float) -> str:
@@ -262,16 +270,16 @@ class Speaker:
         """Nothing was said."""
         self.said: Advice | None = None
         self._since_s = -np.inf
-        self._other: tuple[Advice, float] | None = None
+        self._other: tuple[str, float] | None = None
 
     def hear(self, heard: Advice, now_s: float) -> Advice:
         """What is said at a time, in seconds that increase, if the rule advises this."""
         if self.said is None:
             self.said, self._since_s = heard, now_s
-        if heard == self.said:
-            self._other = None
-        elif self._other is None or self._other[0] != heard:
-            self._other = heard, now_s
+        if heard.sentence == self.said.sentence:
+            self.said, self._other = heard, None  # how far it is may have changed
+        elif self._other is None or self._other[0] != heard.sentence:
+            self._other = heard.sentence, now_s
         elif now_s - self._other[1] >= HOLDS_S and now_s - self._since_s >= STAYS_S:
             self.said, self._since_s, self._other = heard, now_s, None
         return self.said

@@ -1,22 +1,25 @@
 """Online tracking: each frame is registered to the keyframes that share most of its view.
 
-The registration, its acceptance, and the rule for a new keyframe are those of `stages.track`. What is not
-here is the optimisation of the keyframes: a build does that afterwards, with all frames.
+The registration, its acceptance, and the rule for a new keyframe are those of `stages.track`, as is the
+calibration of depth (`straight`). What is not here is the optimisation of the keyframes: a build does that
+afterwards, with all frames.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, invert_rigid
+from kinectbench.core.geometry.depth import NO_CALIBRATION
 from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.types import Float64
+from kinectbench.record.guide.straight import Keyframe, Straight, calibrated
 from kinectbench.record.interface import Frame, Setup
-from kinectbench.stages.track.covisibility import KeyframeThumbnail, keyframe_thumbnail, shared_view
-from kinectbench.stages.track.features import Features, find_features, pose_from_features, similarity
+from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
+from kinectbench.stages.track.features import find_features, pose_from_features, similarity
 from kinectbench.stages.track.frame_maps import STORED_PER_M, FrameMaps, MapCache
 from kinectbench.stages.track.odometry import MIN_POINTS, is_accepted, is_keyframe, point_stride
 from kinectbench.stages.track.registration import Registration, register
@@ -26,27 +29,6 @@ from kinectbench.stages.track.registration import Registration, register
 NEIGHBOURS, TRIED_WHEN_LOST = 2, 3
 # The motion goes on as it was for so long; after a longer gap the last pose is the better guess.
 STEADY_S = 0.3
-
-
-@dataclass(frozen=True)
-class Keyframe:
-    """A frame that others are registered to.
-
-    Attributes:
-        stamp_ns: of its depth.
-        T_world_camera: (4, 4).
-        maps: for registration.
-        thumbnail: for the shared view.
-        features: to find it again.
-        depth: (height, width) uint16, 0.1 mm, at the working resolution of `maps`.
-    """
-
-    stamp_ns: int
-    T_world_camera: Float64
-    maps: FrameMaps
-    thumbnail: KeyframeThumbnail
-    features: Features
-    depth: NDArray[np.uint16]
 
 
 class OneFrame:
@@ -69,11 +51,11 @@ class OneFrame:
         return ".bmp", cv2.imencode(".bmp", np.ascontiguousarray(color[..., ::-1]))[1].tobytes()
 
 
-def maps_of(frame: Frame, setup: Setup) -> FrameMaps:
+def cache_of(frame: Frame, setup: Setup) -> MapCache:
     """The maps of a frame as the tracker of a build makes them."""
     stamps_ns = np.array([frame.stamp_ns])
     one = Sequence(setup.camera, setup.depth_scale, stamps_ns, setup.color_registered, None, OneFrame(frame))
-    return MapCache(one)[0]
+    return MapCache(one)
 
 
 class LiveTracker:
@@ -81,12 +63,14 @@ class LiveTracker:
 
     Attributes:
         keyframes: so far, in the order of time.
+        calibration: of depth, as far as it is known.
         lost: whether the last frame has no pose.
     """
 
     def __init__(self) -> None:
         """No frame was seen."""
         self.keyframes: list[Keyframe] = []
+        self.calibration = NO_CALIBRATION
         self.lost = False
         self._last: tuple[int, Float64] | None = None
         self._twist_per_s = np.zeros(6)
@@ -99,12 +83,14 @@ class LiveTracker:
 
     def take(self, frame: Frame, setup: Setup) -> Float64 | None:
         """The pose (4, 4) of a frame in the world; None: the camera is lost."""
-        maps = maps_of(frame, setup)
+        cache = cache_of(frame, setup)
+        cache.calibrate(self.calibration)
+        maps = cache[0]
         if len(maps[0].points) < MIN_POINTS:
             self.lost = True
             return None
         if not self.keyframes:
-            self._add(frame.stamp_ns, maps, np.eye(4))
+            self._add(frame.stamp_ns, cache, np.eye(4))
             self._last = frame.stamp_ns, np.eye(4)
             return np.eye(4)
         found = self._placed(maps, self._predicted(frame.stamp_ns)) or self._found_again(maps)
@@ -116,11 +102,27 @@ class LiveTracker:
         self._move(frame.stamp_ns, T_world_camera)
         self._row = row
         if is_keyframe(registration, maps):
-            self._add(frame.stamp_ns, maps, T_world_camera)
+            self._add(frame.stamp_ns, cache, T_world_camera)
         return T_world_camera
 
-    def _add(self, stamp_ns: int, maps: FrameMaps, T_world_camera: Float64) -> None:
-        depth = np.minimum(np.rint(maps[0].depth_m * STORED_PER_M), 65535).astype(np.uint16)
+    def take_over(self, straight: Straight) -> None:
+        """Go on from calibrated keyframes; those that came since move with the last of them."""
+        before, known = self.keyframes, len(straight.keyframes)
+        keyframes = [*straight.keyframes]
+        T_moved = keyframes[-1].T_world_camera @ invert_rigid(before[known - 1].T_world_camera)
+        for each in before[known:]:
+            T_world_camera = on_so3(T_moved @ each.T_world_camera)
+            keyframes.append(replace(calibrated(each, straight.calibration), T_world_camera=T_world_camera))
+        self.calibration, self.keyframes = straight.calibration, keyframes
+        if self._last is not None:
+            row = self._row
+            T_moved = keyframes[row].T_world_camera @ invert_rigid(before[row].T_world_camera)
+            self._last = self._last[0], on_so3(T_moved @ self._last[1])
+
+    def _add(self, stamp_ns: int, cache: MapCache, T_world_camera: Float64) -> None:
+        maps = cache[0]
+        cache.calibrate(NO_CALIBRATION)
+        depth = np.minimum(np.rint(cache[0][0].depth_m * STORED_PER_M), 65535).astype(np.uint16)
         made = (maps, keyframe_thumbnail(maps), find_features(maps), depth)
         self._row = len(self.keyframes)
         self.keyframes.append(Keyframe(stamp_ns, T_world_camera, *made))

@@ -11,6 +11,7 @@ given_trajectory.txt  TUM text, camera to world; only if the recording has one
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -202,12 +203,26 @@ class FolderFrames:
         name = self.rows[index].color
         return None if name is None else (Path(name).suffix, self._bytes(name))
 
+    def digest(self, index: int) -> bytes:
+        """`frame_digest` of one frame.
+
+        Raises:
+            StorageError: an image is missing.
+        """
+        return frame_digest(self._bytes(self.rows[index].depth), self.color_encoded(index))
+
     def _bytes(self, name: str) -> bytes:
         try:
             return read_plain(self.folder / name, UNPACKED_BYTES)
         except OSError as error:
             reason = error.strerror
             raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error
+
+
+def frame_digest(depth: bytes, color: tuple[str, bytes] | None) -> bytes:
+    """Tells frames apart by what is stored of them: depth as `encode_depth` packs it, and encoded colour."""
+    suffix, data = color or ("", b"")
+    return blake2b(len(depth).to_bytes(8, "little") + depth + suffix.encode() + data).digest()
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:

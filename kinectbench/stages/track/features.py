@@ -11,6 +11,7 @@ estimates: Sivic & Zisserman 2003 ("Video Google"), as in Galvez-Lopez & Tardos 
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,10 @@ class FeatureCache(OrderedDict[int, Features]):
     def __init__(self, maps: MapCache) -> None:
         super().__init__()
         self.maps = maps
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled with its maps."""
+        return type(self), (self.maps,), None, None, iter(self.items())
 
     def __missing__(self, index: int) -> Features:
         self[index] = find_features(self.maps[index])

@@ -138,6 +138,10 @@ class MapCache:
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
+    def __getstate__(self) -> dict[str, object]:
+        """What is pickled: all but the maps, which are made again when they are asked for."""
+        return {**vars(self), "_kept": OrderedDict()}
+
     def __getitem__(self, index: int) -> FrameMaps:
         if index in self._kept:
             self._kept.move_to_end(index)

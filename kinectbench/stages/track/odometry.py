@@ -133,18 +133,20 @@ def follow(
         T_given: (n, 4, 4) poses to start the registrations from, NaN where there is none; or None.
         progress: called with the number of frames done.
     """
-    follower = _Follower(maps, features, T_given)
-    for index in range(len(maps.sequence)):
-        follower.take(index)
-        if progress:
-            progress(index + 1)
-    return follower.odometry()
+    return Follower(maps, features, T_given).to_the_end(progress)
 
 
-class _Follower:
-    """Builds the odometry frame by frame."""
+class Follower:
+    """Builds the odometry frame by frame; a pickled copy goes on elsewhere, with the same result.
 
-    def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None) -> None:
+    Attributes:
+        maps: of the frames.
+        features: of the frames.
+        frames: of those that were taken.
+    """
+
+    def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> None:
+        """Nothing was taken; the arguments are those of `follow`."""
         self.maps, self.features, self.T_given = maps, features, T_given
         self.frames: list[Followed | None] = []
         self.reasons: dict[int, str] = {}
@@ -169,8 +171,12 @@ class _Follower:
             self.average.add(self.maps[index][0], frame.registration.T_target_source)
         self.frames.append(frame)
 
-    def odometry(self) -> Odometry:
-        """The odometry after all frames."""
+    def to_the_end(self, progress: Callable[[int], None] | None = None) -> Odometry:
+        """Take the frames that are left: the odometry after all frames."""
+        for index in range(len(self.frames), len(self.maps.sequence)):
+            self.take(index)
+            if progress:
+                progress(index + 1)
         self._end_average()
         return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.constraints))
 

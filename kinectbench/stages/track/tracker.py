@@ -19,6 +19,7 @@ from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Float64, Progress
+from kinectbench.stages.track.begun import begun_for
 from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -26,6 +27,7 @@ from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import (
     UNOBSERVABLE,
     Followed,
+    Follower,
     Odometry,
     follow,
     is_accepted,
@@ -58,10 +60,13 @@ def track_frames(
         progress: called with (done, total).
     """
     n = len(sequence)
-    maps = MapCache(sequence)
-    features = FeatureCache(maps)
     report = progress or (lambda done, total: None)
-    odometry = follow(maps, features, T_given, lambda done: report(done, 2 * n))
+    follower = None if T_given is not None else begun_for(sequence)
+    if follower is None:
+        maps = MapCache(sequence)
+        follower = Follower(maps, FeatureCache(maps), T_given)
+    maps, features = follower.maps, follower.features
+    odometry = follower.to_the_end(lambda done: report(done, 2 * n))
     shutter = find_shutter(maps, odometry)
     if shutter is not None:
         maps.undo_shutter(shutter)
