@@ -21,6 +21,7 @@ CROISSANT = "croissant.json"
 DATACITE = "datacite.json"
 DATASHEET = "datasheet.md"
 PREVIEW = "index.html"
+CATEGORIES = "categories"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
 # previews/<split>/: a table of pairs, and a picture of each.

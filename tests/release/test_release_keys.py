@@ -113,6 +113,7 @@ FORGED: dict[str, Change] = {
     "recordings.<name>.accepted": of_recording(accepted="--allow-poor"),
     "left_out": lambda stated: stated.update(left_out={"out": "rejected by review: looked at"}),
     "recordings.<name>.look": lambda stated: stated["recordings"]["good"].update(look=["it is askew"]),
+    "recordings.<name>.visible_share": of_recording(visible_share=0.99),
     "flow": lambda stated: stated["flow"].update(failed=1, below_limits=0),
     "version": lambda stated: stated.update(version="2.0.0"),
     "held_back": lambda stated: stated.update(held_back=["test"]),

@@ -10,11 +10,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from solid_cells import solid_cells
 
+from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.types import Underside
+from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 
-WIDTH, HEIGHT, FRAMES = 320, 240, 60
+# A turn of a Redwood scan has 1,000 frames and more. With 60, trajectories broke that hold with 100.
+WIDTH, HEIGHT, FRAMES = 320, 240, 100
 # The PrimeSense camera of 640x480 at this size.
 CAMERA = "{fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5}"
 # Two clocks, as Redwood's: colour is 1 % slower than depth, so that the counts differ, and 10 ms late.
@@ -38,6 +43,9 @@ include: [recordings.yaml]
 PERSON_M, PERSON_SHARE, PERSON_FRAMES = 0.9, 0.3, (0.3, 0.6)
 # Of a truncated scan: what is left of the archive, or how many of its depth images are cut off.
 LEFT, DAMAGED = 0.7, 12
+# Cells along the longest side, and how much hollow is much, of the solid's volume: benches have less than
+# 0.03 or more than 0.6.
+HOLLOW_CELLS, HOLLOW_SHARE = 80, 0.1
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,13 @@ class Scan:
         """In the source's words."""
         family = self.object.partition(":")[0]
         return {"couch": "sofa"}.get(family, family if family in ("chair", "table", "bench") else "other")
+
+    @property
+    def underside(self) -> Underside:
+        """The word of a person who turns the object over."""
+        family, _, seed = self.object.partition(":seed=")
+        closed = families()[family].closed_below or not is_hollow_below(make_object(family, int(seed)).mesh)
+        return "closed" if closed else "open"
 
 
 def forty() -> list[Scan]:
@@ -118,6 +133,28 @@ def make(scan: Scan, folder: Path, **sizes: Any) -> None:
         path.write_bytes(_changed(path.read_bytes(), _cut_off))
     elif scan.kind == "cut":
         path.write_bytes(path.read_bytes()[: int(LEFT * path.stat().st_size)])
+
+
+def state_undersides(scans: Sequence[Scan], recordings: Path) -> None:
+    """Write into recordings.yaml what a person finds who turns each object over: `underside`."""
+    words = {scan.name: f"underside: {scan.underside}" for scan in scans}
+    lines = recordings.read_text(encoding="utf-8").splitlines()
+    for name, word in words.items():
+        entry = f'  - id: "{name}"'
+        if entry in lines and (place := lines.index(entry) + 1) and not lines[place].endswith(word):
+            lines.insert(place, f"    {word}")
+    recordings.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def is_hollow_below(mesh: TriangleMesh) -> bool:
+    """Whether a solid (z up) has material above and on four sides of much air, as a bench with an apron."""
+    solid = solid_cells([mesh], HOLLOW_CELLS)
+    around = [
+        np.flip(np.maximum.accumulate(np.flip(solid, turned), axis), turned)
+        for axis, turned in ((0, ()), (0, 0), (1, ()), (1, 1), (2, 2))
+    ]
+    hollow = ~solid & np.logical_and.reduce(around)
+    return bool(hollow.sum() > HOLLOW_SHARE * solid.sum())
 
 
 def sources_yaml(*bases: str, camera: str = CAMERA) -> str:

@@ -85,6 +85,11 @@ class RecordingInfo(StoredPart):
         None,
         description="its truth beside a mesh of `compare-truth`; null or missing: not compared, or held back",
     )
+    visible_share: float | None = Field(
+        None,
+        description="of the true surface, that a view saw: mean over the pairs; null or missing: held back, "
+        "or not measured",
+    )
     rebuilt_iou: float | None = Field(
         None,
         description="held back: IoU with the truth, where that is known, of a solid carved from all public "

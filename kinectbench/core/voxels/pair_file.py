@@ -105,6 +105,11 @@ class Pair:
         return unknown_share(self.full, self.known)
 
     @property
+    def visible_share(self) -> float:
+        """Share of the cells of `shell`, the true surface, that the view saw; 1 of an empty shape."""
+        return 1.0 - unknown_share(self.shell, self.seen)
+
+    @property
     def stated_unknown_share(self) -> float:
         """The same as files state it, rounded."""
         return round(self.unknown_share, SHARE_DECIMALS)

@@ -9,12 +9,13 @@ from statistics import median
 from string import Template
 from typing import Any, get_args
 
+import numpy as np
 import yaml
 
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
-from kinectbench.core.types import Underside
+from kinectbench.core.types import Float64, Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown_line
@@ -38,6 +39,8 @@ REFERENCE = {
     "f_score_10mm": "F at 10 mm to its reference",
     "iou": "IoU with its reference",
 }
+SIZE, VISIBLE = "longer side x shorter side x height, m", "seen by a view, of the surface"
+ESTIMATES = ("estimated_iou", "estimated_iou_low", "estimated_iou_high")
 PASSED_OVER = (
     "Passed over: frames that did not do as a view, for which others were tried, and views without a pair."
 )
@@ -81,6 +84,11 @@ def reference_words(info: RecordingInfo) -> dict[str, str]:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
     return {label: f"{value:.3f}" for label, value in figures.items() if value is not None}
+
+
+def visible_words(info: RecordingInfo) -> dict[str, str]:
+    """How much of the true surface a view sees, if known."""
+    return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
@@ -235,25 +243,45 @@ def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
     category_of = {target.recording: target.category for target in targets}
     rows = []
     for category in sorted(set(category_of.values())):
-        found = [r.quality for name, r in info.recordings.items() if category_of.get(name) == category]
-        sizes_m = [max(quality.box.size_m) for quality in found if quality.box is not None]
-        estimate, low, high, unknown = (
-            _median([getattr(quality, key) for quality in found])
-            for key in ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "unknown_share")
+        found = [each for name, each in info.recordings.items() if category_of.get(name) == category]
+        qualities = [each.quality for each in found]
+        sizes_m = np.array([quality.box.size_m for quality in qualities if quality.box is not None])
+        unknown, *estimates = (
+            _median([getattr(quality, key) for quality in qualities]) for key in ("unknown_share", *ESTIMATES)
         )
-        interval = None if low is None or high is None else f"{low:.2f} to {high:.2f}"
-        rows.append(
-            [
-                category,
-                f"{min(sizes_m):.2f} to {max(sizes_m):.2f}" if sizes_m else "",
-                "" if unknown is None else f"{unknown:.1%}",
-                "" if estimate is None else f"{estimate:.2f}{f' ({interval})' if interval else ''}",
-            ]
-        )
+        visible = _median([each.visible_share for each in found])
+        rows.append([category, _ranges(sizes_m), *_words((visible, unknown, *estimates))])
     if not any(any(row[1:]) for row in rows):
         return ""
-    header = ["category", "longest side, m", "never seen, of the solid", "estimated IoU (low to high)"]
-    return f"{_markdown(header, rows)}\n\nMedians over recordings, but for the sizes."
+    header = ["category", SIZE, VISIBLE, *(QUALITY[key][0] for key in ("unknown_share", "estimated_iou"))]
+    note = "`categories/` has a page of each category with a picture of every object."
+    return f"{_markdown(header, rows)}\n\nMedians over recordings, but for the sizes. {note}"
+
+
+def category_words(info: RecordingInfo) -> dict[str, str]:
+    """The figures of the table of categories, of one recording: label -> value, of what is known."""
+    of = info.quality
+    size = _ranges(np.array([of.box.size_m])) if of.box else ""
+    rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))
+    labels = (SIZE, VISIBLE, *(QUALITY[key][0] for key in ("unknown_share", "estimated_iou")))
+    return {label: text for label, text in zip(labels, (size, *rest), strict=True) if text}
+
+
+def _ranges(sizes_m: Float64) -> str:
+    """Longer side, shorter side and height of boxes (n, 3), metres, each from the least to the most."""
+    if not len(sizes_m):
+        return ""
+    sides_m = np.column_stack([sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1), sizes_m[:, 2]])
+    ends = [{f"{value:.2f}": None for value in (side.min(), side.max())} for side in sides_m.T]
+    return " x ".join(" to ".join(side) for side in ends)
+
+
+def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
+    """Shares in percent, and an estimate with its interval; empty where a figure is not known."""
+    visible, unknown, estimate, low, high = figures
+    shares = ["" if share is None else f"{share:.1%}" for share in (visible, unknown)]
+    interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
+    return shares[0], shares[1], "" if estimate is None else f"{estimate:.2f}{interval}"
 
 
 def _median(values: Sequence[float | None]) -> float | None:
@@ -265,10 +293,10 @@ def _median(values: Sequence[float | None]) -> float | None:
 def card_figures(info: ReleaseInfo) -> str:
     """Pairs, refused views and figures of each recording's quality.json, and the source of undersides."""
     words = {
-        name: quality_words(recording.quality) | reference_words(recording)
+        name: quality_words(recording.quality) | reference_words(recording) | visible_words(recording)
         for name, recording in info.recordings.items()
     }
-    every = [*(label for label, _, _ in QUALITY.values()), *REFERENCE.values(), UNDERSIDE, KIND]
+    every = [*(label for label, _, _ in QUALITY.values()), VISIBLE, *REFERENCE.values(), UNDERSIDE, KIND]
     labels = [label for label in every if any(label in row for row in words.values())]
     rows = [
         [name, recording.object, str(recording.pairs), str(recording.refused)]

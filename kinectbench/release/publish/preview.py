@@ -82,6 +82,7 @@ def write_preview(
         "pairs": len(targets),
         "warnings": warnings_shown,
         "more_warnings": len(warnings) - len(warnings_shown),
+        "categories": sorted({info.category for info in infos.values()}),
         "held_back": ", ".join(held_back),
         "isolated": listed(isolated),
         "frames": FRAMES,

@@ -26,6 +26,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
+from kinectbench.release.publish.category_pages import write_category_pages
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
@@ -235,6 +236,7 @@ def _write(
     bare = alone if options.hold_back else ()
     write_view_pictures(folder, [target for target in targets if target.recording not in bare])
     write_preview(folder, settings, targets, infos, warnings, options.hold_back, build, bare)
+    write_category_pages(folder, settings, targets, infos, options.hold_back, bare)
     scenes = build if settings.publish.color else None
     identity = write_small_files(head, folder, targets, infos, warnings, scenes)
     refuse_large(folder)

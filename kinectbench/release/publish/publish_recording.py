@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
@@ -27,6 +28,7 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.storage import write_below
 from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.core.voxels.pair_file import (
+    SHARE_DECIMALS,
     Pair,
     checked_pair,
     pair_bytes,
@@ -153,12 +155,14 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
     if not names:
         return None
     pairs = {view: _publish_pair(built, view, folder) for view in names}
-    targets = tuple(target for target, _ in pairs.values())
+    targets = tuple(target for target, _, _ in pairs.values())
     if not built.isolated:
         _publish_object(built, folder, removals)
     has_color = _publish_views(built, targets, folder, removals)
-    unknown = tuple(view for view, (_, nothing_known) in pairs.items() if nothing_known and not built.hidden)
-    info = _info(built, len(names), removals)
+    unknown = tuple(
+        view for view, (_, nothing_known, _) in pairs.items() if nothing_known and not built.hidden
+    )
+    info = _info(built, [share for _, _, share in pairs.values()], removals)
     return Published(targets, info, _lineage(built, names), has_color, unknown)
 
 
@@ -179,8 +183,12 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
     return content, pair
 
 
-def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
-    """Write a pair as built, or its input alone; returns whether its true shape is entirely unknown."""
+def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, float]:
+    """Write a pair as built, or its input alone.
+
+    Returns:
+        The pair, whether its true shape is entirely unknown, and the visible share of the true surface.
+    """
     recording = built.recording
     content, pair = _read_pair(built, view)
     if built.isolated:
@@ -201,7 +209,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool]:
         unknown_share=None if built.hidden else pair.stated_unknown_share,
         truth="" if built.hidden or built.quality.truth is None else built.quality.truth.kind,
     )
-    return target, pair.unknown_share == 1
+    return target, pair.unknown_share == 1, pair.visible_share
 
 
 def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:
@@ -261,7 +269,7 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
     return views.model_copy(update={"views": tuple(rows)})
 
 
-def _info(built: Built, pairs: int, removals: list[Removed]) -> RecordingInfo:
+def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]) -> RecordingInfo:
     """The facts about a recording for benchmark.json."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
@@ -270,15 +278,17 @@ def _info(built: Built, pairs: int, removals: list[Removed]) -> RecordingInfo:
         object=recording.object_name,
         category=recording.category,
         split=recording.split,
-        pairs=pairs,
+        pairs=len(visible_shares),
         refused=len(refused),
         quality=scrubbed_file(quality, "benchmark.json", removals),
         license=built.settings.license_of(recording),
         source=built.settings.source_of(recording),
     )
     if not built.hidden:
-        reference = current_reference(built.folder)
-        return info if reference is None else info.model_copy(update={"reference": reference.info})
+        more: dict[str, Any] = {"visible_share": round(fmean(visible_shares), SHARE_DECIMALS)}
+        if (reference := current_reference(built.folder)) is not None:
+            more["reference"] = reference.info
+        return info.model_copy(update=more)
     bound = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
     return info.model_copy(update={"rebuilt_iou": bound.iou, "rebuilt_single_iou": bound.single_iou})
 

@@ -1,0 +1,63 @@
+"""categories/<category>.html of a release: a picture of every object and the figures that people ask for."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.targets import Target, by_recording
+from kinectbench.core.images import data_uri
+from kinectbench.core.pages import render_page
+from kinectbench.core.storage import write_below
+from kinectbench.core.types import Rgb
+from kinectbench.core.voxels.pair_file import read_input, read_pair, unpack
+from kinectbench.release.contents import CATEGORIES
+from kinectbench.release.publish.card import category_words
+from kinectbench.release.publish.preview import BLUE, CLAY, enlarged, seen_from_the_front
+from kinectbench.settings.models import BenchmarkSettings
+
+# Of 256 cells every second one: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand objects
+# has 40 MB, of 64 MB that a page may have.
+STEP, QUALITY = 2, 75
+
+
+def write_category_pages(
+    folder: Path,
+    settings: BenchmarkSettings,
+    targets: Sequence[Target],
+    infos: Mapping[str, RecordingInfo],
+    held_back: Sequence[str],
+    isolated: Sequence[str] = (),
+) -> None:
+    """Write a page for each category of a release whose pairs exist; without pictures of isolated recordings.
+
+    Raises:
+        PairError: a pair is damaged.
+    """
+    of_recording = by_recording(targets)
+    for category in sorted({info.category for info in infos.values()}):
+        shown: list[dict[str, Any]] = [
+            {
+                "name": name,
+                "info": info,
+                "held_back": info.split in held_back,
+                "picture": None
+                if name in isolated
+                else data_uri(_picture(folder, of_recording[name][0], info.split in held_back), QUALITY),
+                "words": category_words(info),
+            }
+            for name, info in sorted(infos.items())
+            if info.category == category
+        ]
+        objects = len({part["info"].object for part in shown})
+        page = {"settings": settings, "category": category, "parts": shown, "objects": objects}
+        text = render_page("release/publish/category.html", page)
+        write_below(folder / CATEGORIES / f"{category}.html", text.encode())
+
+
+def _picture(folder: Path, target: Target, held_back: bool) -> Rgb:
+    """The shape as its first view sees it; of one that is held back what the view saw of it."""
+    path = folder / target.file
+    if held_back:
+        return enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))[::STEP, ::STEP]
+    return seen_from_the_front(unpack(read_pair(path).full), CLAY)[::STEP, ::STEP]
