@@ -62,6 +62,12 @@ def compare_truth_command(
         shown = [_row(name, each) for name, each in found.items() if not each.refused]
         if shown:
             console.out.print(console.text_table(shown, COLUMNS, FORMS))
+    same = [
+        f"{name}: {each.reference} is this very truth: it is compared with itself, which proves nothing"
+        for name, each in found.items()
+        if each.itself
+    ]
+    console.lines("note", same, "yellow")
     console.lines("error", [*refused, *failed], "red")
     return exit_status(rows) or (SOME_FAILED if refused or failed else 0)
 

@@ -49,6 +49,9 @@ def train_command(
     ],
     data: Annotated[list[Path], typer.Option(help="the release to learn from; again for one more")],
     out: Annotated[Path, typer.Option(help="a new folder, or that of a training to go on with")],
+    category: Annotated[
+        str | None, typer.Option(help="learn from its pairs alone, as CONFIG-category; default: all")
+    ] = None,
     minutes: Annotated[
         float | None, typer.Option(min=0, help="stop after so long; run again to go on")
     ] = None,
@@ -70,6 +73,7 @@ def train_command(
     if minutes is not None and math.isnan(minutes):
         raise typer.BadParameter("is no number", param_hint="--minutes")
     settings, releases = find_config(config), [open_release(folder) for folder in data]
+    settings = settings if category is None else settings.of_category(category)
     limit = None if minutes is None or math.isinf(minutes) else minutes
     if unknown := unknown_objects(releases, settings.training.leave_out):
         warning = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"

@@ -10,7 +10,7 @@ from kinectbench.cli.common import Common, takes
 from kinectbench.cli.methods import Device
 from kinectbench.core.errors import SettingsError
 
-# 3D-RecGAN++, Sec. 4.1: 50 views of each real object, the cube around its full shape. What `--set` says wins.
+# 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. What `--set` says wins.
 PAPER_REAL = ("views.count=50", "pairs.framing=object")
 
 
@@ -32,7 +32,7 @@ def reproduce_command(
     from kinectbench.networks.predict import predict
     from kinectbench.networks.processes import chosen_device
     from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
-    from kinectbench.report.paper_table import PROTOCOL, paper_markdown, paper_tables
+    from kinectbench.report.paper_table import PROTOCOL, SHELL, paper_markdown, paper_tables
     from kinectbench.scoring.score import score_methods
 
     asked = replace(common, overrides=[*PAPER_REAL, *(common.overrides or ())])
@@ -55,7 +55,7 @@ def reproduce_command(
             release,
             folder / "predictions",
             folder / "scores",
-            protocols=(PROTOCOL,),
+            protocols=(PROTOCOL, SHELL),
             surface=False,
             jobs=common.workers,
             progress=progress,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from kinectbench.release.release import Release
 
 
-PROTOCOLS = "paper, known, occluded, measured, known-unsaid, or of the camera frame camera, aligned"
+PROTOCOLS = "paper, known, occluded, measured, known-unsaid, shell, or of the camera frame camera, aligned"
 CLOSE = "make open meshes in the camera frame solid: winding (numbers above 0.5)"
 UPSAMPLING = "of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"
 SHOWN_FAILURES = 20
@@ -40,7 +40,7 @@ def score_command(
         ),
     ] = None,
     method: Annotated[str | None, typer.Option(help="name of the method; default: its folder's")] = None,
-    protocol: Annotated[list[str] | None, typer.Option(help=f"{PROTOCOLS}; default: all there are")] = None,
+    protocol: Annotated[list[str] | None, typer.Option(help=f"{PROTOCOLS}; default: all but shell")] = None,
     thresholds: Annotated[Path | None, typer.Option(help="a threshold file")] = None,
     save_thresholds: Annotated[
         Path | None, typer.Option(help="freeze the thresholds found on validation in this file")

@@ -9,13 +9,13 @@ from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.report.space_table import TITLE as SPACE_TITLE
 from kinectbench.report.space_table import space_table
 from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
-from kinectbench.scoring.protocols import PRIMARY
-from kinectbench.scoring.published import CATEGORIES, LABEL, PublishedTable, published_beside
+from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
+from kinectbench.scoring.published import LABEL, PARAMETERS_LINE, REAL, PublishedTable, published_beside
 
 if TYPE_CHECKING:
     from kinectbench.cli.wide_table import WideTable
 
-SHOWN_PROTOCOLS = (PRIMARY, "paper")
+SHOWN_PROTOCOLS = (PRIMARY, *EVERY_VOXEL)
 TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better), under the protocol named"
 # Below the tables that have the line `truth unknown`.
 PARTS_NOTE = "of whole shapes; the page and scores.csv have their visible and their occluded parts, too"
@@ -26,7 +26,7 @@ UNKNOWN_NOTE = (
 
 
 def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideTable":
-    """One line per method: IoU and CE (nats a voxel) per category, then overall, under `known` and `paper`.
+    """One line per method: IoU and CE (nats a voxel) per category, then overall, under `SHOWN_PROTOCOLS`.
 
     In a narrow terminal it is drawn in pieces. Below it stands what sets a method's scores apart, and which
     of them were rechecked.
@@ -58,9 +58,12 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
     left_out = dict.fromkeys(t.left_out_line(p) for t in tables for p in t.settings.protocols)
     notes = [*_marks(tables), UNKNOWN_NOTE if _any_known(shares) else "", *left_out]
     result.caption = "\n".join(filter(None, notes)) or None
-    if published and "paper" in protocols and set(columns) & set(CATEGORIES):
-        recordings = {row.recording for table in tables for row in table.rows}
-        _add_published(result, protocols, columns, published_beside(recordings))
+    recordings = {row.recording for table in tables for row in table.rows}
+    beside = published_beside(recordings, categories) if published else ()
+    # The truth of the paper's real recordings lies between a solid and its surface.
+    under = [p if p == "paper" or (p == "shell" and beside == (REAL,)) else "" for p in protocols]
+    if any(under) and any(set(columns) & set(of.categories) for of in beside):
+        _add_published(result, under, columns, beside)
     return result
 
 
@@ -129,19 +132,26 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """The paper's own figures, with a line below that they are not comparable with those above."""
+    """The paper's own figures, with a line below that they are not comparable with those above.
+
+    Args:
+        table: to be added to.
+        protocols: of each group of columns; "" leaves one empty.
+        columns: categories of a group.
+        published: the paper's tables.
+    """
     table.add_section()
-    signs = "†‡"
+    signs = "†‡§¶"
     for sign, of in zip(signs, published, strict=False):
         line = f"{sign} the paper's own results, {of.title}"
         table.caption = f"{table.caption or ''}\n{line}".strip()
-    table.caption = f"{table.caption}: {LABEL}"
-    for sign, entry in (
-        (sign, entry) for sign, of in zip(signs, published, strict=False) for entry in of.rows
+    table.caption = f"{table.caption}: {LABEL}\n{PARAMETERS_LINE}"
+    for sign, names, entry in (
+        (sign, of.categories, row) for sign, of in zip(signs, published, strict=False) for row in of.rows
     ):
-        values = dict(zip(CATEGORIES, zip(entry.iou, entry.ce, strict=True), strict=True))
+        values = dict(zip(names, zip(entry.iou, entry.ce, strict=True), strict=True))
         cells = [
-            _cell(*values[column]) if protocol == "paper" and column in values else ""
+            _cell(*values[column]) if protocol and column in values else ""
             for protocol in protocols
             for column in columns
         ]

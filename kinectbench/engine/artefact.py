@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,
-    "publish": 36,
+    "publish": 37,
     "synthesize": 2,
     "score": 9,
     "baselines": 3,

@@ -5,7 +5,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import category_problem
 from kinectbench.core.storage import canonical_json, name_problem, sha256_text
+from kinectbench.core.untrusted import printable
 from kinectbench.settings.base import Settings
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
@@ -119,6 +122,9 @@ class TrainingSettings(Settings):
     leave_out: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         (), description="objects of the training split that are not learnt from, such as those of a test"
     )
+    category: str | None = Field(
+        None, description="only pairs of this category are learnt from and validated on; default: all"
+    )
     keep: Literal["last", "best"] = Field(
         "last", description="weights: those of the last step, or of the best validation IoU"
     )
@@ -134,6 +140,18 @@ class MethodSettings(Settings):
         None, description="3d-recgan++ only, which cannot be trained without it"
     )
     training: TrainingSettings = TrainingSettings()
+
+    def of_category(self, category: str) -> "MethodSettings":
+        """The same for pairs of one category alone, which its name states.
+
+        Raises:
+            SettingsError: the category cannot be part of a name.
+        """
+        if problem := category_problem(category):
+            raise SettingsError(f"--category '{printable(category)}': {problem}")
+        named = self.name if self.training.category == category else f"{self.name}-{category}"
+        training = self.training.model_copy(update={"category": category})
+        return self.model_copy(update={"name": named, "training": training})
 
     @field_validator("name")
     @classmethod

@@ -13,11 +13,13 @@ from torch import Tensor
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.threads import ahead, using_threads
+from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.grids import TruthBatch
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
+from kinectbench.settings.words import suggestion
 
 # Batches are read by one thread while the one before is learnt from.
 READING_THREADS = 2
@@ -44,22 +46,32 @@ class PairFile(NamedTuple):
 
 
 def training_targets(
-    releases: Sequence[Release], leave_out: Collection[str] = ()
+    releases: Sequence[Release], leave_out: Collection[str] = (), category: str | None = None
 ) -> tuple[tuple[Release, Target], ...]:
     """The training pairs, of one release after another.
 
     Args:
         releases: different ones.
         leave_out: objects that are not learnt from.
+        category: the only one that is learnt from; None: all.
 
     Raises:
-        ReleaseError: a release has no training pairs, or their truth is held back; or it is given twice; or
-            an object is learnt from in one and tested on in another.
+        ReleaseError: a release has no training pairs, or none of the category, or their truth is held back;
+            or it is given twice; or an object is learnt from in one and tested on in another.
     """
     pairs: list[tuple[Release, Target]] = []
     for release in releases:
         release.require_truth(("train",))
         targets = [target for target in release.split("train") if target.object not in leave_out]
+        if targets and category is not None:
+            present = sorted({target.category for target in targets})
+            targets = [target for target in targets if target.category == category]
+            if not targets:
+                raise ReleaseError(
+                    f"{release.folder}: no training pairs of category '{printable(category)}'; "
+                    f"{suggestion(category, present)}",
+                    what="no-pairs",
+                )
         if not targets:
             raise ReleaseError(
                 f"{release.folder}: no training pairs; `kinectbench synthesize chairs --category chair "
@@ -92,12 +104,15 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
             )
 
 
-def validation_pairs(releases: Sequence[Release], most: int) -> tuple[PairFile, ...]:
-    """Up to `most` pairs of the validation splits, spread evenly over them."""
+def validation_pairs(
+    releases: Sequence[Release], most: int, category: str | None = None
+) -> tuple[PairFile, ...]:
+    """Up to `most` pairs of the validation splits, of one category or all, spread evenly over them."""
     pairs = [
         PairFile(release.pair_path(target), target.sha256)
         for release in releases
         for target in release.open_split("validation")
+        if category in (None, target.category)
     ]
     count = min(most, len(pairs))
     return tuple(pairs[int((k + 0.5) * len(pairs) / count)] for k in range(count))

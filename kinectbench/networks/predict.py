@@ -26,6 +26,7 @@ from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.packed_prediction import packed
+from kinectbench.settings.words import listed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
@@ -173,12 +174,15 @@ def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> b
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
-    """Caveats of the scores, a line each: test objects seen in training, other framings."""
+    """Caveats of the scores, a line each: test objects seen in training, other framings and categories."""
     training = trained.training
     lines = []
     learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))
     if learnt:
         lines.append(f"learnt from {len(learnt)} of the test objects, such as {learnt[0]}: no fair scores")
+    only, tested = trained.config.training.category, {target.category for target in release.split("test")}
+    if others := sorted(tested - {only}) if only else ():
+        lines.append(f"learnt from {only} alone, and predicts {listed(others)}")
     framing = release.metadata.framing
     if training.framings and framing not in training.framings:
         lines.append(

@@ -117,15 +117,16 @@ def train(
         SettingsError: the folder is another training's, or there is no such device.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
-    targets = training_targets(releases, config.training.leave_out)
+    asked = config.training
+    targets = training_targets(releases, asked.leave_out, asked.category)
     pairs = [PairFile(release.pair_path(target), target.sha256) for release, target in targets]
-    validation = validation_pairs(releases, config.training.validation_pairs)
-    if config.training.keep == "best" and not validation:
+    validation = validation_pairs(releases, asked.validation_pairs, asked.category)
+    if asked.keep == "best" and not validation:
         raise SettingsError("training.keep: best needs validation pairs, and there are none; choose last")
     where = chosen_device(device)
     make_folder(folder)
     with memory_kept(), _deterministic(where), joined_processes(where) as part:
-        _check_shared(config.training.batch, part[1])
+        _check_shared(asked.batch, part[1])
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare_folder(folder, config)

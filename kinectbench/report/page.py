@@ -23,7 +23,7 @@ from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.report.space_table import space_table
 from kinectbench.scoring.compare import method_names
-from kinectbench.scoring.published import PUBLISHED_IN, PublishedTable, published_beside
+from kinectbench.scoring.published import PARAMETERS_LINE, PUBLISHED_IN, PublishedTable, published_beside
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -112,7 +112,7 @@ def write_report(
         "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],
         "synthetic": bool(published) and published[0].views is not None,
-        "published_source": PUBLISHED_IN,
+        "published_source": f"{PUBLISHED_IN}. {PARAMETERS_LINE}",
         "released": released,
     }
     text = render_page("report/page.html", shown)
@@ -126,7 +126,8 @@ def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
     in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
     if scores and not in_cells:
         return ()
-    return published_beside({row.recording for table in in_cells for row in table.rows})
+    rows = [row for table in in_cells for row in table.rows]
+    return published_beside({row.recording for row in rows}, {row.category for row in rows})
 
 
 def _recordings(

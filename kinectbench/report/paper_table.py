@@ -14,14 +14,26 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import printable
 from kinectbench.scoring.compare import method_names
-from kinectbench.scoring.published import CATEGORIES, LABEL, REAL, SYNTHETIC, PublishedTable
+from kinectbench.scoring.published import (
+    CATEGORIES,
+    LABEL,
+    PARAMETERS_LINE,
+    REAL,
+    SYNTHETIC,
+    UNSEEN,
+    PublishedTable,
+)
 
-PROTOCOL = "paper"
+# Its synthetic truth is solid; that of its real recordings is less so, and `shell` is the other extreme.
+PROTOCOL, SHELL = "paper", "shell"
 # How recordings of `import` and of `synthesize` end, and the test set of the paper that has the same angles.
 VIEWS = {"125": 125, "sv": 125, "216": 216, "cv": 216}
 TITLES = {125: "same viewing angles", 216: "cross viewing angles", None: "all pairs"}
+OF_SHELL = ", the surface alone as truth"
 _ENDING = re.compile(r".+-(125|216|sv|cv)")
 NOT_KNOWN = "–"
+# Characters; the longest published row has 93.
+LONGEST_CELL = 100
 
 
 @dataclass(frozen=True)
@@ -61,21 +73,34 @@ class PaperTable:
 def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
     """The paper's tables of methods that were scored on one truth: one, or one for each kind of viewing.
 
+    Where all were scored under the protocol `shell`, too, its tables follow. The paper's real one stands
+    beside both: how solid its truth is, the paper does not say.
+
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.
     """
+    both = all(table.pairs(SHELL) for table in tables)
+    solid = _tables(tables, PROTOCOL, "", (REAL, *SYNTHETIC))
+    return [*solid, *_tables(tables, SHELL, OF_SHELL, (REAL,))] if both else solid
+
+
+def _tables(
+    tables: Sequence[ScoreTable], protocol: str, ending: str, published: Sequence[PublishedTable]
+) -> list[PaperTable]:
+    """Those of one protocol, with the published ones of the same viewing; their titles have an ending."""
     of_methods = []
     for name, table in zip(method_names(tables), tables, strict=True):
-        rows = table.pairs(PROTOCOL)
+        rows = table.pairs(protocol)
         if not rows or not table.complete:
-            why = "some of its pairs are not scored" if rows else f"not scored under '{PROTOCOL}'"
+            why = "some of its pairs are not scored" if rows else f"not scored under '{protocol}'"
             raise SettingsError(f"{name}: {why}; score it again", what="other-scores")
         of_methods.append((name, rows))
     views = sorted({_views(row) for _, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
     result = []
     for of in views:
         with_views = [(name, [row for row in rows if _views(row) == of]) for name, rows in of_methods]
-        result.append(_table(TITLES[of] if len(views) > 1 or of else TITLES[None], with_views, _beside(of)))
+        beside = [table for table in published if table.views == of]
+        result.append(_table(TITLES[of] + ending, with_views, beside))
     return result
 
 
@@ -85,21 +110,19 @@ def _views(row: ScoreRow) -> int | None:
     return VIEWS[match[1]] if match else None
 
 
-def _beside(views: int | None) -> list[PublishedTable]:
-    return [table for table in (REAL, *SYNTHETIC) if table.views == views]
-
-
 def _table(
     title: str, methods: Iterable[tuple[str, Sequence[ScoreRow]]], beside: Sequence[PublishedTable]
 ) -> PaperTable:
     methods = [(name, rows) for name, rows in methods if rows]
     present = {row.category for _, rows in methods for row in rows}
-    categories = (*(c for c in CATEGORIES if c in present), *sorted(present.difference(CATEGORIES)))
+    known = (*CATEGORIES, *UNSEEN)
+    categories = (*(c for c in known if c in present), *sorted(present.difference(known)))
     ours = [PaperRow(name, "", _means(rows, "iou"), _means(rows, "ce")) for name, rows in methods]
     ours.sort(key=lambda row: -fmean(row.iou.values()))
     published = [
-        PaperRow(row.method, of.title, *(_of_four(figures, categories) for figures in (row.iou, row.ce)))
+        PaperRow(row.method, of.title, *(_present(of, figures, categories) for figures in (row.iou, row.ce)))
         for of in beside
+        if of.views is None or present & set(of.categories)
         for row in of.rows
     ]
     return PaperTable(title, categories, len(methods[0][1]), (*ours, *published))
@@ -113,13 +136,18 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
     return {category: fmean(of) for category, of in values.items()}
 
 
-def _of_four(figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    return {name: of for name, of in zip(CATEGORIES, figures, strict=True) if name in categories}
+def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
+    """{category: its published figure}, of those that were scored."""
+    return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 
 def paper_markdown(tables: Sequence[PaperTable]) -> str:
-    """The tables as Markdown: a row for each method, IoU of each category and then the cross-entropies."""
-    return "\n\n".join("\n".join(_lines(table)) for table in tables) + "\n"
+    """The tables as Markdown: a row for each method, IoU of each category and then the cross-entropies.
+
+    Below published rows stand the paper's numbers of parameters.
+    """
+    last = [PARAMETERS_LINE] if any(row.published for table in tables for row in table.rows) else []
+    return "\n\n".join([*("\n".join(_lines(table)) for table in tables), *last]) + "\n"
 
 
 def _lines(table: PaperTable) -> list[str]:
@@ -144,4 +172,4 @@ def _figure(value: float | None) -> str:
 
 def _text(words: str) -> str:
     """An untrusted text as a cell of a Markdown table."""
-    return printable(words).replace("|", "\\|")
+    return printable(words, LONGEST_CELL).replace("|", "\\|")

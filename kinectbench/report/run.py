@@ -24,7 +24,7 @@ from kinectbench.settings.models import BenchmarkSettings, PairSettings, Recordi
 
 INDEX = "index.html"
 COMPARED = ("known", "paper", "occluded")
-NOT_EVERYWHERE = tuple(name for name, of in PROTOCOLS.items() if of.distrusts)
+NOT_EVERYWHERE = tuple(name for name in PROTOCOLS if name not in COMPARED)
 
 
 @dataclass(frozen=True)

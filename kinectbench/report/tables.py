@@ -24,7 +24,7 @@ from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.baselines.registry import BASE_RATE
 from kinectbench.scoring.marks import marks_of
-from kinectbench.scoring.published import CATEGORIES, LABEL, REAL, PublishedTable
+from kinectbench.scoring.published import LABEL, REAL, PublishedTable
 
 PROTOCOL_NOTES = {
     "known": "the primary protocol: voxels where the truth is trusted; mean over objects",
@@ -32,6 +32,7 @@ PROTOCOL_NOTES = {
     "occluded": "known voxels that the input view does not see; mean over objects",
     "measured": "known voxels that were measured, for who trusts nothing else; mean over objects",
     "known-unsaid": "known voxels but those that are so by a person's word alone; mean over objects",
+    "shell": "the shape's surface alone, the extreme of the paper's real truth; plain mean over pairs",
     "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",
 }
 # The two figures of a protocol's table: key, heading, decimals. Of surfaces in space others than of voxels.
@@ -187,11 +188,11 @@ def published_table(published: PublishedTable = REAL) -> Table:
     cells = {
         row.method: {
             category: CategoryAverages(iou=iou, ce=ce)
-            for category, iou, ce in zip(CATEGORIES, row.iou, row.ce, strict=True)
+            for category, iou, ce in zip(published.categories, row.iou, row.ce, strict=True)
         }
         for row in published.rows
     }
-    return _table(f"The paper's results: {published.title}", "paper", LABEL, CATEGORIES, cells)
+    return _table(f"The paper's results: {published.title}", "paper", LABEL, published.categories, cells)
 
 
 def _table(

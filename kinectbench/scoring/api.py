@@ -56,8 +56,8 @@ class Scorer:
         Args:
             dataset: of the release, or its path.
             method: name in the result.
-            protocols: some of "paper", "known", "occluded", "measured", "known-unsaid"; default: all that the
-                pairs allow.
+            protocols: some of "paper", "known", "occluded", "measured", "known-unsaid", "shell"; default: all
+                that the pairs allow but "shell".
             thresholds_file: see docs/scoring.md.
             missing: how a pair without a prediction counts: "error" a failure, "empty" an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
@@ -115,7 +115,9 @@ class Scorer:
         if target.split == "test":
             threshold = self._fixed().of[target.category]
         values = checked(np.asarray(prediction), pair_id)
-        truth = read_packed_truth(self._release.pair_path(target), target.sha256, self._counting.distrusted)
+        truth = read_packed_truth(
+            self._release.pair_path(target), target.sha256, self._counting.further_grids
+        )
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:

@@ -16,6 +16,7 @@ from kinectbench.core.artefacts.scores import (
     OverallAverages,
 )
 from kinectbench.core.types import Float64
+from kinectbench.scoring.protocols import EVERY_VOXEL
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
 EXTREMES = 3
@@ -64,7 +65,7 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
     """{heading: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
 
     Views of one object are not independent: each object counts once, however many views it has. The
-    protocol `paper` weighs every pair equally, as the paper does.
+    protocols `paper` and `shell` weigh every pair equally, as the paper does.
 
     Args:
         rows: of a table; one without figures is of a pair that is all unknown, and counts nowhere.
@@ -76,7 +77,7 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
             categories.setdefault(row.category, {}).setdefault(row.object, []).append(row)
     return {
         protocol: {
-            category: _means(by_category[category], plain=protocol == "paper")
+            category: _means(by_category[category], plain=protocol in EVERY_VOXEL)
             for category in sorted(by_category)
         }
         for protocol, by_category in groups.items()
@@ -254,7 +255,9 @@ def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict
         if row.iou_by_threshold is None:
             return None
         by_object = groups.setdefault((row.protocol, row.category), {})
-        by_object.setdefault("" if row.protocol == "paper" else row.object, []).append(row.iou_by_threshold)
+        by_object.setdefault("" if row.protocol in EVERY_VOXEL else row.object, []).append(
+            row.iou_by_threshold
+        )
     for (protocol, category), by_object in sorted(groups.items()):
         means = [np.mean(pairs, axis=0) for pairs in by_object.values()]
         by_protocol.setdefault(protocol, {})[category] = np.mean(means, axis=0).tolist()

@@ -15,7 +15,7 @@ from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS
-from kinectbench.scoring.protocols import PRIMARY
+from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
 from kinectbench.scoring.table_bounds import ROUNDING, out_of_bounds
 from kinectbench.scoring.thresholds import (
     FIXED,
@@ -99,7 +99,11 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
         if whole.setdefault(row.pair, (row.cells, row.unknown_share)) != (row.cells, row.unknown_share):
             yield f"{of} has other cells, or another share of unknown, than under another protocol"
         yield from (f"{of} {words}" for words in _in_row(row, table.score_version))
-        if row.protocol != "paper" and (known := most.get(row.pair)) is not None and _counts_more(row, known):
+        if (
+            row.protocol not in EVERY_VOXEL
+            and (known := most.get(row.pair)) is not None
+            and _counts_more(row, known)
+        ):
             yield f"{of} counts more than the protocol {PRIMARY} does"
     if any(of != pairs[table.rows[0].heading] for of in pairs.values()):
         yield "its protocols are of different pairs"
@@ -120,7 +124,7 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
-    if row.protocol == "paper" and (row.coverage_voxels or 1.0, row.coverage_shape or 1.0) != (1.0, 1.0):
+    if row.protocol in EVERY_VOXEL and (row.coverage_voxels or 1.0, row.coverage_shape or 1.0) != (1.0, 1.0):
         yield "does not count every voxel"
     if row.ce is not None and row.ce > MOST_CE + ROUNDING:
         yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
-from kinectbench.scoring.protocols import PROTOCOLS
+from kinectbench.scoring.protocols import PROTOCOLS, SOLID
 from kinectbench.scoring.truth import PackedTruth
 
 Prediction = NDArray[np.bool_] | NDArray[np.float16] | NDArray[np.float32]
@@ -72,9 +72,9 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """The tally of a prediction, and {protocol: tally} for protocols that trust less of the truth."""
-    less = {name: truth.distrusting(PROTOCOLS[name].distrusts) for name in protocols}
-    others = {name: tally(prediction, of, upsampling) for name, of in less.items() if of is not truth}
+    """The tally of a prediction, and {protocol: tally} for protocols with less truth, or with another."""
+    truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
+    others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
 
 
@@ -167,7 +167,14 @@ def ceiling_tallies(
         protocols: see `tallies`.
         upsampling: see `upsampled_planes`.
     """
-    return tallies(reduced(unpack(truth.full), side), truth, protocols, upsampling)
+    others = {}
+    for name in protocols:
+        if PROTOCOLS[name].truth != SOLID:
+            of = truth.under(PROTOCOLS[name])
+            others[name] = tally(reduced(unpack(of.full), side), of, upsampling)
+    solid = [name for name in protocols if name not in others]
+    best, less = tallies(reduced(unpack(truth.full), side), truth, solid, upsampling)
+    return best, {**less, **others}
 
 
 def reduced(full: NDArray[np.bool_], side: int) -> Float32:

@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS
 from kinectbench.release.release import Release
-from kinectbench.scoring.protocols import PRIMARY
+from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
@@ -56,7 +56,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
     """
     if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
         yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"
-    elif row.iou is None and (row.protocol == "paper" or (row.protocol == PRIMARY and share < 1)):
+    elif row.iou is None and (row.protocol in EVERY_VOXEL or (row.protocol == PRIMARY and share < 1)):
         yield f"is left out under {row.protocol} as all unknown; the release says {share:g} of its shape"
 
 

@@ -22,7 +22,7 @@ from kinectbench.scoring.counts import Prediction, ceiling_tallies, occupied, pr
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.prediction_file import load_hashed
-from kinectbench.scoring.protocols import distrusted
+from kinectbench.scoring.protocols import further_grids
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
@@ -61,9 +61,9 @@ class Counting:
     surface: bool = True
 
     @property
-    def distrusted(self) -> tuple[str, ...]:
+    def further_grids(self) -> tuple[str, ...]:
         """Grids of a pair file that these protocols read in addition to the common ones."""
-        return distrusted(self.protocols)
+        return further_grids(self.protocols)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def count_job(job: PairJob) -> PairResult | str:
         earlier = None
     if earlier is not None and not job.check:
         return earlier.result
-    truth = read_packed_truth(job.truth, job.target.sha256, job.counting.distrusted)
+    truth = read_packed_truth(job.truth, job.target.sha256, job.counting.further_grids)
     result = count(prediction, truth, job.counting, job.threshold)
     cells = 0 if job.file is None else result.cells
     result = replace(result, digest=digest, cells=cells, outside_share=outside)

@@ -13,6 +13,7 @@ from kinectbench.release.release import Release, Target
 # Of the codes by which voxels are counted (see kernels.py).
 KNOWN, SEEN = 2, 4
 CODES = range(8)
+SOLID = "full"
 
 
 @dataclass(frozen=True)
@@ -23,11 +24,13 @@ class Protocol:
         known: only voxels whose truth is known.
         hidden: only voxels that the input view did not see.
         distrusts: the grid of the pair file whose cells do not count as known; None: no grid.
+        truth: the grid of the pair file that predictions are compared with.
     """
 
     known: bool = True
     hidden: bool = False
     distrusts: str | None = None
+    truth: str = SOLID
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
@@ -46,17 +49,23 @@ PROTOCOLS = {
     "occluded": Protocol(hidden=True),
     "measured": Protocol(distrusts="interior"),
     "known-unsaid": Protocol(distrusts="said"),
+    "shell": Protocol(known=False, truth="shell"),
 }
 PRIMARY = "known"
+# Without a request those of the solid truth are scored.
+USUAL = tuple(name for name, of in PROTOCOLS.items() if of.truth == SOLID)
+# The paper's: they count every voxel, and every pair weighs the same.
+EVERY_VOXEL = tuple(name for name, of in PROTOCOLS.items() if not of.known)
 
 
-def distrusted(protocols: Sequence[str]) -> tuple[str, ...]:
+def further_grids(protocols: Sequence[str]) -> tuple[str, ...]:
     """Grids of a pair file that some protocols need in addition to the common ones."""
-    return tuple(dict.fromkeys(grid for name in protocols if (grid := PROTOCOLS[name].distrusts)))
+    grids = [grid for name in protocols for grid in (PROTOCOLS[name].distrusts, PROTOCOLS[name].truth)]
+    return tuple(dict.fromkeys(grid for grid in grids if grid not in (None, SOLID)))
 
 
 def check_protocols(protocols: Sequence[str] | None) -> None:
-    """Refuse unknown protocols; an empty list stands for those that the pairs allow.
+    """Refuse unknown protocols; an empty list stands for the usual ones that the pairs allow.
 
     Raises:
         SettingsError: one that is not.
@@ -68,7 +77,7 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """The protocols of a release: those requested, else all that its pairs allow.
+    """The protocols of a release: those requested, else the usual ones that its pairs allow.
 
     The pairs of a recording are made at once, so the first of each tells which grids they have.
 
@@ -82,9 +91,9 @@ def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ..
             f"--protocol {', '.join(in_camera)}: for predictions in the camera frame, which their "
             "method.json declares ('frame': 'camera'); choose among " + ", ".join(PROTOCOLS)
         )
-    names = tuple(asked or PROTOCOLS)
+    names = tuple(asked or USUAL)
     lacking: dict[str, Target] = {}
-    if needed := distrusted(names):
+    if needed := further_grids(names):
         first = {t.recording: t for t in reversed(release.targets) if t.split in ("test", "validation")}
         for target in first.values():
             keys = _keys(release, target)

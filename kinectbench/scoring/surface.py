@@ -79,7 +79,7 @@ def surface_metrics(
     from kinectbench.scoring.surface_kernels import solid_surface, spreads
 
     ours, theirs = solid_surface(predicted), solid_surface(truth.full)
-    # Several protocols cut both surfaces to the same cells.
+    # Several protocols cut both surfaces to the same cells. That of `shell` is the surface of the solid.
     cut = {name: (PROTOCOLS[name].known, PROTOCOLS[name].distrusts) for name in protocols}
     keys = list(dict.fromkeys(cut.values()))
     everything = np.full_like(truth.known, 255)

@@ -11,6 +11,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts
 from kinectbench.release.published import published_bytes
+from kinectbench.scoring.protocols import SOLID, Protocol
 
 GRIDS = ("full", "known", "seen")
 
@@ -25,7 +26,7 @@ class PackedTruth:
         seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
-        others: by name the grids that some protocols do not trust.
+        others: by name the grids that some protocols do not trust, or compare with.
     """
 
     full: Packed
@@ -38,6 +39,11 @@ class PackedTruth:
     def flat(self) -> tuple[Packed, Packed, Packed]:
         """`full`, `known` and `seen` as (v / 8,) bytes."""
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
+
+    def under(self, protocol: Protocol) -> "PackedTruth":
+        """What a protocol compares with and takes for known; itself if that is the same."""
+        of = self.distrusting(protocol.distrusts)
+        return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 
     def distrusting(self, name: str | None) -> "PackedTruth":
         """A copy whose `known` lacks another grid's cells; itself if that grid is empty."""
@@ -52,7 +58,7 @@ def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Pa
     Args:
         path: the pair file.
         sha256: what its bytes must hash to.
-        others: grids that not every pair has, which are read, too (`protocols.distrusted`).
+        others: further grids that are read (`further_grids`).
 
     Raises:
         ReleaseError: the file is missing, or not the published one.

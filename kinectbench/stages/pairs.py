@@ -83,7 +83,7 @@ def full_shape(model: ObjectModel) -> FullShape:
 def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
     """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
 
-    The closed mesh is voxelised again for each view (paper, Sec. 4.1: the full shape is turned into the
+    The closed mesh is voxelised again for each view (paper, Sec. 3.6: the full shape is turned into the
     view's camera orientation); resampling one volume would be slower and less exact.
 
     Args:

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_benchmark import Run, copied
 
+from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.geometry import rigid
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.lab.simulate.truth import read_truth
@@ -43,6 +44,18 @@ def test_right_meshes_of_a_folder_are_compared(command: Command, root: Path) -> 
         assert each["f_score_10mm"] > 0.8 and abs(each["scale"] - 1) < 0.02
     # Voxels of 15 mm and 24 frames of 160 x 120 pixels make a chair too thick.
     assert found["chair"]["iou"] > 0.6
+
+
+def test_a_truth_beside_itself_is_said_to_be_so(command: Command, root: Path) -> None:
+    """Its F of 1 proves nothing."""
+    run = command(root, "compare-truth", "chair", "--reference", "build/chair/object/mesh.ply")
+    assert run.status == 0, run.err
+    assert "note: chair: mesh.ply is this very truth: it is compared with itself" in run.err
+    found = ReferenceFile.read(root / "build/chair")
+    assert found.itself and found.f_score_10mm == 1.0 and found.info.json_value()["itself"] is True
+    other = command(root, "compare-truth", "chair", "--reference", "meshes/chair.ply", "--json")
+    assert "itself" not in other.err and "itself" not in json.loads(other.out)["chair"]
+    assert "itself" not in ReferenceFile.read(root / "build/chair").info.json_value()
 
 
 def test_a_wrong_mesh_is_refused_and_triage_says_look(command: Command, root: Path) -> None:

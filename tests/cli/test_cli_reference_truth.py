@@ -69,6 +69,13 @@ def test_the_truth_of_a_recording_is_the_mesh(command: Command, root: Path) -> N
         "chair": "reference mesh",
         "table": "",
     }
+    table = json.loads((folder / "schemas/targets.csv.json").read_text())
+    listed = json.loads((folder / "croissant.json").read_text())["recordSet"][0]["field"]
+    columns = (folder / "targets.csv").read_text().splitlines()[0].split(",")
+    assert [row["name"] for row in table["fields"]] == [row["name"] for row in listed] == columns
+    assert columns[-1] == "truth" and table["fieldsMatch"] == "superset"
+    run = command(root, "compare-truth", "chair", "--reference", "scan.ply")
+    assert "scan.ply is this very truth: it is compared with itself" in run.err, run
     stated = json.loads((folder / "objects/chair/quality.json").read_text())
     assert stated["truth"]["kind"] == "reference mesh"
     assert "| truth |" in (folder / "README.md").read_text()

@@ -1,5 +1,6 @@
 """The three commands: with wrong words, and from training to predictions after a kill."""
 
+import json
 import os
 import signal
 import time
@@ -39,6 +40,17 @@ def test_wrong_words_are_told_in_one_line(
     result = command(tmp_path, *arguments)
     assert (result.status, result.err.count("\n")) == (status, 1) and words in result.err, result
     assert list(tmp_path.iterdir()) == []
+
+
+def test_one_category_is_trained_by_the_command(
+    command: Command, tiny: Callable[..., Path], learning: Release, tmp_path: Path
+) -> None:
+    words = ("train", str(tiny()), "--data", str(learning.folder), "--out", "run", "--device", "cpu")
+    wrong = command(tmp_path, *words, "--category", "tabel")
+    assert (wrong.status, wrong.err.count("\n"), "did you mean 'table'?" in wrong.err) == (1, 1, True), wrong
+    made = command(tmp_path, *words, "--category", "table", "--json")
+    assert made.status == 0 and json.loads((tmp_path / "run" / "training.json").read_text())["pairs"] == 2
+    assert trained.open_trained(tmp_path / "run").config.name == "tiny-table"
 
 
 def test_a_checkpoint_becomes_a_method(command: Command, tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ from kinectbench.networks import train as training
 from kinectbench.networks.config_file import read_config
 from kinectbench.networks.data import pairs_of_step, steps_in_all, validation_pairs
 from kinectbench.networks.network import Network
+from kinectbench.networks.predict import method_of, run_of
+from kinectbench.networks.trained import open_trained
 from kinectbench.networks.weights import arrays_of_network, write_weights
 from kinectbench.release.release import Release, open_release
 
@@ -255,6 +257,40 @@ def test_what_is_tested_on_is_not_learnt_from(
         training.train(read_config(tiny()), [learning, more], tmp_path / "run", device="cpu")
     with raises(ReleaseError, "release.overlap", match="same release"):
         training.train(read_config(tiny()), [learning, learning], tmp_path / "run", device="cpu")
+
+
+def test_one_category_alone_is_learnt_from(
+    tiny: Tiny, learning: Release, more: Release, tmp_path: Path
+) -> None:
+    """Its pairs alone; the name of the method, its files and its notes say so."""
+    config = read_config(tiny()).of_category("table")
+    training.train(config, [learning], tmp_path / "run", device="cpu")
+    wanted = {t.object for t in learning.split("train") if t.category == "table"}
+    told = TrainingFile.read(tmp_path / "run")
+    assert (told.name, told.objects) == ("tiny-table", tuple(sorted(wanted)))
+    made = open_trained(tmp_path / "run")
+    assert made.config.training.category == "table" and made.config.of_category("table") == made.config
+    run_of_it = run_of(made, learning, None, "packed", "cpu")
+    method = method_of(made, learning, run_of_it, [], "cpu")
+    assert (
+        method.name == "tiny-table" and (method.settings or {})["config"]["training"]["category"] == "table"
+    )
+    others = {target.category for target in learning.split("test")} - {"table"}
+    assert any(
+        line == f"learnt from table alone, and predicts {', '.join(sorted(others))}"
+        for line in ((method.training or {})["notes"])
+    )
+    assert {pair.path for pair in validation_pairs([learning, more], 9, "chair")} == {
+        release.pair_path(target)
+        for release in (learning, more)
+        for target in release.split("validation")
+        if target.category == "chair"
+    }
+    with raises(ReleaseError, "release.no-pairs", match=r"no training pairs of category 'tabel'; .*'table'"):
+        training.train(read_config(tiny()).of_category("tabel"), [learning], tmp_path / "no", device="cpu")
+    assert not (tmp_path / "no").exists()
+    with raises(SettingsError, "settings.wrong-value", match="--category"):
+        config.of_category("../chair")
 
 
 @pytest.mark.parametrize("failing", [slow(1), 3])

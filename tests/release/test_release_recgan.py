@@ -174,13 +174,13 @@ def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path):
         assert release.metadata.name == f"in-{views}"
         assert {t.recording for t in release.targets} == {"t-125", f"v-{views}", f"m-{views}"}
         beside = published_beside(t.recording for t in release.split("test"))
-        assert [table.views for table in beside] == [views, views]
+        assert [table.views for table in beside] == [views] * (3 if views == 125 else 2)
     assert published_beside(["m-125", "m-216"]) == published_beside(["chair_01"]) == (REAL,)
 
 
 def test_the_papers_synthetic_tables():
-    assert [table.rows[0].iou[0] for table in SYNTHETIC] == [0.580, 0.531, 0.581, 0.540]
-    for table in SYNTHETIC:
+    assert [table.rows[0].iou[0] for table in SYNTHETIC[:4]] == [0.580, 0.531, 0.581, 0.540]
+    for table in SYNTHETIC[:4]:
         assert [row.method for row in table.rows] == [row.method for row in REAL.rows]
         assert all(table.rows[0].iou[n] == max(row.iou[n] for row in table.rows) for n in range(4))
         assert all(table.rows[0].ce[n] == min(row.ce[n] for row in table.rows) for n in range(4))

@@ -66,6 +66,15 @@ def test_the_card_has_the_figures(tmp_path: Path) -> None:
     assert "F at 5 mm to its reference" in card and "| 0.910 | 0.970 | 0.880 |" in card
 
 
+def test_a_truth_beside_itself_has_no_figures_in_the_card(tmp_path: Path) -> None:
+    build = compared(tmp_path / "build", itself=True, f_score_10mm=1.0)
+    folder = publish(synthetic_settings(), build, tmp_path / "out", NAMES).folder
+    stated = ReleaseInfo.read(folder).recordings[NAME].reference
+    assert (
+        stated is not None and stated.itself and "to its reference" not in (folder / "README.md").read_text()
+    )
+
+
 def test_targets_say_which_truth_is_a_mesh(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
     made = publish(synthetic_settings(), tmp_path / "build", tmp_path / "out", NAMES)

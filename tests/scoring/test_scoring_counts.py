@@ -13,7 +13,7 @@ from slow import slow
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, reduced, tallies, tally
 from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
-from kinectbench.scoring.protocols import PROTOCOLS
+from kinectbench.scoring.protocols import USUAL
 from kinectbench.scoring.truth import PackedTruth
 
 Bools = NDArray[np.bool_]
@@ -78,11 +78,11 @@ def test_same_as_plain_numpy(name: str, grids: tuple[Bools, Bools, Bools]) -> No
     full, known, seen = grids
     prediction = PREDICTIONS[name]()
     interior, said = (np.broadcast_to(np.arange(SIDE) % step == 0, known.shape) for step in (3, 7))
-    counted, less = tallies(prediction, truth_of(*grids, interior=interior, said=said), [*PROTOCOLS])
+    counted, less = tallies(prediction, truth_of(*grids, interior=interior, said=said), USUAL)
     y = prediction.astype(np.float64) if len(prediction) == SIDE else upsample(prediction)
     masks = {"paper": np.ones_like(known), "known": known, "occluded": known & ~seen}
     masks |= {"measured": known & ~interior, "known-unsaid": known & ~said}
-    assert set(masks) == set(PROTOCOLS) and set(less) == {"measured", "known-unsaid"}
+    assert set(masks) == set(USUAL) and set(less) == {"measured", "known-unsaid"}
     for protocol, mask in masks.items():
         counts = protocol_counts(less.get(protocol, counted), protocol)
         assert (counts.voxels, counts.occupied) == (np.count_nonzero(mask), np.count_nonzero(full & mask))

@@ -17,7 +17,7 @@ from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair, unpack
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.protocols import PRIMARY, PROTOCOLS, protocols_of
+from kinectbench.scoring.protocols import PRIMARY, USUAL, protocols_of
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
 from kinectbench.scoring.score import score, score_methods
@@ -65,7 +65,7 @@ def masks(pair: Pair) -> dict[str, np.ndarray]:
 
 def test_rows_are_those_of_their_masks(told: Release, scores: Path) -> None:
     table = read_table(scores / "scores" / "scores.json")
-    assert table.settings.protocols == tuple(PROTOCOLS) and table.settings.primary_protocol == PRIMARY
+    assert table.settings.protocols == USUAL and table.settings.primary_protocol == PRIMARY
     whole = {row.pair: row for row in table.pairs("paper")}
     for target in told.split("test"):
         pair = read_pair(told.pair_path(target))
@@ -113,7 +113,7 @@ def test_they_are_compared_shown_and_rechecked(
     )
     assert run.status == 0, run
     shown = set(re.findall("Protocol “([a-z-]+)”", page.read_text()))
-    assert shown == set(PROTOCOLS)
+    assert shown == set(USUAL)
 
 
 def test_a_table_that_counts_more_than_is_known_is_refused(scores: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ MESH = "the mesh's file"
 REFUSED = "why the mesh is taken for that of another object; null: it fits"
 F_5MM = "F-score at 5 mm of the surface that both saw"
 F_10MM = "F-score at 10 mm of the surface that both saw"
+ITSELF = "true: the mesh is this very truth, so that the figures compare it with itself; missing: it is not"
 IOU = "IoU of the solids, where the truth is known; null: the mesh is open"
 
 
@@ -48,6 +49,7 @@ class ReferenceInfo(StoredPart):
     f_score_5mm: float | None = Field(None, description=F_5MM)
     f_score_10mm: float | None = Field(None, description=F_10MM)
     iou: float | None = Field(None, description=IOU)
+    itself: Literal[True] | None = Field(None, description=ITSELF)
 
 
 class ReferenceFile(Stored):
@@ -61,6 +63,7 @@ class ReferenceFile(Stored):
     sha256: str = Field(description="of its bytes")
     object_fingerprint: str = Field(description="of the object that it was compared with")
     refused: str | None = Field(description=REFUSED)
+    itself: Literal[True] | None = Field(None, description=ITSELF)
     closed: bool = Field(description="whether every edge of the mesh has two faces")
     T_world_reference: Matrix4 | None = Field(
         None, description="(4, 4), metres: from the reference to the trajectory's world; null: not searched"
@@ -85,4 +88,5 @@ class ReferenceFile(Stored):
     @property
     def info(self) -> ReferenceInfo:
         """What a release says of it."""
-        return ReferenceInfo(**{key: getattr(self, key) for key in ReferenceInfo.model_fields})
+        keys = [key for key in ReferenceInfo.model_fields if key != "itself" or self.itself]
+        return ReferenceInfo(**{key: getattr(self, key) for key in keys})

@@ -132,7 +132,7 @@ class ScoredPair:
     protocol: str = Field(
         description="which voxels are counted",
         json_schema_extra={
-            "enum": ["paper", "known", "occluded", "measured", "known-unsaid", "camera", "aligned"]
+            "enum": ["paper", "known", "occluded", "measured", "known-unsaid", "shell", "camera", "aligned"]
         },
     )
     threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")

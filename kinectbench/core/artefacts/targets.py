@@ -75,7 +75,8 @@ class Target:
 
 # Column of targets.csv → its content.
 ALL_COLUMNS: dict[str, str] = {column.name: column.metadata["description"] for column in fields(Target)}
-COLUMNS = {name: text for name, text in ALL_COLUMNS.items() if name != "truth"}
+TRUTH_COLUMN = "truth"
+COLUMNS = {name: text for name, text in ALL_COLUMNS.items() if name != TRUTH_COLUMN}
 TRUTHS = ("", "reference mesh")
 NUMBER_COLUMNS = ("unknown_share",)
 # Those of releases published before pairs stated their share of unknown.

@@ -17,7 +17,7 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
     faces are taken with their ends, so a face in the plane between two cells occupies both; a face seen
     edge-on is not hit. Vertices are snapped to 2^-16 cell.
 
-    Source: the rule of the paper's authors (3D-RecGAN++, Sec. 4.1, on meshes that are not watertight). For
+    Source: the rule of the paper's authors (3D-RecGAN++, Sec. 3.6, on meshes that are not watertight). For
     a closed mesh it holds the exact solid, the surface's cells, and concave parts that are shut off along
     the three axes.
 

@@ -1,11 +1,12 @@
 """A built truth beside a reference mesh: the figures of reference.json, and the meshes' files."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.artefacts.reference import (
     DirectionPart,
@@ -15,7 +16,7 @@ from kinectbench.core.artefacts.reference import (
 )
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.storage import replaced_file
+from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.known_cells import known_in
 from kinectbench.core.voxels.pair_file import unpack
@@ -23,7 +24,7 @@ from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.solid import grid_iou, known_iou
 from kinectbench.stages.pairs import full_shape
-from kinectbench.stages.segment.object_model import ObjectModel, read_object
+from kinectbench.stages.segment.object_model import MESH, ObjectModel, read_object
 from kinectbench.stages.segment.reference.judge import Laid, lay
 from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
@@ -77,12 +78,20 @@ def compare_reference(folder: Path, path: Path) -> ReferenceFile:
         update={
             "reference": path.name,
             "sha256": reference.sha256,
+            **({"itself": True} if reference.sha256 in _truths(folder / "object") else {}),
             "object_fingerprint": Manifest.read(folder / "object").fingerprint,
         }
     )
     with replaced_file(folder / found.FILE) as temporary:
         temporary.write_text(found.text(), encoding="utf-8")
     return found
+
+
+def _truths(folder: Path) -> Iterator[str]:
+    """Hashes of the files that hold the truth of an object: its own mesh, and the mesh that was put in."""
+    yield sha256_file(folder / MESH)
+    if (truth := QualityFile.read(folder).truth) is not None:
+        yield truth.sha256
 
 
 def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ReferenceFile:

@@ -55,7 +55,7 @@ class Task:
     def artefact(self) -> Artefact:
         """The artefact, with the mesh file's bytes among its inputs."""
         source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
-        settings = self.settings.model_dump(mode="json", exclude=ELSEWHERE)
+        settings = self.settings.stored(without=ELSEWHERE)
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}
         return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, {"mesh": source})
 
@@ -79,7 +79,7 @@ def make_model(task: Task) -> None:
         groups = {}
         for name, steps in task.groups.items():
             pairs = (
-                (view, *make_synthetic_pair(checked, eye, view, settings))
+                (view, *make_synthetic_pair(checked, eye, view, settings, task.model.name))
                 for view in drawn_views(task, steps)
             )
             write = _write_recgan if settings.layout == "recgan" else _write_release

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -44,6 +44,9 @@ class SynthesisSettings(Settings):
         description="what is inside: as the mesh has it; or seeable: also what no camera could see, "
         "as of recordings",
     )
+    noise: Literal["none", "kinect"] = Field(
+        "none", description="of the depth: none, as in the paper; or kinect: a Kinect v1's errors"
+    )
     image_px: int = Field(320, ge=64, le=2048, description="width and height of the virtual depth image")
     max_faces: int = Field(1_000_000, ge=1, description="meshes with more are left out")
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
@@ -54,6 +57,11 @@ class SynthesisSettings(Settings):
     def up_axis(self) -> Literal["y", "z"]:
         """The axis of the models that points up."""
         return self.up or ("z" if self.models is None else "y")
+
+    def stored(self, without: set[str]) -> dict[str, Any]:
+        """The settings as JSON; `noise` only where there is some, so that others keep their bytes."""
+        values = self.model_dump(mode="json", exclude=without)
+        return {key: value for key, value in values.items() if (key, value) != ("noise", "none")}
 
     @property
     def wanted(self) -> dict[Split, int]:

@@ -15,10 +15,11 @@ from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
 
 VOXELIZERS = {"winding": voxelize_solid, "seeable": voxelize_solid, "six-rays": voxelize_open}
+NOTHING_MEASURED = "a Kinect measures nothing of it, from 0.4 to 4.5 m; give models in metres"
 
 
 def make_synthetic_pair(
-    checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings
+    checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings, name: str = ""
 ) -> tuple[Pair, str | None]:
     """Render a model from one side, and voxelise the visible and the full shape in one cube.
 
@@ -30,14 +31,17 @@ def make_synthetic_pair(
         checked: the model.
         eye: the virtual camera before it.
         view: the orientation.
-        settings: `up_axis`, `framing` and `min_containment` count.
+        settings: `up_axis`, `framing`, `noise` and `min_containment` count.
+        name: of the model; with the view it draws the noise.
 
     Returns:
         The pair, and why it must not be used, or None.
     """
     camera = eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
-    depth_m = eye.depth_m(T_world_camera)
+    noisy = settings.noise != "none"
+    rng = np.random.default_rng([view.n, *view.steps, *name.encode()])
+    depth_m = eye.kinect_depth_m(T_world_camera, rng) if noisy else eye.depth_m(T_world_camera)
     whole = grid = object_cube(eye.corners_world, T_world_camera)
     if settings.framing == "view" and depth_m.any():
         grid = view_cube(camera.backproject(depth_m)[depth_m > 0], T_world_camera)
@@ -50,7 +54,7 @@ def make_synthetic_pair(
         full=full,
         shell=packed_shell(full),
         known=known,
-        seen=seen_cells(depth_m, camera, T_world_camera, grid, noisy=False),
+        seen=seen_cells(depth_m, camera, T_world_camera, grid, noisy=noisy),
         T_world_grid=grid.T_world_grid,
         T_world_camera=T_world_camera,
         K=camera.K,
@@ -60,6 +64,8 @@ def make_synthetic_pair(
         partial_rule="any",
         occupancy_rule=checked.rule,
     )
+    if noisy and not depth_m.any():
+        return pair, NOTHING_MEASURED
     return pair, _reason(pair, settings.min_containment, cut_share)
 
 

@@ -173,7 +173,7 @@ class Report:
 def synthesize(
     settings: SynthesisSettings, out: Path, jobs: int = 1, progress: NamedProgress | None = None
 ) -> Report:
-    """Make the paper's synthetic pairs (Sec. 4.1) of a folder of meshes or of parametric furniture.
+    """Make the paper's synthetic pairs (Sec. 3.6) of a folder of meshes or of parametric furniture.
 
     Finished models are kept in `<out>.work/` until the run is complete, so that a stopped run continues
     where it was. The result does not depend on that, nor on `jobs`.
@@ -211,7 +211,7 @@ def synthesize(
             )
         run_tasks(make_model, tasks, jobs, partial(tell, "making"))
         lines = tuple(_lines(settings, dealt, tasks, left_out))
-        public = settings.model_dump(mode="json", exclude={"models"})
+        public = settings.stored(without={"models"})
         public["source"] = "meshes" if settings.models else "families"
         pairs, benchmark_sha256 = assemble(tasks, public, out, lines)
         shutil.rmtree(work, ignore_errors=True)
@@ -284,6 +284,8 @@ def _lines(
 ) -> Iterator[str]:
     """The report."""
     made = {task.model: MadeModel.read(task.folder) for task in tasks}
+    if settings.noise != "none":
+        yield "depth with the errors of a Kinect v1; the full shapes are exact"
     for category, models in dealt.items():
         counts = Counter(models.split_of.values())
         rules = Counter(made[model].quality.method for model in models.split_of)

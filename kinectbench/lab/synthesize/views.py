@@ -1,4 +1,4 @@
-"""The virtual camera: viewing angles, position, and noise-free depth."""
+"""The virtual camera: viewing angles, position, and depth, without noise or as a Kinect measures it."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -13,6 +13,9 @@ from kinectbench.core.geometry.mesh import raycaster
 FIELD_OF_VIEW_RAD = float(np.radians(49.124))
 # The upright frame (x right, y away, z up) as seen by an optical camera that looks along +y.
 CAMERA_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+# Of infrared light: a grey wall's, as `KinectNoise.weakest_signal` has it. A Kinect without sun, whose
+# distortion is typical.
+ALBEDO, SUNLIGHT, DISTORTION = 0.6, 0.0, 1.0
 UPRIGHT_MODEL = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
 
@@ -47,7 +50,7 @@ class ViewAngles:
 
 
 def all_views(n: int) -> tuple[ViewAngles, ...]:
-    """The n^3 orientations of a group of views, yaw running fastest (paper, Sec. 4.1: n = 5 and 6)."""
+    """The n^3 orientations of a group of views, yaw running fastest (paper, Sec. 3.6: n = 5 and 6)."""
     return tuple(
         ViewAngles((roll, pitch, yaw), n) for roll, pitch, yaw in product(range(n), range(n), range(n))
     )
@@ -119,7 +122,28 @@ class DepthCamera:
         self._y = (np.arange(camera.height) - camera.cy) / camera.fy
 
     def depth_m(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Depth along z (height, width) float32 through integer pixel centres, 0 without a hit.
+        """Depth along z (height, width) float32 through integer pixel centres, 0 without a hit."""
+        return self._seen(T_world_camera)[0]
+
+    def kinect_depth_m(
+        self, T_world_camera: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """The same as a Kinect v1 measures it, one of its own for each view; 0 where it measures nothing.
+
+        Args:
+            T_world_camera: (4, 4).
+            rng: draws the Kinect's distortion and its noise.
+        """
+        from kinectbench.lab.simulate.kinect import draw_device, measured_depth
+        from kinectbench.lab.simulate.render import Rendering
+
+        depth_m, cosine = self._seen(T_world_camera)
+        mask, albedo = depth_m > 0, np.full_like(depth_m, ALBEDO)
+        exact = Rendering(depth_m, np.zeros((*depth_m.shape, 3), np.uint8), mask, cosine, albedo)
+        return measured_depth(exact, self.camera, draw_device(self.camera, DISTORTION, SUNLIGHT, rng), rng)
+
+    def _seen(self, T_world_camera: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth, and the cosine of incidence: both (height, width), 0 without a hit.
 
         The rays are turned, not the mesh. Only those that can hit it are cast.
         """
@@ -130,10 +154,13 @@ class DepthCamera:
         rays[..., :3] = T_world_camera[:3, 3]
         rays[..., 3:] = (x * x_axis + z_axis) + y * y_axis
         # Directions have z = 1 in the camera, so a hit's ray parameter is its depth.
-        hit_m = self._caster.cast_rays(self._tensor(rays), nthreads=1)["t_hit"].numpy()
-        depth_m = np.zeros((self.camera.height, self.camera.width), np.float32)
+        hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
+        hit_m, normals = hits["t_hit"].numpy(), hits["primitive_normals"].numpy()
+        depth_m, cosine = np.zeros((2, self.camera.height, self.camera.width), np.float32)
         depth_m[rows, columns] = np.where(np.isfinite(hit_m), hit_m, 0)
-        return depth_m
+        along = np.abs((normals * rays[..., 3:]).sum(axis=-1)) / np.linalg.norm(rays[..., 3:], axis=-1)
+        cosine[rows, columns] = np.where(np.isfinite(hit_m), along, 0)
+        return depth_m, cosine
 
     def _window(self, T_world_camera: NDArray[np.float64]) -> tuple[slice, slice]:
         """The rows and columns that the mesh lies in."""

@@ -79,8 +79,8 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
 
 
 def reference_words(info: RecordingInfo) -> dict[str, str]:
-    """The figures of a reference that fits: what each is called -> its value, in a fixed order."""
-    if info.reference is None or info.reference.refused is not None:
+    """The figures of a reference that fits and is another mesh: what each is called -> its value."""
+    if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
     return {label: f"{value:.3f}" for label, value in figures.items() if value is not None}

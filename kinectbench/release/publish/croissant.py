@@ -1,11 +1,11 @@
 """croissant.json: a release as machines read it, in Croissant 1.1 with its RAI fields (JSON-LD)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
+from kinectbench.core.artefacts.targets import ALL_COLUMNS, COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair
 from kinectbench.release.publish.about import SUBJECTS, About, responsible_use
@@ -31,12 +31,13 @@ VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
 RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
 
 
-def croissant(about: About, folder: Path) -> dict[str, Any]:
+def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS)) -> dict[str, Any]:
     """Content of croissant.json.
 
     Args:
         about: the description of the release.
         folder: the release, complete except for what holds hashes or describes it.
+        columns: of its targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
@@ -60,7 +61,7 @@ def croissant(about: About, folder: Path) -> dict[str, Any]:
         content["url"] = url
     content |= {f"rai:{key}": text for key, text in responsible_use(about).items()}
     content["distribution"] = [*_file_objects(folder), *_file_sets(folder)]
-    content["recordSet"] = [_targets(), _pairs()]
+    content["recordSet"] = [_targets(columns), _pairs()]
     if next(folder.glob("views/*/views.json"), None) is not None:
         content["recordSet"].append(_cameras())
     return content
@@ -98,7 +99,7 @@ def _file_sets(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _targets() -> dict[str, Any]:
+def _targets(columns: Sequence[str]) -> dict[str, Any]:
     """targets.csv as records."""
     return {
         "@type": "cr:RecordSet",
@@ -106,7 +107,7 @@ def _targets() -> dict[str, Any]:
         "name": "targets",
         "description": "one record per pair to be predicted",
         "key": {"@id": "targets/file"},
-        "field": [_field(column, text) for column, text in COLUMNS.items()],
+        "field": [_field(column, ALL_COLUMNS[column]) for column in columns],
     }
 
 

@@ -6,7 +6,7 @@ there too, and is not published. After a change of the models, in a checkout,
 `python -m kinectbench.release.publish.schemas` writes all of them, and the copy of the last one in docs/.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from fnmatch import fnmatchcase
 from importlib import resources
@@ -20,7 +20,15 @@ from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
 from kinectbench.core.artefacts.scores import scores_schema
 from kinectbench.core.artefacts.stored import Stored
-from kinectbench.core.artefacts.targets import COLUMNS, NUMBER_COLUMNS, SPLITS, TARGETS_CSV, Splits
+from kinectbench.core.artefacts.targets import (
+    COLUMNS,
+    NUMBER_COLUMNS,
+    SPLITS,
+    TARGETS_CSV,
+    TRUTH_COLUMN,
+    TRUTHS,
+    Splits,
+)
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.untrusted import printable
@@ -66,8 +74,13 @@ def schema_texts() -> dict[str, str]:
     return {name: pretty_json(schema) for name, schema in schemas.items()}
 
 
-def write_schemas(folder: Path) -> None:
-    """Write the schemas of the files that a release holds so far; benchmark.json comes last."""
+def write_schemas(folder: Path, columns: Sequence[str]) -> None:
+    """Write the schemas of the files that a release holds so far; benchmark.json comes last.
+
+    Args:
+        folder: of the release.
+        columns: of its targets.csv.
+    """
     (folder / SCHEMAS).mkdir()
     stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
     written = [
@@ -75,6 +88,8 @@ def write_schemas(folder: Path) -> None:
     ]
     for name in (*(f"{name}.schema.json" for name in written), TABLE_SCHEMA, PAIR_SCHEMA):
         (folder / SCHEMAS / name).write_bytes(stored.joinpath(name).read_bytes())
+    if TRUTH_COLUMN in columns:
+        (folder / SCHEMAS / TABLE_SCHEMA).write_text(pretty_json(_table(columns)), encoding="utf-8")
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
@@ -98,10 +113,13 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
                     yield f"'{where}': {problem}" if where else problem
 
 
-def _table() -> dict[str, Any]:
-    """A table schema (https://specs.frictionlessdata.io/table-schema/) of targets.csv."""
+def _table(columns: Iterable[str] = COLUMNS) -> dict[str, Any]:
+    """A table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
     rows: list[dict[str, Any]] = []
-    for column in COLUMNS:
+    for column in columns:
+        if column == TRUTH_COLUMN:  # the table of a split without such a truth lacks it
+            rows.append({"name": column, "type": "string", "constraints": {"enum": [*filter(None, TRUTHS)]}})
+            continue
         if column in NUMBER_COLUMNS:
             rows.append({"name": column, "type": "number", "constraints": {"minimum": 0, "maximum": 1}})
             continue
@@ -111,7 +129,9 @@ def _table() -> dict[str, Any]:
         if column == "split":
             constraints["enum"] = list(SPLITS)
         rows.append({"name": column, "type": "string", "constraints": constraints})
-    return {"$comment": f"{TARGETS_CSV}, targets/*.csv", "fields": rows, "primaryKey": ["recording", "view"]}
+    fewer = {"fieldsMatch": "superset"} if TRUTH_COLUMN in columns else {}
+    comment = f"{TARGETS_CSV}, targets/*.csv"
+    return {"$comment": comment, **fewer, "fields": rows, "primaryKey": ["recording", "view"]}
 
 
 def _pair() -> dict[str, Any]:

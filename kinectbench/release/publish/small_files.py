@@ -25,6 +25,7 @@ from kinectbench.core.artefacts.targets import (
     Splits,
     Target,
     benchmark_sha256,
+    columns_of,
     parse_sums,
     sums_text,
     targets_text,
@@ -123,11 +124,12 @@ def write_small_files(
     (folder / READING).write_text(words, encoding="utf-8")
     (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
     (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
-    write_schemas(folder)
+    columns = columns_of(targets)
+    write_schemas(folder, columns)
     write_glbs(folder, infos, scenes)
     about = _about(head, license, folder, warnings)
     (folder / DATACITE).write_text(pretty_json(datacite(about)), encoding="utf-8")
-    (folder / CROISSANT).write_text(pretty_json(croissant(about, folder)), encoding="utf-8")
+    (folder / CROISSANT).write_text(pretty_json(croissant(about, folder, columns)), encoding="utf-8")
     (folder / CARD).write_text(card(info, targets, warnings, license, head.texts), encoding="utf-8")
     return _seal(folder, info)
 

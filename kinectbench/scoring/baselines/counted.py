@@ -168,7 +168,7 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
     """Every baseline's counts of one pair; a pair of the validation split only chooses the thresholds."""
-    truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.distrusted)
+    truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}
     for name, prediction in predicted(task):

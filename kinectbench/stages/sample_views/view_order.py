@@ -32,7 +32,7 @@ def frame_order(
 ) -> list[tuple[int, str]]:
     """All good frames in the order of trial, each with the reason.
 
-    `random` (paper, Sec. 4.1): a seeded permutation. `coverage`: the frames are sorted into
+    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: the frames are sorted into
     sectors of 30 degrees about the object, those into heights of 15 degrees, and those into thirds of the
     visible share (up to 50 %, up to 80 %, more); the sectors take turns, in a sector the heights, in a height
     the thirds, and within one it is the order of `random`.

@@ -94,7 +94,7 @@ def sample_views(
 ) -> Views:
     """Walk the good frames, in the order of the strategy, until enough of them fit the object.
 
-    With `random` every good frame is equally likely (paper, Sec. 4.1: 50 random views of the trajectory).
+    With `random` every good frame is equally likely (paper, Sec. 3.6: 50 random views of the trajectory).
     Refused frames do not shrink the set as long as others are left.
 
     Args:

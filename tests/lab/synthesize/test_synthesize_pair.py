@@ -7,7 +7,7 @@ from references import occupy, shell_of
 from synthesis_shapes import asymmetric, inside_asymmetric, mesh_of, open_box
 
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid, transform_points
-from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
@@ -203,3 +203,41 @@ def test_a_view_whose_cube_cuts_the_shape_is_refused():
     _, refused = made(beam, ViewAngles((0, 0, 0), 5), SynthesisSettings(up="y", framing="view"))
     assert refused is not None and "cuts off" in refused
     assert made(beam, ViewAngles((0, 0, 0), 5))[1] is None
+
+
+def test_noise_is_that_of_the_simulated_kinect(pair: Pair) -> None:
+    """Depth differs from the exact one by the sensor's sigma; shape and cube are the same."""
+    noisy = SETTINGS.model_copy(update={"noise": "kinect"})
+    shape = asymmetric()
+    measured, refused = made(shape, settings=noisy)
+    assert refused is None
+    np.testing.assert_array_equal(measured.full, pair.full)
+    np.testing.assert_array_equal(measured.T_world_grid, pair.T_world_grid)
+    again, _ = made(shape, settings=noisy)
+    assert pair_bytes(again) == pair_bytes(measured) != pair_bytes(pair)
+    mesh = mesh_of(shape)
+    pose = camera_pose(mesh.vertices, VIEW, CAMERA, "y")
+    eye = DepthCamera(mesh, CAMERA)
+    exact_m, kinect_m = eye.depth_m(pose), eye.kinect_depth_m(pose, np.random.default_rng(1))
+    both = (exact_m > 0) & (kinect_m > 0)
+    assert 0.5 < both.sum() / (exact_m > 0).sum() < 1
+    # Nguyen et al. 2012: 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 face on; slanted and at edges more.
+    sigma_m = 0.0012 + 0.0019 * (exact_m[both] - 0.4) ** 2
+    spread = np.median(np.abs(kinect_m[both] - exact_m[both])) / 0.6745
+    assert 0.7 < spread / np.median(sigma_m) < 2
+    other = eye.kinect_depth_m(pose, np.random.default_rng(2))
+    assert (other != kinect_m).any()
+
+
+def test_without_noise_the_stored_settings_are_as_before() -> None:
+    noisy = SETTINGS.model_copy(update={"noise": "kinect"})
+    assert "noise" not in SETTINGS.stored(set()) and noisy.stored({"models"})["noise"] == "kinect"
+    assert SETTINGS.stored(set()) == SETTINGS.model_dump(mode="json", exclude={"noise"})
+
+
+def test_what_a_kinect_cannot_measure_is_refused_in_words() -> None:
+    """A model in millimetres is hundreds of metres away."""
+    large = asymmetric()
+    large.apply_scale(1000)
+    _, refused = made(large, settings=SETTINGS.model_copy(update={"noise": "kinect"}))
+    assert refused is not None and "give models in metres" in refused

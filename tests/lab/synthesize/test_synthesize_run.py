@@ -90,6 +90,15 @@ def test_framing_view_and_few_views(models: Path, tmp_path: Path):
     assert len({frozenset(steps) for steps in found["view"] if len(steps) == 3}) > 1
 
 
+def test_noise_is_in_the_settings_and_in_the_card(models: Path, tmp_path: Path):
+    report = synthesize(settings(models, noise="kinect", most_views=1), tmp_path / "noisy")
+    assert verify(report.folder) == [] and report.pairs > 0
+    stored = json.loads((report.folder / "benchmark.json").read_text())["settings"]["synthesis"]
+    assert stored["noise"] == "kinect"
+    line = "depth with the errors of a Kinect v1; the full shapes are exact"
+    assert line in report.lines and line in (report.folder / "README.md").read_text()
+
+
 def test_the_files_say_which_rule_filled_them(release: Release):
     for target in release.targets:
         expected = "six-rays" if target.object == "t0" else "winding"
