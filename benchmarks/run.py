@@ -32,7 +32,7 @@ ROOMS = {
     "robustness": TESTS / "robustness",
 }
 # These have command lines of their own, and no figures.
-NOT_LISTED = ("fuzzing", "hostile", "replica")
+NOT_LISTED = ("fuzzing", "hostile", "replica", "standing_alone")
 BASELINES = ROOT / "baselines.json"
 # Where modules are that benchmarks share.
 IMPORTED = (ROOT, *ROOMS.values(), TESTS / "support")

@@ -5,9 +5,15 @@ their outermost point. The rule was chosen while the seeds below 8 were looked a
 """
 
 import argparse
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
+
 from figures import Figure, arguments, at_least, at_most, run, told
 from solid_cells import solid_cells
 

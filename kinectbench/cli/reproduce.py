@@ -11,7 +11,8 @@ from kinectbench.cli.methods import Device
 from kinectbench.core.errors import SettingsError
 
 # 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. What `--set` says wins.
-PAPER_REAL = ("views.count=50", "pairs.framing=object")
+COUNT = 50
+PAPER_REAL = (f"views.count={COUNT}", "pairs.framing=object")
 
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
@@ -37,13 +38,13 @@ def reproduce_command(
 
     asked = replace(common, overrides=[*PAPER_REAL, *(common.overrides or ())])
     release, rows = find_release(asked)
-    of_views = release.metadata.settings.views or {}
-    wanted = of_views.get("count") if common.benchmark else asked.settings.views.count
-    if release.metadata.framing != "object" or of_views.get("count") != wanted:
+    found_count = (release.metadata.settings.views or {}).get("count")  # synthetic releases state none
+    wanted = COUNT if common.benchmark else asked.settings.views.count
+    if release.metadata.framing != "object" or found_count not in (None, wanted):
         raise SettingsError(
-            f"{release.folder}: has framing {release.metadata.framing} and {of_views.get('count')} views a "
-            f"recording, where the protocol has framing object and {wanted}; publish again by `kinectbench "
-            f"publish {' '.join(f'--set {override}' for override in PAPER_REAL)}`"
+            f"{release.folder}: has framing {release.metadata.framing} and {found_count} views a recording, "
+            f"where the protocol has framing object and {wanted}; publish again by `kinectbench publish "
+            f"{' '.join(f'--set {override}' for override in asked.overrides or ())}`"
         )
     folder, where = common.root / "reproduce" / protocol, chosen_device(device)
     for name in packaged_methods():
@@ -60,8 +61,12 @@ def reproduce_command(
             jobs=common.workers,
             progress=progress,
         )
+    tables = [table for table in tables if table.method in packaged_methods()]
     found = paper_tables(tables)
-    text = paper_markdown(found)
+    # Such as: it learnt from objects of the test.
+    warned = [f"{table.method}: {line}" for table in tables for line in table.warnings]
+    console.lines("warning", warned, "yellow")
+    text = "\n".join([paper_markdown(found), *(f"- {line}" for line in warned)])
     with replaced_file(folder / "table.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
     common.tell([asdict(table) for table in found], text.splitlines())

@@ -241,6 +241,11 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
     return STAGES[: names.index(name) + 1]
 
 
+def _has_reference(stage: Stage, job: Job) -> bool:
+    """Whether a stage stands on a mesh that is the truth."""
+    return stage.name == "segment" and job.reference is not None
+
+
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders of current stages in `build/<recording>/`, by stage.
 
@@ -259,6 +264,8 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
         if manifest is None or any(
             manifest.inputs.get(name) != fingerprints.get(name, "") for name in stage.inputs
         ):
+            continue
+        if job and (REFERENCE in manifest.inputs) != _has_reference(stage, job):
             continue
         settings = stage.settings(job) if job else manifest.settings
         if manifest.fingerprint == fingerprint(stage.name, stage.version, settings, manifest.inputs):

@@ -46,6 +46,9 @@ def read_config(path: Path) -> MethodSettings:
 
 
 def write_config(config: MethodSettings, path: Path) -> None:
-    """Write a configuration with all its defaults; `read_config` gives it back."""
-    text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    """Write a configuration with all its defaults; `read_config` gives it back, as older versions do."""
+    values = config.model_dump(mode="json")
+    if config.training.category is None:
+        del values["training"]["category"]
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
     path.write_text(text, encoding="utf-8")

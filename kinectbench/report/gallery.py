@@ -23,11 +23,13 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
-from kinectbench.core.voxels.pair_file import BLOCK, Packed, pack, unpack
+from kinectbench.core.voxels.pair_file import BLOCK, PARTIAL_CELLS, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.release.view_images import color, depth_m, mask
 from kinectbench.scoring.baselines.predict import BaselineTask, predicted
+from kinectbench.scoring.camera.surface import Surface
+from kinectbench.scoring.camera.truth import SpaceTruth, files_of, read_space_truth
 from kinectbench.scoring.counts import Prediction, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_prediction
@@ -215,14 +217,29 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
         ReleaseError: the pair file is missing, or not the published one.
     """
     path = release.pair_path(target)
-    names = ("partial", "full", "known", "T_world_grid")
-    partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
+    if target.split in release.metadata.surface_truth:
+        truth = read_space_truth(files_of(release, target))
+        partial, T_world_grid = read_parts(path, target.sha256, ("partial", "T_world_grid"))
+        drawn = surface_cells(truth, truth.surface)
+        known, unseen = np.full_like(drawn, 255), np.zeros_like(drawn)
+    else:
+        names = ("partial", "full", "known", "T_world_grid")
+        partial, full, known, T_world_grid = read_parts(path, target.sha256, names)
+        drawn = reduced_packed(full)
+        known, unseen = _sampled(known), _unseen(full, known) & drawn
     up = _up_grid(release, target.recording, T_world_grid)
-    drawn = reduced_packed(full)
-    unseen = _unseen(full, known) & drawn
     return PairTruth(
-        target.category, target.object, up, partial, drawn, _sampled(known), unseen, _picture(release, target)
+        target.category, target.object, up, partial, drawn, known, unseen, _picture(release, target)
     )
+
+
+def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
+    """(64, 64, 8) packed: the cells of the truth's cube that a surface in its frame goes through."""
+    at = np.floor(surface.points_m / (truth.voxel_size_m * BLOCK))
+    inside = ((at >= 0) & (at < PARTIAL_CELLS)).all(axis=1)
+    cells = np.zeros((PARTIAL_CELLS,) * 3, np.bool_)
+    cells[tuple(at[inside].astype(np.int64).T)] = True
+    return pack(cells)
 
 
 def _picture(release: Release, target: Target) -> str:

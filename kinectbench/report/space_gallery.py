@@ -9,12 +9,12 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Progress
-from kinectbench.core.voxels.pair_file import FULL_CELLS, PARTIAL_CELLS, Packed, pack
+from kinectbench.core.voxels.pair_file import Packed
 from kinectbench.release.release import Release
-from kinectbench.report.gallery import chosen_pairs, reduced_packed
+from kinectbench.report.gallery import chosen_pairs, reduced_packed, surface_cells
 from kinectbench.scoring.camera.align import register_surface
 from kinectbench.scoring.camera.solid import closed_mesh, solid_in
-from kinectbench.scoring.camera.surface import Surface, surface_of
+from kinectbench.scoring.camera.surface import surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, files_of, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, find_files, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
@@ -53,35 +53,23 @@ def space_cells(
                 load_camera_shape(found[target], method),
             )
             free = method.scale == "free"
-            cells[target.name] = prediction_cells(
-                truth, shape, "R+t+s" if free else None, table.settings.close
-            )
+            cells[target.name] = prediction_cells(truth, shape, "R+t+s" if free else None)
     return cells
 
 
-def prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None, close: str | None) -> Packed:
+def prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
     """(64, 64, 8) packed: a solid's cells, or those that the surface goes through where there is no solid.
 
     Args:
         truth: of the view.
         shape: predicted, in the camera frame.
         kind: of the registration; None: as predicted.
-        close: how open meshes are made solid.
     """
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:
         T = register_surface(truth, surface.transformed(T), kind).T @ T
     try:
-        solid = solid_in(truth, shape, closed_mesh(shape), T, close)
+        solid = solid_in(truth, shape, closed_mesh(shape), T)
     except PredictionError:  # scored before with the same result
         solid = None
-    return _shell(truth, surface.transformed(T)) if solid is None else reduced_packed(solid.cells)
-
-
-def _shell(truth: SpaceTruth, surface: Surface) -> Packed:
-    size_m = truth.voxel_size_m * FULL_CELLS / PARTIAL_CELLS
-    at = np.floor(surface.points_m / size_m)
-    inside = ((at >= 0) & (at < PARTIAL_CELLS)).all(axis=1)
-    cells = np.zeros((PARTIAL_CELLS,) * 3, np.bool_)
-    cells[tuple(at[inside].astype(np.int64).T)] = True
-    return pack(cells)
+    return surface_cells(truth, surface.transformed(T)) if solid is None else reduced_packed(solid.cells)

@@ -43,8 +43,10 @@ def referenced(root: Path, name: str, mesh: str = "scan.ply") -> None:
 def test_the_truth_of_a_recording_is_the_mesh(command: Command, root: Path) -> None:
     before = hashes(root / "build/table")
     referenced(root, "chair")
+    assert "1 of 2 done" in command(root, "build", "--status").out
     run = command(root, "build", "--jobs", "1")
     assert run.status == 0, run.err
+    assert "2 of 2 done" in command(root, "build", "--status").out
     # Another recording is as it was, and so are the stages that do not see the mesh.
     assert hashes(root / "build/table") == before
     assert "reference" in Manifest.read(root / "build/chair/object").inputs

@@ -50,6 +50,7 @@ SETTINGS = {
     "recordings.chair.trajectory=refine": FROM_TRACK,
     "recordings.chair.trajectory=ignore": ALL,  # a broken one ends ingest no more
     "recordings.chair.camera={fx: 131.0}": ALL,
+    "recordings.chair.reference=scan.ply": FROM_SEGMENT,
     "recordings.chair.box={center_m: [0, 0, 0.5], size_m: [1, 1, 0.99]}": FROM_SEGMENT,
     "recordings.chair.floor={plane_world: [0, 0, 1, 0]}": FROM_SEGMENT,
     "recordings.chair.underside=closed": (),  # it is
@@ -135,6 +136,7 @@ def shared(small: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the benchmark for tests that make nothing."""
     root = copied(small, tmp_path_factory.mktemp("shared") / "b")
     (root / "masks").mkdir()
+    (root / "scan.ply").write_bytes(b"a mesh")
     return root
 
 

@@ -16,12 +16,15 @@ from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.geometry import TriangleMesh, rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import join, read_own_ply, write_ply
-from kinectbench.core.voxels.pair_file import TRUTH_KEYS
+from kinectbench.core.voxels.pair_file import TRUTH_KEYS, unpack
 from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange import redwood10
 from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.rgbd import export_rgbd
 from kinectbench.release.release import Release, open_release
+from kinectbench.report.gallery import read_pair_truth
+from kinectbench.report.run import write_galleries
+from kinectbench.report.space_table import space_table
 from kinectbench.scoring.camera import bounds
 from kinectbench.scoring.camera.bounds import points_by_area
 from kinectbench.scoring.camera.surface import surface_of
@@ -155,8 +158,13 @@ def test_its_metrics_are_those_by_hand(
         (folder / "method.json").write_text(json.dumps(content))
         table = score(release, folder, method=kind, protocols=["camera"])
         assert not table.failures and any("open mesh" in line for line in table.warnings)
+        # It is drawn and said to be there, though it has no figures of an inside.
+        names = [name for name, _ in space_table([table]).groups["camera"]]
+        assert names == [kind]
+        table.write(tmp_path / "scores" / kind)
+        write_galleries(release, folder, [table], tmp_path / "scores" / kind, "trilinear")
         whole = {row.recording: row for row in table.rows if row.part == "whole"}
-        assert all(row.iou is None and row.precision is None and row.solid is None for row in table.rows)
+        assert all(row.iou is None and row.precision is None for row in table.rows)
         for scan in shapes:
             # As float32 in the files; the world is the camera's frame.
             (path,) = (folder / scan).iterdir()
@@ -170,6 +178,25 @@ def test_its_metrics_are_those_by_hand(
             assert row.sds_chamfer_l1_mm == pytest.approx(sum(w.mean() for w in ways) / 2, rel=1e-6)
             assert row.sds_chamfer_l2_mm2 == pytest.approx(sum((w**2).mean() for w in ways), rel=1e-6)
             assert row.sds_emd_mm == pytest.approx(auction(cdist(p[::32], t[::32])) * 1000, rel=0.01)
+
+
+def test_the_page_draws_the_open_truth(release: Release) -> None:
+    for target in release.split("test"):
+        truth = read_pair_truth(release, target)
+        full, partial = unpack(truth.full), unpack(truth.partial)
+        near = sum(np.roll(full, by, axis) for axis in range(3) for by in (-1, 0, 1)) > 0
+        assert full.any() and (partial & near).sum() > 0.9 * partial.sum() and not truth.unseen.any()
+
+
+@pytest.mark.parametrize("coordinate", [np.nan, 1e30])
+def test_a_mesh_that_is_nowhere_is_refused(tmp_path: Path, coordinate: float) -> None:
+    write_scan(tmp_path / "sds", "05117", "chair:7")
+    path = tmp_path / "sds" / redwood10.MESH_FILE.format(scan="05117")
+    mesh = read_own_ply(path)
+    mesh.vertices[:] = coordinate
+    write_ply(mesh, path)
+    with pytest.raises(PairError, match="not finite"):
+        redwood10.import_redwood10(tmp_path / "sds", tmp_path / "out")
 
 
 def test_what_cannot_be_read_is_one_line(made: tuple[Path, dict[str, TriangleMesh]], tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """A folder of predictions in the camera frame becomes a table; what it cannot have is said."""
 
+import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -68,6 +70,8 @@ def test_the_truth_in_the_camera_frame_is_nearly_perfect(published: Release, tab
     overall = table.averages("camera")[OVERALL]
     assert overall.f_score_5mm == 1 and overall.iou is not None and overall.normal_consistency is not None
     assert table.csv().splitlines()[0].count("chamfer_l1_m") == 1
+    cells = next(csv.DictReader(io.StringIO(table.csv())))
+    assert json.loads(cells["as_papers"]).keys() >= {"octmae_chamfer_l1_mm"}
 
 
 def test_the_iou_is_that_of_the_grid_protocol(published: Release, table: ScoreTable, tmp_path: Path) -> None:

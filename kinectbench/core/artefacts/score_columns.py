@@ -7,6 +7,7 @@ an index into a list of the texts that occur, since a hundred thousand pairs hav
 import hashlib
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -176,3 +177,8 @@ def _in_space(arrays: dict[str, NDArray[Any]], batch: slice) -> list[dict[str, A
     used = {at: words[at] for at in set(arrays[IN_SPACE][batch].tolist())}
     read = {at: vars(_PLAIN_IN_SPACE.validate_json(text)) if text else {} for at, text in used.items()}
     return [read[at] for at in arrays[IN_SPACE][batch].tolist()]
+
+
+def flat(value: object) -> object:
+    """A value for one cell of a table; figures that belong together as JSON."""
+    return canonical_json(asdict(value)) if is_dataclass(value) and not isinstance(value, type) else value

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.score_columns import RowsFile, read_rows, rows_as_json, write_rows
+from kinectbench.core.artefacts.score_columns import RowsFile, flat, read_rows, rows_as_json, write_rows
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
     IN_UNIT_RANGE,
@@ -323,7 +323,7 @@ class ScoreTable(Stored):
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(["method", *columns])
-        rows = ([self.method, *(getattr(row, name) for name in columns)] for row in self.rows)
+        rows = ([self.method, *(flat(getattr(row, name)) for name in columns)] for row in self.rows)
         writer.writerows(map(cell, row) for row in rows)
         return buffer.getvalue()
 

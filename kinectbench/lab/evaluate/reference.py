@@ -103,9 +103,13 @@ def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> Reference
         closed: whether its mesh is.
     """
     head = ReferenceFile(reference="", sha256="", object_fingerprint="", refused=laid.refused, closed=closed)
-    if laid.pose is None or laid.scale is None:
+    if laid.pose is None:
         return head
     T, T_floor_world = laid.pose.T, model.floor.T_floor_world
+    if laid.scale is None:  # far off
+        return head.model_copy(
+            update={"T_world_reference": T, "residual_m": round(laid.pose.residual_m, DECIMALS)}
+        )
     f_5mm, f_10mm = f_scores(model, laid, T, (0.005, 0.01))
     whole, known = solids_iou(model, laid.theirs.mesh.transformed(T)) if closed else (None, None)
     other, axis = laid.runner_up, laid.symmetric_axis_floor

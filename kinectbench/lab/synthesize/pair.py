@@ -31,8 +31,8 @@ def make_synthetic_pair(
         checked: the model.
         eye: the virtual camera before it.
         view: the orientation.
-        settings: `up_axis`, `framing`, `noise` and `min_containment` count.
-        name: of the model; with the view it draws the noise.
+        settings: `up_axis`, `framing`, `noise`, `seed` and `min_containment` count.
+        name: of the model; with the view and the seed it draws the noise.
 
     Returns:
         The pair, and why it must not be used, or None.
@@ -40,7 +40,7 @@ def make_synthetic_pair(
     camera = eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
     noisy = settings.noise != "none"
-    rng = np.random.default_rng([view.n, *view.steps, *name.encode()])
+    rng = np.random.default_rng([settings.seed, view.n, *view.steps, *name.encode()])
     depth_m = eye.kinect_depth_m(T_world_camera, rng) if noisy else eye.depth_m(T_world_camera)
     whole = grid = object_cube(eye.corners_world, T_world_camera)
     if settings.framing == "view" and depth_m.any():

@@ -51,6 +51,10 @@ SCANS = {
 # Of Redwood's scanner, whose depth is registered to colour.
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 VIEW = "000"
+# A scan's world is a room or a street.
+FARTHEST_M = 1000.0
+# Of fewer pixels an object has no size: one gave voxels of 0 m (chosen here).
+LEAST_PIXELS = 100
 MASK_FILE = "data_processing/for_inputs/masks/{scan}.npy"
 POSE_FILE = "data_processing/for_GT/transformations/{scan}_transformation.npy"
 VERTICES_FILE = "data_processing/for_GT/masks/mask_{scan}.npy"
@@ -142,7 +146,9 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
         raise PairError(f"{path}: not a readable mesh ({error}); download it again") from error
     chosen = _chosen(kept, len(vertices), folder / VERTICES_FILE.format(**of))
     mesh = TriangleMesh(vertices, faces.astype(np.int32)).keep_faces(np.asarray(chosen[faces].all(axis=1)))
-    if not len(mesh.faces) or not (mask & (depth > 0)).any():
+    if not (np.abs(mesh.vertices) <= FARTHEST_M).all():  # nor NaN
+        raise PairError(f"{path}: a vertex is not finite, or beyond {FARTHEST_M:g} m; download it again")
+    if not len(mesh.faces) or (mask & (depth > 0)).sum() < LEAST_PIXELS:
         raise PairError(f"{path}: nothing of the object is left; are masks and mesh of one scan?")
     return RedwoodScan(
         png, depth.astype(np.float32) / np.float32(MM_PER_M), mask, mesh.transformed(T_camera_mesh)

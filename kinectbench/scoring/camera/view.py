@@ -161,8 +161,7 @@ def score_shape(
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
     closed = close if shape.form == "mesh" and mesh is None and not truth.is_open else None
-    # An open truth has no inside to compare with.
-    is_solid = None if truth.is_open else closed is None and (mesh is not None or shape.cells is not None)
+    is_solid = closed is None and (mesh is not None or shape.cells is not None)
     rows: list[Scored] = []
     for protocol, kind in asked:
         T, alignment, moved = truth.T_grid_camera, None, as_predicted

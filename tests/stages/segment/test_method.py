@@ -28,12 +28,14 @@ ASIDE = {
     "judge": "whether a reference fits: reference.json has the figures and the reason",
     "masked_scene": "what is chosen, not how it is made solid: `selection` in quality.json says how",
     "object": "what is chosen, as above",
+    "mesh": "which references are read",
     "obstacles": "words of advice and of a warning",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
     "register": "where a reference lies: reference.json has the pose and what is left",
     "seen_floor": "warnings, which say what they found",
     "select": "what is chosen, as above",
+    "truth": "a reference in place of what was made solid: `truth` in quality.json says so",
     "turntable": "masks of what turns: what is chosen, as above",
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.

@@ -11,6 +11,8 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.core.types import Float64
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.core.voxels.solid import costs_too_much
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.reference.register import (
     LEAST_SHARE,
@@ -101,18 +103,29 @@ def lay(model: ObjectModel, mesh: TriangleMesh) -> Laid:
             f"its diagonal is {theirs.diagonal_m:.3g} m and the object's {ours.diagonal_m:.3g} m: another "
             "object, another unit than metres, or surroundings that are to be cut off",
         )
+    if _lies_across(mesh):
+        return Laid(
+            ours, theirs, f"too many of its {len(mesh.faces)} faces lie across each other; simplify it"
+        )
     T_floor_world = model.floor.T_floor_world
     found = poses(ours, theirs, T_floor_world)
     best, R_floor = found[0], T_floor_world[:3, :3] @ found[0].T[:3, :3]
+    if best.residual_m > MOST_RESIDUAL * ours.diagonal_m:
+        return Laid(ours, theirs, _refusal(best.residual_m, ours.diagonal_m, None, 1.0), best)
     axis = symmetric_axis(theirs)
     runner_up = _runner_up(found, T_floor_world, LEAST_SHARE * ours.diagonal_m) if len(found) > 1 else None
     scale = best_scale(ours, theirs, best.T)
-    of_mirror = None
-    if best.residual_m <= MOST_RESIDUAL * ours.diagonal_m:
-        of_mirror = poses(ours, mirror_image(theirs), T_floor_world)[0].residual_m
+    of_mirror = poses(ours, mirror_image(theirs), T_floor_world)[0].residual_m
     refused = _refusal(best.residual_m, ours.diagonal_m, of_mirror, scale)
     axis_floor = None if axis is None else R_floor @ axis
     return Laid(ours, theirs, refused, best, scale, of_mirror, runner_up, axis_floor)
+
+
+def _lies_across(mesh: TriangleMesh) -> bool:
+    """Whether distances from a mesh could take without end: it is a soup of triangles."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    cells = (mesh.vertices - low) * (FULL_CELLS / max(float((high - low).max()), 1e-9))
+    return costs_too_much(cells[:, :2], mesh.faces, (FULL_CELLS, FULL_CELLS))
 
 
 def _refusal(residual_m: float, diagonal_m: float, of_mirror_m: float | None, scale: float) -> str | None:
