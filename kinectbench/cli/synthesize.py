@@ -12,7 +12,7 @@ from kinectbench.cli.common import Common, takes
 @takes("overrides", "jobs", "as_json")
 def synthesize_command(
     common: Common,
-    out: Annotated[Path, typer.Argument(help="a new folder")],
+    out: Annotated[Path, typer.Argument(help="a new folder; a release that it wrote before is replaced")],
     models: Annotated[
         Path | None, typer.Option(help="CAD meshes in the ShapeNet layout; default: parametric furniture")
     ] = None,
