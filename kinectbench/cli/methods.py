@@ -77,7 +77,7 @@ def train_command(
     limit = None if minutes is None or math.isinf(minutes) else minutes
     if unknown := unknown_objects(releases, settings.training.leave_out):
         warning = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
-        console.lines(settings.name, [warning], "yellow")
+        console.lines(f"{settings.name}: note", [warning], "cyan")
     with console.progress_bar(f"train {settings.name}") as progress:
         state = run(
             settings,

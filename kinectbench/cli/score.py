@@ -254,7 +254,7 @@ def baselines_of(
         line = (
             f"none beside more than {ROWS_IN_JSON} rows; `kinectbench baseline NAME` writes one to be scored"
         )
-        console.lines("baselines", [line], "yellow")
+        console.lines("baselines: note", [line], "cyan")
         return []
     protocols, names = (spatial or tables)[0].settings.protocols, [table.method for table in tables]
     with console.progress_bar("baselines") as progress:

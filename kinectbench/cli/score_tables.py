@@ -7,7 +7,7 @@ from kinectbench.core.artefacts.score_figures import SHARES
 from kinectbench.core.artefacts.score_marks import BASELINE, REPORTED
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.report.space_table import TITLE as SPACE_TITLE
-from kinectbench.report.space_table import space_table
+from kinectbench.report.space_table import is_baseline, space_table
 from kinectbench.scoring.compare import GROUPS_NOTE, Comparison
 from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
 from kinectbench.scoring.published import LABEL, PARAMETERS_LINE, REAL, PublishedTable, published_beside
@@ -65,11 +65,6 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
     if any(under) and any(set(columns) & set(of.categories) for of in beside):
         _add_published(result, under, columns, beside)
     return result
-
-
-def is_baseline(table: ScoreTable) -> bool:
-    """Whether a table is of a baseline: added, or scored as a method."""
-    return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":

@@ -3,6 +3,9 @@
 `kinectbench.core.error_codes` lists the codes of all errors.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class KinectBenchError(Exception):
     """Base of all errors with a one-line message: what, where, what to do.
@@ -136,3 +139,8 @@ def internal_error(error: BaseException) -> str:
             f"{error.encoding}; set LC_ALL=C.UTF-8"
         )
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"
+
+
+def pydantic_message(error: Mapping[str, Any]) -> str:
+    """The message of one of pydantic's errors; of what a check of this project said, its words alone."""
+    return str(error["msg"]).removeprefix("Value error, ")

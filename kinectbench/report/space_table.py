@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from kinectbench.core.artefacts.score_figures import AsPapers, ScoreRow, fields_of
+from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.averages import plain_mean
 
@@ -75,7 +76,8 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
             rows = table.pairs(heading)
             closed = f" (closed: {table.settings.close})" * any(row.closed for row in rows)
             cells = [*_cells(table.averages(heading)[OVERALL]), *_beside(rows)]
-            lines.append((f"{table.method}{closed}{_empty(rows)}", cells))
+            of = " (baseline)" * is_baseline(table)
+            lines.append((f"{table.method}{of}{closed}{_empty(rows)}", cells))
         if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
             lines.append((CEILING, ceiling))
     failed = [f"{t.method}: {len(t.failures)} views failed" for t in tables if t.failures]
@@ -89,6 +91,11 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
     ]
     columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
     return _without_empty(SpaceTable(columns, groups, (*failed, *left_out, *notes)))
+
+
+def is_baseline(table: ScoreTable) -> bool:
+    """Whether a table is of a baseline: added, or scored as a method."""
+    return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
 
 
 def _without_empty(table: SpaceTable) -> SpaceTable:

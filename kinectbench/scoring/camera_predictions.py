@@ -1,7 +1,7 @@
 """A folder of predictions in the camera frame: which file answers which view, and how near its depth."""
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,15 @@ from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
 from kinectbench.scoring.declared import method_problems
-from kinectbench.scoring.depth_agreement import LARGE, Agreement, agreement, beyond_share, likeliest
+from kinectbench.scoring.depth_agreement import (
+    LARGE,
+    SCENE,
+    SMALL,
+    Agreement,
+    agreement,
+    beyond_share,
+    likeliest,
+)
 from kinectbench.scoring.predictions import stray_files, stray_lines
 
 # Predictions that `score` compares with their depth (chosen here).
@@ -142,12 +150,9 @@ def check_camera(
             problems.append(missing_in_camera(name))
         if progress:
             progress(done, len(release.targets) * method.hypotheses)
-    slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
-    problems += [f"{name}: {one.line(slips[name], method)}" for name, one in compared.items() if slips[name]]
-    problems += [_scene_line(name, one) for name, one in compared.items() if one.is_scene and not slips[name]]
-    problems += strays_in_camera(release, folder, method)
-    far = [name for name, one in compared.items() if one.is_large and not slips[name]]
-    return problems, [*_summary(release, method, compared, answered), *_far_lines(far)]
+    slips, notes = _judged(compared, method)
+    problems += [*slips, *strays_in_camera(release, folder, method)]
+    return problems, [*_summary(release, method, compared, answered), *notes]
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:
@@ -162,15 +167,29 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
         with contextlib.suppress(PredictionError):  # why it cannot be scored is said there
             if (found := view_agreement(release, file, method)) is not None:
                 compared[file.name] = found
+    slips, notes = _judged(compared, method)
+    return [f"{line}; `kinectbench check` looks at all" for line in [*slips, *notes][:1]]
+
+
+def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
+    """A line for each slip of unit or axes, and notes on what may be what a method predicts all the same.
+
+    The one rule of `check`, where slips are errors, and of the warnings of `score`.
+    """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
-    said = [f"{name}: {one.line(slips[name], method)}" for name, one in compared.items() if slips[name]]
-    said += [_scene_line(name, one) for name, one in compared.items() if one.is_scene and not slips[name]]
-    return [f"{said[0]}; `kinectbench check` looks at all"] if said else []
-
-
-def _scene_line(name: str, found: Agreement) -> str:
-    share = f"{found.beyond_share:.0%}"
-    return f"{name}: {share} of it lies far beyond the object: the whole scene? Keep the object alone"
+    others = {name: one for name, one in compared.items() if not slips[name]}
+    notes = [
+        f"{name}: {one.beyond_share:.0%} of it (bound {SCENE:.0%}) lies far beyond the object: the whole "
+        "scene? Keep the object alone"
+        for name, one in others.items()
+        if one.is_scene
+    ]
+    if far := [name for name, one in others.items() if one.is_large]:
+        notes.append(
+            f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view "
+            f"measured, such as {far[0]}; no usual slip of unit or axes explains it"
+        )
+    return [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip], notes
 
 
 def missing_in_camera(name: str) -> str:
@@ -195,16 +214,6 @@ def _without_depth(release: Release) -> bool:
     return not any(name.endswith(".depth.png") for name in release.sums)
 
 
-def _far_lines(far: list[str]) -> list[str]:
-    """A line about predictions that are far from their depth for another reason."""
-    if not far:
-        return []
-    return [
-        f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view measured, "
-        f"such as {far[0]}; no usual slip of unit or axes explains it"
-    ]
-
-
 def _summary(
     release: Release, method: MethodFile, compared: dict[str, Agreement], answered: int
 ) -> list[str]:
@@ -219,5 +228,7 @@ def _summary(
     middle, largest = float(np.median(list(distances_m.values()))), distances_m[where]
     return [
         f"median distance from each prediction to its view's own depth: {middle * 1000:.1f} mm in the "
-        f"median of {len(distances_m)}, {largest * 1000:.1f} mm at most ({where})"
+        f"median of {len(distances_m)}, {largest * 1000:.1f} mm at most ({where}), which is "
+        f"{largest / max(compared[where].diagonal_m, 1e-9):.1%} of the size of what it measured; up to "
+        f"{SMALL:.0%} is well, beyond {LARGE:.0%} is named"
     ]

@@ -29,10 +29,16 @@ def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
     inside = whole = 0.0
     for begin in range(0, len(faces), AT_ONCE):
         triangles = vertices[faces[begin : begin + AT_ONCE]]
-        whole += float((_areas(triangles) * triangles[:, :, 2].mean(axis=1)).sum())
+        whole += float((_areas(triangles) * _mean(triangles[:, :, 2])).sum())
         for piece in _within_walls(triangles, side):
-            inside += float((_areas(piece) * np.clip(piece[:, :, 2], 0, side).mean(axis=1)).sum())
+            inside += float((_areas(piece) * _mean(np.clip(piece[:, :, 2], 0, side))).sum())
     return 1.0 if whole == 0 else float(np.clip(1 - inside / whole, 0, 1))
+
+
+def _mean(heights: Float64) -> Float64:
+    """(k,) of (k, 3). A sum along so short an axis would take numpy three times as long."""
+    mean: Float64 = (heights[:, 0] + heights[:, 1] + heights[:, 2]) / 3
+    return mean
 
 
 def _areas(triangles: Float64) -> Float64:
@@ -54,9 +60,11 @@ def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
 def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
     """Triangles (k, 3, 3) cut by a plane across an axis: those below it, and those above."""
     height = triangles[:, :, axis] - at
-    up = height > 0
-    count = up.sum(axis=1)
-    mixed = (count > 0) & (height < 0).any(axis=1)
+    up, down = height > 0, height < 0
+    count = np.add(np.add(up[:, 0], up[:, 1], dtype=np.int8), up[:, 2])
+    mixed = (count > 0) & (down[:, 0] | down[:, 1] | down[:, 2])
+    if not mixed.any():
+        return triangles[count == 0], triangles[count > 0]
     below, above = triangles[~mixed & (count == 0)], triangles[~mixed & (count > 0)]
     # The corner that is alone on its side comes first, the order of the corners kept.
     one_up = count[mixed] == 1

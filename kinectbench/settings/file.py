@@ -8,7 +8,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import SettingsError, pydantic_message
 from kinectbench.core.store.address import shown
 from kinectbench.core.untrusted import printable
 from kinectbench.settings import yaml_nodes
@@ -198,7 +198,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
     elif kind == "missing" and used == len(error["loc"]):
         what = f"missing; wanted {wanted(annotation, constraints)}"
     elif kind == "value_error":
-        what = error["msg"].removeprefix("Value error, ")
+        what = pydantic_message(error)
         if "earlier" in error.get("ctx", {}):
             earlier = yaml_nodes.find(root, ("recordings", error["ctx"]["earlier"]), known)[0]
             what += f" (the other is at {yaml_nodes.place(earlier)})"

@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import SettingsError, pydantic_message
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
 from kinectbench.settings.words import field_at, listed, model_of, suggestion, wanted
@@ -22,7 +22,8 @@ def settings_from_options(
         model: of the settings.
         values: nested values.
         overrides: `section.key=value` or `key=value`, the value in YAML; they win, the last one most.
-        what: begins each line about a wrong value, such as "simulation".
+        what: begins a line about values that do not fit each other, such as "simulation"; a line about one
+            value begins with its option.
 
     Raises:
         SettingsError: one line for each wrong value.
@@ -32,7 +33,7 @@ def settings_from_options(
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise SettingsError(*(f"{what}: {_line(model, e)}" for e in error.errors())) from None
+        raise SettingsError(*(_line(model, e, overrides, what) for e in error.errors())) from None
 
 
 def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -56,17 +57,25 @@ def _nested(override: str) -> dict[str, Any]:
     return dict(value)
 
 
-def _line(model: type[Settings], error: Any) -> str:
-    """A readable line for one of pydantic's errors."""
+def _line(model: type[Settings], error: Any, overrides: Sequence[str], what: str) -> str:
+    """A readable line for one of pydantic's errors, which begins with the option."""
     location = tuple(error["loc"])
-    annotation, constraints, used = field_at(location, model)
-    key = ".".join(str(part) for part in location)
+    annotation, constraints, _ = field_at(location, model)
+    where = _option([str(part) for part in location], overrides) if location else what
     if error["type"] == "extra_forbidden":
         inner = model_of(annotation)
-        return f"{key}: unknown; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
+        return f"{where}: unknown; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
     if error["type"] == "value_error":
-        return f"{key + ': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
-    key = ".".join(str(part) for part in location[:used])
+        return f"{where}: {pydantic_message(error)}"
     inner = model_of(annotation)
-    what = f"values of {listed(inner.model_fields)}" if inner else wanted(annotation, constraints)
-    return f"{key}: found {error['input']!r}; wanted {what}"
+    found = f"values of {listed(inner.model_fields)}" if inner else wanted(annotation, constraints)
+    return f"{where}: found {error['input']!r}; wanted {found}"
+
+
+def _option(location: Sequence[str], overrides: Sequence[str]) -> str:
+    """The last `--set` that changes a value, or else the option of its name."""
+    for override in reversed(overrides):
+        key = override.partition("=")[0].strip().split(".")
+        if key == list(location[: len(key)]) or list(location) == key[: len(location)]:
+            return f"{yaml_nodes.OVERRIDE}{override}"
+    return f"--{location[0].replace('_', '-')}"

@@ -5,8 +5,9 @@ from typing import TypeVar
 
 import yaml
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import SettingsError, pydantic_message
 from kinectbench.core.untrusted import printable, quoted, read_plain_text
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
@@ -50,9 +51,8 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
         raise SettingsError(*dict.fromkeys(lines), what=WHAT_OF_TYPE.get(errors[0]["type"], "")) from None
 
 
-def _line(root: yaml.Node, error: object, model: type[Settings]) -> str:
+def _line(root: yaml.Node, error: ErrorDetails, model: type[Settings]) -> str:
     """A readable line for one of pydantic's errors."""
-    assert isinstance(error, dict)
     # Of a mapping's key that is no name pydantic says so by one part more.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     annotation, constraints, used = field_at(location, model)
@@ -65,7 +65,7 @@ def _line(root: yaml.Node, error: object, model: type[Settings]) -> str:
             begin + f"unknown key; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
         )
     if kind == "value_error":
-        return begin + str(error["msg"]).removeprefix("Value error, ")
+        return begin + pydantic_message(error)
     if kind == "missing" and used == len(location):
         return begin + f"missing; wanted {wanted(annotation, constraints)}"
     return begin + f"found {quoted(error['input'])}; wanted {wanted(annotation, constraints)}"

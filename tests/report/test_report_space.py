@@ -81,6 +81,8 @@ def test_ceilings_and_empty_views_are_named_alike(release: Release, tmp_path: Pa
         type(row)(**vars(row) | {"ceiling": Ceiling(chamfer_l1_m=0.001, iou=0.9)}) for row in table.rows
     ]
     table = table.model_copy(update={"rows": tuple(with_ceiling)})
+    beside = space_table([table.model_copy(update={"method": "hull", "baseline": True})])
+    assert beside.groups["camera"][0][0] == "hull (baseline) (1 empty)"
     found = space_table([table])
     assert [name for name, _ in found.groups["camera"]] == ["net (1 empty)", "(ceiling)"]
     assert found.groups["camera"][1][1][0] == "0.0010"

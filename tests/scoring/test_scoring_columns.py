@@ -122,7 +122,10 @@ def test_commands_score_and_read_them(
     words = ("--benchmark", str(release.folder), "--no-surface")
     for name in ("full", "none"):
         made = command(tmp_path, "score", name, *words, "--out", f"scores/{name}")
-        line = "baselines: none beside more than 5 rows; `kinectbench baseline NAME` writes one to be scored"
+        line = (
+            "baselines: note: none beside more than 5 rows; `kinectbench baseline NAME` writes one to be "
+            "scored"
+        )
         assert made.status == 0 and line in made.err, made
         assert (tmp_path / "scores" / name / ROWS_NPZ).is_file()
         assert not (tmp_path / "scores" / name / "baselines").exists()

@@ -82,7 +82,7 @@ def test_score_says_what_check_would_say(published: Release, tmp_path: Path) -> 
     assert sum("declare 'unit': 'mm' in method.json" in line for line in problems) == 2
 
 
-def test_check_names_a_whole_room(published: Release, tmp_path: Path) -> None:
+def test_check_and_score_doubt_a_whole_room(published: Release, tmp_path: Path) -> None:
     folder = written(published, tmp_path / "room")
     target = published.targets[0]
     shape = analytic_release.true_in_camera(target.recording, target.category, target.view)
@@ -93,9 +93,13 @@ def test_check_names_a_whole_room(published: Release, tmp_path: Path) -> None:
     )
     method = read_in_camera(folder)
     assert method is not None
-    problems, _ = check_camera(published, folder, method)
-    assert len(problems) == 1 and problems[0].startswith(f"{target.name}: 8")
-    assert problems[0].endswith("of it lies far beyond the object: the whole scene? Keep the object alone")
+    problems, notes = check_camera(published, folder, method)
+    said = "of it (bound 20%) lies far beyond the object: the whole scene? Keep the object alone"
+    assert not problems
+    assert notes[1].startswith(f"{target.name}: 8") and notes[1].endswith(said)
+    assert notes[0].endswith("of the size of what it measured; up to 1% is well, beyond 10% is named")
+    warned = score(published, folder, method="n", protocols=["camera"]).warnings
+    assert f"{notes[1]}; `kinectbench check` looks at all" in warned
 
 
 def test_a_mesh_in_the_camera_frame_without_a_declaration_is_answered(

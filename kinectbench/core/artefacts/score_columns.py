@@ -18,7 +18,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, ScoredPair, ScoreRow, fields_of
 from kinectbench.core.artefacts.score_marks import Sha256
 from kinectbench.core.artefacts.stored import StoredPart
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import StorageError, pydantic_message
 from kinectbench.core.storage import canonical_json, replaced_file, storage_errors
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
@@ -130,7 +130,7 @@ def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
         return tuple(row for start in range(0, count, AT_ONCE) for row in _rows(arrays, start))
     except ValidationError as error:
         first = error.errors(include_input=False)[0]
-        why = f"'{'.'.join(map(str, first['loc']))}': {first['msg']}"
+        why = f"'{'.'.join(map(str, first['loc']))}': {pydantic_message(first)}"
     except (*UNREADABLE, ValueError) as error:
         why = str(error)
     raise StorageError(f"{path}: not the rows of a score table ({why}); score the predictions again")

@@ -32,7 +32,7 @@ from pydantic import (
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import DictSchema, ListSchema, TupleSchema
 
-from kinectbench.core.errors import KinectBenchError, StorageError
+from kinectbench.core.errors import KinectBenchError, StorageError, pydantic_message
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable, read_plain_text
@@ -176,7 +176,7 @@ class Stored(StoredPart):
                 raise cls.ERROR(f"{where}: {problem}; {cls.ADVICE}") from error
             first = error.errors(include_input=False)[0]
             key = ".".join(str(part) for part in first["loc"])
-            why = first["msg"].removeprefix("Value error, ")
+            why = pydantic_message(first)
             problem = f"'{printable(key)}': {printable(why, 200)}" if key else why
             raise cls.ERROR(f"{where}: {problem}; {cls.ADVICE}") from error
         except (ValueError, RecursionError) as error:

@@ -30,6 +30,7 @@ from kinectbench.core.artefacts.targets import (
     Splits,
 )
 from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import pydantic_message
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import (
@@ -109,7 +110,7 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
                     return
                 for fault in error.errors():
                     where = printable(".".join(str(part) for part in fault["loc"]))
-                    problem = printable(fault["msg"], MOST_CHARACTERS)
+                    problem = printable(pydantic_message(fault), MOST_CHARACTERS)
                     yield f"'{where}': {problem}" if where else problem
 
 

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinectbench.core.geometry.rigid import similarity_scale
-from kinectbench.core.types import Float64, Int64
+from kinectbench.core.types import Float64
+from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 
-# What is free, as indices of a step: a shift (3), the logarithm of a scale, a rotation vector (3).
-KINDS: dict[str, tuple[int, ...]] = {"t": (0, 1, 2), "t+s": (0, 1, 2, 3), "R+t+s": (0, 1, 2, 3, 4, 5, 6)}
+# How much is free of a step, from its begin: a shift (3), the logarithm of a scale, a rotation vector (3).
+KINDS = {"t": 3, "t+s": 4, "R+t+s": 7}
 # Samples of each surface and steps: from all starts, then from the best of them (chosen here; with them the
 # tests' shapes come back to within the bounds stated in docs/scoring-in-space.md).
 COARSE, FINE = (400, 12), (3000, 40)
@@ -66,6 +67,11 @@ class _Pair:
         assert self.theirs.normals is not None
         return self.theirs.normals
 
+    def ways(self) -> "Ways":
+        """The nearest of the truth to samples of the prediction, and the other way round."""
+        ours, theirs = self.ours, self.theirs
+        return NearestOfMoving(theirs.tree, len(ours)), NearestOfMoving(ours.tree, len(theirs))
+
     def thinned(self, most: int) -> "_Pair":
         """The same with fewer samples; those of the truth are put into the midst of its steps."""
         made = self.truth.smoothed
@@ -95,7 +101,7 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
     best = min(ways, key=lambda T: _far(coarse, T))
     T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
     # Of a free size the scale itself says nothing.
-    size = similarity_scale(T) * _spread(surface) / max(_spread(known), 1e-9)
+    size = similarity_scale(T) * surface.spread_m / max(known.spread_m, 1e-9)
     return SurfaceRegistration(T, moved < OK_STILL * truth.size_m and LEAST_SIZE < size < MOST_SIZE)
 
 
@@ -103,7 +109,7 @@ def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
     """As predicted; then with the same middle, of the same size, and turned about each axis, as is free."""
     yield np.eye(4)
     ours, theirs = pair.ours.center_m, pair.theirs.center_m
-    scale = 1.0 if kind == "t" else _spread(pair.theirs) / max(_spread(pair.ours), 1e-9)
+    scale = 1.0 if kind == "t" else pair.theirs.spread_m / max(pair.ours.spread_m, 1e-9)
     for rotation in _rotations() if kind == "R+t+s" else [np.eye(3)]:
         T = np.eye(4)
         T[:3, :3] = scale * rotation
@@ -118,27 +124,26 @@ def _rotations() -> Sequence[Float64]:
     return [np.asarray(Rotation.from_rotvec(np.radians(START_DEG) * one).as_matrix()) for one in vectors]
 
 
-def _spread(surface: Surface) -> float:
-    """Root of the mean square of the distances from the middle, by area."""
-    squared = ((surface.points_m - surface.center_m) ** 2).sum(axis=1)
-    return float(np.sqrt((surface.areas * squared).sum() / surface.areas.sum()))
+Ways = tuple[NearestOfMoving, NearestOfMoving]
 
 
-def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float64, Int64]:
+def _matches(pair: _Pair, T: Float64, ways: Ways) -> tuple[Float64, Float64, Float64, Float64, int]:
     """Places of the prediction, where each belongs, the normals there, weights; and how many are one way."""
     from kinectbench.scoring.camera.kernels import mapped
 
     moved = mapped(pair.ours.points_m, T[:3])
-    moved = moved[pair.truth.at(moved)[0]]
-    there, found = pair.theirs.tree.query(moved) if len(moved) else (np.zeros(0), np.zeros(0, np.int64))
-    back, nearest = pair.ours.tree.query(mapped(pair.theirs.points_m, np.linalg.inv(T)[:3]))
+    is_known = pair.truth.at(moved)[0]
+    there, found = ways[0].of(moved, is_known)
+    moved = moved[is_known]
+    theirs = mapped(pair.theirs.points_m, np.linalg.inv(T)[:3])
+    back, nearest = ways[1].of(theirs, np.ones(len(theirs), bool))
     back = back * similarity_scale(T)
     drawn = mapped(pair.ours.points_m[nearest], T[:3])
     places = np.concatenate([moved, drawn])
     targets = np.concatenate([pair.theirs.points_m[found], pair.theirs.points_m])
     normals = np.concatenate([pair.normals[found], pair.normals])
     weights = np.concatenate([_weights(there), _weights(back)])
-    return places, targets, normals, weights, np.array([len(moved), len(drawn)])
+    return places, targets, normals, weights, len(moved)
 
 
 def _weights(distances: Float64) -> Float64:
@@ -153,9 +158,9 @@ def _weights(distances: Float64) -> Float64:
 
 def _far(pair: _Pair, T: Float64) -> float:
     """The Chamfer distance of the samples."""
-    places, targets, _, _, counts = _matches(pair, T)
+    places, targets, _, _, count = _matches(pair, T, pair.ways())
     distances = np.sqrt(((places - targets) ** 2).sum(axis=1))
-    ways = np.split(distances, [int(counts[0])])
+    ways = np.split(distances, [count])
     return float(sum(way.mean() if len(way) else np.inf for way in ways))
 
 
@@ -165,16 +170,14 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
 
     from kinectbench.scoring.camera.kernels import step_equations
 
-    T, moved, free = start, np.inf, np.array(KINDS[kind])
+    T, moved, free, ways = start, np.inf, KINDS[kind], pair.ways()
     size_m = pair.truth.size_m
     for _ in range(count):
-        places, targets, normals, weights, _ = _matches(pair, T)
+        places, targets, normals, weights, _ = _matches(pair, T, ways)
         middle = places.mean(axis=0)
-        H, g = step_equations(places, targets, normals, weights, middle, along)
-        H, g = H[np.ix_(free, free)], g[free]
-        H[np.diag_indices(len(free))] += DAMPING * np.trace(H)
+        H, g = step_equations(places, targets, normals, weights, middle, along, free)
         step = np.zeros(7)
-        step[free] = np.linalg.solve(H, -g)
+        step[:free] = np.linalg.solve(H + DAMPING * np.trace(H) * np.eye(free), -g)
         # No step doubles a size, or turns by more than a third of a circle.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
         change = np.eye(4)

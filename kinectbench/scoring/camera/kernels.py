@@ -8,56 +8,65 @@ RADIUS_CELLS = 3
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def faces_of_cells(padded):  # type: ignore[no-untyped-def]
+def faces_of_cells(packed):  # type: ignore[no-untyped-def]
     """Every face between an occupied cell and a free one.
 
     Args:
-        padded: (i + 2, j + 2, k + 2) bool, cells with a free one around.
+        packed: (i + 2, j + 2, k / 8) uint8, cells with a free one around, as `pack` packs them along k.
 
     Returns:
-        (n, 3) int32, the occupied cell of each face without the padding, in C order; (n,) int8, the axis
-        across the face; (n,) int8, 1 where the free cell has the larger index, else -1.
+        (n, 3) int32, the occupied cell of each face without the free ones around, in C order; (n,) int8, the
+        axis across the face; (n,) int8, 1 where the free cell has the larger index, else -1.
     """
-    ni, nj, nk = padded.shape
-    cells = padded.ravel()
-    steps = np.array([nj * nk, nk, 1])
-    count = _faces(
-        cells, ni, nj, nk, steps, np.empty((0, 3), np.int32), np.empty(0, np.int8), np.empty(0, np.int8)
-    )
+    count = _faces(packed, np.empty((0, 3), np.int32), np.empty(0, np.int8), np.empty(0, np.int8))
     inside = np.empty((count, 3), np.int32)
     axes, signs = np.empty(count, np.int8), np.empty(count, np.int8)
-    _faces(cells, ni, nj, nk, steps, inside, axes, signs)
+    _faces(packed, inside, axes, signs)
     return inside, axes, signs
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _faces(cells, ni, nj, nk, steps, inside, axes, signs):  # type: ignore[no-untyped-def]
-    """The number of faces; they are written where there is room."""
-    count, far, near = 0, steps[0], steps[1]
-    for i in range(1, ni - 1):
-        for j in range(1, nj - 1):
-            row = i * far + j * near
-            for k in range(1, nk - 1):
-                n = row + k
-                around = cells[n - 1] & cells[n + 1] & cells[n - near] & cells[n + near]
-                if not cells[n] or (around & cells[n - far] & cells[n + far]):
+def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
+    """The number of faces; they are written where there is room. Eight cells are looked at together."""
+    count, last = 0, packed.shape[2] - 1
+    free = np.empty(6, np.int64)
+    for i in range(1, packed.shape[0] - 1):
+        for j in range(1, packed.shape[1] - 1):
+            for b in range(last + 1):
+                cells = np.int64(packed[i, j, b])
+                if not cells:
                     continue
-                for axis in range(3):
-                    for sign in (-1, 1):
-                        if not cells[n + sign * steps[axis]]:
+                before = np.int64(packed[i, j, b - 1]) if b else 0
+                after = np.int64(packed[i, j, b + 1]) if b < last else 0
+                free[0], free[1] = ~packed[i - 1, j, b], ~packed[i + 1, j, b]
+                free[2], free[3] = ~packed[i, j - 1, b], ~packed[i, j + 1, b]
+                free[4], free[5] = ~(cells >> 1 | before << 7), ~(cells << 1 | after >> 7)
+                if not cells & (free[0] | free[1] | free[2] | free[3] | free[4] | free[5]):
+                    continue
+                for bit in range(7, -1, -1):
+                    if not cells >> bit & 1:
+                        continue
+                    for side in range(6):
+                        if free[side] >> bit & 1:
                             if count < len(inside):
-                                inside[count, 0], inside[count, 1], inside[count, 2] = i - 1, j - 1, k - 1
-                                axes[count], signs[count] = axis, sign
+                                inside[count, 0], inside[count, 1] = i - 1, j - 1
+                                inside[count, 2] = 8 * b + 6 - bit
+                                axes[count], signs[count] = side // 2, 2 * (side % 2) - 1
                             count += 1
     return count
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def outward(cells, inside):  # type: ignore[no-untyped-def]
-    """(n, 3) float64: away from the mass of the 7^3 cells around each surface cell, of length 1 or 0."""
+def outward(packed, inside):  # type: ignore[no-untyped-def]
+    """(n, 3) float64: away from the mass of the 7^3 cells around each surface cell, of length 1 or 0.
+
+    Args:
+        packed: as `faces_of_cells` takes them.
+        inside: (n, 3) as it returns them.
+    """
     normals = np.zeros((len(inside), 3))
-    size, rows = cells.shape, _rows(cells)
-    # Of seven cells along k, as bits: how many there are, and the sum of their distances.
+    rows, columns, last = packed.shape[0], packed.shape[1], packed.shape[2] - 1
+    # Of seven cells along k, as bits, the last one lowest: how many there are, the sum of their distances.
     counts, moments = np.zeros(128, np.int64), np.zeros(128, np.int64)
     for code in range(128):
         for bit in range(7):
@@ -69,10 +78,17 @@ def outward(cells, inside):  # type: ignore[no-untyped-def]
         if n and inside[n - 1, 0] == i and inside[n - 1, 1] == j and inside[n - 1, 2] == k:
             normals[n] = normals[n - 1]
             continue
+        i, j, k = i + 1, j + 1, k + 1
+        byte, shift = k >> 3, 12 - (k & 7)
         x = y = z = 0
-        for a in range(max(i - RADIUS_CELLS, 0), min(i + RADIUS_CELLS + 1, size[0])):
-            for b in range(max(j - RADIUS_CELLS, 0), min(j + RADIUS_CELLS + 1, size[1])):
-                code = rows[a, b, k]
+        for a in range(max(i - RADIUS_CELLS, 0), min(i + RADIUS_CELLS + 1, rows)):
+            for b in range(max(j - RADIUS_CELLS, 0), min(j + RADIUS_CELLS + 1, columns)):
+                three = np.int64(packed[a, b, byte]) << 8
+                if byte:
+                    three |= np.int64(packed[a, b, byte - 1]) << 16
+                if byte < last:
+                    three |= np.int64(packed[a, b, byte + 1])
+                code = three >> shift & 127
                 x += (i - a) * counts[code]
                 y += (j - b) * counts[code]
                 z += moments[code]
@@ -80,23 +96,6 @@ def outward(cells, inside):  # type: ignore[no-untyped-def]
         if length > 0:
             normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
     return normals
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _rows(cells):  # type: ignore[no-untyped-def]
-    """(i, j, k) uint8: the seven cells around each along k as bits, the last one lowest."""
-    rows = np.empty(cells.shape, np.uint8)
-    last = cells.shape[2]
-    for i in range(cells.shape[0]):
-        for j in range(cells.shape[1]):
-            code = 0
-            for k in range(last + RADIUS_CELLS):
-                code = code << 1 & 127
-                if k < last and cells[i, j, k]:
-                    code |= 1
-                if k >= RADIUS_CELLS:
-                    rows[i, j, k - RADIUS_CELLS] = code
-    return rows
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -212,6 +211,29 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def strayed(points, asked, base, leeway):  # type: ignore[no-untyped-def]
+    """(m,) int64: of points (n, 3) that are asked (n,), those not within `leeway` (n,) of `base` (n, 3)."""
+    found, count = np.empty(len(points), np.int64), 0
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - base[n, 0], points[n, 1] - base[n, 1], points[n, 2] - base[n, 2]
+        if asked[n] and not np.sqrt(x * x + y * y + z * z) < leeway[n]:
+            found[count] = n
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def distances_to(points, samples, found):  # type: ignore[no-untyped-def]
+    """(n,) float64: of points (n, 3) to the samples (m, 3) with the indices `found` (n,)."""
+    distances = np.empty(len(points))
+    for n in range(len(points)):
+        f = found[n]
+        x, y, z = points[n, 0] - samples[f, 0], points[n, 1] - samples[f, 1], points[n, 2] - samples[f, 2]
+        distances[n] = np.sqrt(x * x + y * y + z * z)
+    return distances
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-def]
     """(n,) bool each: whether points lie in known cells, and in seen ones; all outside is known, not seen.
 
@@ -236,8 +258,8 @@ def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def step_equations(places, targets, normals, weights, middle, along):  # type: ignore[no-untyped-def]
-    """The normal equations of a step of the registration: H (7, 7) and gradient (7,).
+def step_equations(places, targets, normals, weights, middle, along, free):  # type: ignore[no-untyped-def]
+    """The normal equations of a step of the registration: H (free, free) and gradient (free,).
 
     A step shifts (3), scales by e^s and turns by a rotation vector (3) about `middle`. What it lessens is the
     weighted sum of squared distances along the normals, and `along` times the whole squared distances.
@@ -249,30 +271,33 @@ def step_equations(places, targets, normals, weights, middle, along):  # type: i
         weights: (n,).
         middle: (3,).
         along: a factor.
+        free: 3, 4 or 7, the first so many of these.
     """
-    H, g = np.zeros((7, 7)), np.zeros(7)
-    J = np.zeros((3, 7))
-    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
-    row = np.empty(7)
+    H, g = np.zeros((free, free)), np.zeros(free)
+    row, whole = np.empty(7), np.empty(7)
+    # Products of the columns of the Jacobian: (1 0 0), (0 1 0), (0 0 1), p, and the unit axes x p.
+    of = np.zeros((7, 7))
+    of[0, 0] = of[1, 1] = of[2, 2] = 1.0
     for n in range(len(places)):
-        x, y, z = places[n] - middle
-        J[0, 3], J[1, 3], J[2, 3] = x, y, z
-        J[0, 5], J[0, 6] = z, -y
-        J[1, 4], J[1, 6] = -z, x
-        J[2, 4], J[2, 5] = y, -x
-        gap = places[n] - targets[n]
-        across = gap[0] * normals[n, 0] + gap[1] * normals[n, 1] + gap[2] * normals[n, 2]
-        for a in range(7):
-            row[a] = J[0, a] * normals[n, 0] + J[1, a] * normals[n, 1] + J[2, a] * normals[n, 2]
-        for a in range(7):
-            whole = J[0, a] * gap[0] + J[1, a] * gap[1] + J[2, a] * gap[2]
-            g[a] += weights[n] * (row[a] * across + along * whole)
-            for b in range(a + 1):
-                product = J[0, a] * J[0, b] + J[1, a] * J[1, b] + J[2, a] * J[2, b]
-                H[a, b] += weights[n] * (row[a] * row[b] + along * product)
-    for a in range(7):
-        for b in range(a):
-            H[b, a] = H[a, b]
+        x, y, z = places[n, 0] - middle[0], places[n, 1] - middle[1], places[n, 2] - middle[2]
+        a, b, c = places[n, 0] - targets[n, 0], places[n, 1] - targets[n, 1], places[n, 2] - targets[n, 2]
+        p, q, r = normals[n]
+        across, weight = a * p + b * q + c * r, weights[n]
+        row[0], row[1], row[2], row[3] = p, q, r, x * p + y * q + z * r
+        row[4], row[5], row[6] = -z * q + y * r, z * p + -x * r, -y * p + x * q
+        whole[0], whole[1], whole[2], whole[3] = a, b, c, x * a + y * b + z * c
+        whole[4], whole[5], whole[6] = -z * b + y * c, z * a + -x * c, -y * a + x * b
+        of[3, 0], of[3, 1], of[3, 2], of[3, 3] = x, y, z, x * x + y * y + z * z
+        of[4, 1], of[4, 2], of[5, 0], of[5, 2], of[6, 0], of[6, 1] = -z, y, z, -x, -y, x
+        of[4, 4], of[5, 5], of[6, 6] = z * z + y * y, z * z + x * x, y * y + x * x
+        of[5, 4], of[6, 4], of[6, 5] = -x * y, -z * x, -y * z
+        for i in range(free):
+            g[i] += weight * (row[i] * across + along * whole[i])
+            for j in range(i + 1):
+                H[i, j] += weight * (row[i] * row[j] + along * of[i, j])
+    for i in range(free):
+        for j in range(i):
+            H[j, i] = H[i, j]
     return H, g
 
 

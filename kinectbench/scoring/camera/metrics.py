@@ -122,13 +122,10 @@ def figures_by_part(
     back = _way(true_known, true_seen, ours, most)
     found: dict[ShapePart, PartFigures] = {}
     for part in PARTS:
-        here = _of_part(truth.is_seen, part)
-        true_area, of_known = (
-            float(truth.surface.areas[here & which].sum()) for which in (True, truth.is_known)
-        )
+        true_area, of_known = truth.areas_m2[part]
         metrics = _metrics(truth, there.of(part), back.of(part))
         voxels, coverage_voxels, coverage_shape = _voxels(truth, solid, part)
-        volume_m3 = coverage_shape * packed_count(truth.full) * truth.voxel_size_m**3
+        volume_m3 = coverage_shape * truth.solid_cells * truth.voxel_size_m**3
         papers = None
         if in_camera and part == "whole" and len(ours) and len(true_known):
             papers = bounds.as_papers(_as_octmae(there, back), ours, true_known, truth.size_m, truth.is_open)
@@ -142,10 +139,6 @@ def figures_by_part(
             papers,
         )
     return found, left_out
-
-
-def _of_part(seen: Bools, part: str) -> Bools:
-    return np.ones_like(seen) if part == "whole" else seen if part == "visible" else ~seen
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
@@ -168,9 +161,11 @@ def _drawn(surface: Surface, most: int) -> Int64:
     """Which samples are measured, `most` of them, drawn by a hash of all: nobody can choose them."""
     if len(surface) <= most:
         return np.arange(len(surface))
-    digest = blake3_of(np.ascontiguousarray(surface.points_m).tobytes())
-    seed = int(digest.rpartition(":")[2], 16)
-    return np.sort(np.random.default_rng(seed).choice(len(surface), most, replace=False, shuffle=False))
+    if most not in surface.drawn:
+        digest = blake3_of(np.ascontiguousarray(surface.points_m).tobytes())
+        rng = np.random.default_rng(int(digest.rpartition(":")[2], 16))
+        surface.drawn[most] = np.sort(rng.choice(len(surface), most, replace=False, shuffle=False))
+    return surface.drawn[most]
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
@@ -226,15 +221,18 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
-    counted = counted_cells(truth, part)
-    occupied = counted & truth.full
-    true, shape = packed_count(occupied), packed_count(truth.full)
-    shares = packed_count(counted) / FULL_CELLS**3, true / shape if shape else 1.0
+    if part not in truth.counted:
+        counted = counted_cells(truth, part)
+        truth.counted[part] = counted, packed_count(counted), packed_count(counted & truth.full)
+    counted, cells, true = truth.counted[part]
+    shape = truth.solid_cells
+    shares = cells / FULL_CELLS**3, true / shape if shape else 1.0
     if solid is None:
         return VoxelMetrics(), *shares
-    both = packed_count(occupied & solid.cells)
+    ours = counted & solid.cells
+    both = packed_count(ours & truth.full)
     # The view saw nothing of what lies outside the grid.
-    predicted = packed_count(counted & solid.cells) + (solid.outside if part != "visible" else 0.0)
+    predicted = packed_count(ours) + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0
     return (
         VoxelMetrics(

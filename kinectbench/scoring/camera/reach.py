@@ -2,16 +2,11 @@
 
 import numpy as np
 
-from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.geometry import transform_points
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
-
-# Of the truth's cells about so many are counted, each so-manieth: with 256 cells a side they lie 4 cells
-# apart or nearer (chosen here; of a box cut in halves 0.500 is found).
-COUNTED = 100_000
 
 
 def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
@@ -24,13 +19,9 @@ def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -
     """
     if volume_m is None and shape.cells is None:
         return None
-    cells = np.flatnonzero(unpack(truth.full & truth.known))
-    if not len(cells):
+    points_m = truth.some_cells_m
+    if not len(points_m):
         return None
-    # No step that divides a side would always meet the same columns.
-    cells = cells[:: max(len(cells) // COUNTED, 1) | 1]
-    centers_m = (np.stack(np.unravel_index(cells, (FULL_CELLS,) * 3), axis=1) + 0.5) * truth.voxel_size_m
-    points_m = transform_points(invert_rigid(truth.T_grid_camera), centers_m)
     inside = np.ones(len(points_m), bool)
     if volume_m is not None:
         inside &= ((points_m >= volume_m[0]) & (points_m <= volume_m[1])).all(axis=1)

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera_shape import CameraShape
 
 # Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
@@ -40,7 +41,7 @@ class Surface:
         second: (m, 3) the other edge from there.
         owner: (n,) the patch of each sample.
         is_triangle: whether patches are triangles, else rectangles.
-        found_in: where it was before it was mapped: what finds its samples there, and the (4, 4) back.
+        found_in: what it was before it was mapped, whose tree finds its samples, and the (4, 4) back.
     """
 
     points_m: Float64
@@ -51,7 +52,7 @@ class Surface:
     second: Float64
     owner: Int64
     is_triangle: bool
-    found_in: tuple[cKDTree, Float64] | None = None
+    found_in: "tuple[Surface, Float64] | None" = None
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -72,8 +73,16 @@ class Surface:
         center: Float64 = (self.areas[:, None] * self.points_m).sum(axis=0) / self.areas.sum()
         return center
 
+    @cached_property
+    def spread_m(self) -> float:
+        """Root of the mean square of the distances of the samples from the middle, by area."""
+        squared = ((self.points_m - self.center_m) ** 2).sum(axis=1)
+        return float(np.sqrt((self.areas * squared).sum() / self.areas.sum()))
+
     def chosen(self, which: Bools | Int64) -> "Surface":
         """Some of the samples; patches stay."""
+        if which.dtype == np.bool_:  # rows by number take half of the time (measured)
+            which = np.flatnonzero(which)
         normals = None if self.normals is None else self.normals[which]
         return replace(
             self,
@@ -84,10 +93,21 @@ class Surface:
             found_in=None,
         )
 
+    @cached_property
+    def drawn(self) -> dict[int, Int64]:
+        """Which samples `metrics` has drawn to be measured, by how many."""
+        return {}
+
+    @cached_property
+    def _fewer(self) -> dict[int, "Surface"]:
+        return {}
+
     def thinned(self, most: int) -> "Surface":
-        """About every so-manieth sample, so that at most `most` remain; these then stand for all."""
+        """About every so-manieth sample, so that at most `most` remain; these stand for all, and are kept."""
         step = -(-len(self) // most)
-        return self if step <= 1 else self.chosen(np.arange(step // 2, len(self), step))
+        if step > 1 and most not in self._fewer:
+            self._fewer[most] = self.chosen(np.arange(step // 2, len(self), step))
+        return self._fewer[most] if step > 1 else self
 
     def transformed(self, T: Float64) -> "Surface":
         """The surface mapped by a similarity (4, 4)."""
@@ -103,7 +123,7 @@ class Surface:
             corner=mapped(self.corner, T[:3]),
             first=mapped(self.first, linear),
             second=mapped(self.second, linear),
-            found_in=(self.tree, np.linalg.inv(T).astype(np.float64)),
+            found_in=(self, np.linalg.inv(T).astype(np.float64)),
         )
 
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
@@ -116,8 +136,8 @@ class Surface:
         if self.found_in is None:
             distances, found = self.tree.query(points_m)
         else:
-            tree, T = self.found_in
-            distances, found = tree.query(mapped(points_m, T[:3]))
+            before, T = self.found_in
+            distances, found = before.tree.query(mapped(points_m, T[:3]))
             distances = distances / similarity_scale(T)
         if len(self.corner):
             owner = self.owner[found]
@@ -166,11 +186,14 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         vertices_m: (v, 3) metres.
         faces: (m, 3).
     """
-    faces = faces[_is_no_dust(vertices_m, faces)]
-    corner = vertices_m[faces[:, 0]]
-    first, second = vertices_m[faces[:, 1]] - corner, vertices_m[faces[:, 2]] - corner
+    corner, ahead, behind = (vertices_m[faces[:, n]] for n in range(3))
+    first, second = ahead - corner, behind - corner
     across = np.cross(first, second)
     twice = np.linalg.norm(across, axis=1)
+    kept = np.flatnonzero(twice >= DUST * twice.mean())
+    if len(kept) < len(faces):
+        faces, twice = faces[kept], twice[kept]
+        corner, first, second, across = (part[kept] for part in (corner, first, second, across))
     normals = across / np.where(twice > 0, twice, 1)[:, None]
     total = twice.sum()
     # Of a mesh without any area all triangles count alike.
@@ -190,12 +213,6 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
     )
 
 
-def _is_no_dust(vertices_m: Float64, faces: Int64) -> Bools:
-    a, b, c = (vertices_m[faces[:, corner]] for corner in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return np.asarray(areas >= DUST * areas.mean())
-
-
 def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     """The faces between occupied cells and free ones, in the grid's frame; and the occupied cell of each.
 
@@ -213,9 +230,10 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
 
     low, high = _box(cells)
     part = cells[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    inside, axes, signs = faces_of_cells(np.pad(part, 1))
+    packed = pack(np.pad(part, 1))
+    inside, axes, signs = faces_of_cells(packed)
     _refuse_many(len(inside))
-    normals = outward(part, inside)
+    normals = outward(packed, inside)
     units = np.eye(3)
     centers = inside + low + 0.5 + 0.5 * signs[:, None] * units[axes]
     first, second = units[(axes + 1) % 3], units[(axes + 2) % 3]

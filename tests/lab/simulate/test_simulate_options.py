@@ -34,10 +34,10 @@ def test_merged_leaves_its_arguments_alone():
 @pytest.mark.parametrize(
     ("override", "says"),
     [
-        ("path.frams=3", "path.frams: unknown; did you mean 'frames'"),
+        ("path.frams=3", "in --set path.frams=3: unknown; did you mean 'frames'"),
         ("sensr.model=ideal", "did you mean 'sensor'"),
         ("path.frames=x", "found 'x'; wanted a whole number from 1 to 100000"),
-        ("path.frames=0", "wanted a whole number"),
+        ("path.frames=0", "in --set path.frames=0: found 0; wanted a whole number"),
         ("path.arc_rad=1e9", "from 0 to 100"),
         ("path=3", "wanted values of frames, rate_hz"),
         ("scene.place=indor", "one of indoor, outdoor"),
