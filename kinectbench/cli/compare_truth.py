@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status
-from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
+from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import KinectBenchError, SettingsError
 
 if TYPE_CHECKING:
-    from kinectbench.core.artefacts.reference import ReferenceFile
+    from collections.abc import Mapping
+
+    from kinectbench.core.artefacts.reference import ComparedMesh, ReferenceFile
 
 COLUMNS = {
     "recording": "recording",
@@ -21,6 +23,10 @@ COLUMNS = {
     "residual": "off by",
     "pose": "pose",
 }
+LEGEND = (
+    "F: of the surface that both saw; IoU: of the solids, where the truth is known; "
+    "off by: the mean distance, both ways"
+)
 FORMS = {"f_score_5mm": ".3f", "f_score_10mm": ".3f", "iou": ".3f"}
 
 
@@ -44,7 +50,7 @@ def compare_truth_command(
     console.lines("note", [f"{name}: no mesh of it in {references}" for name in without], "yellow")
     rows = build_recordings(common, list(paths), "segment")
     built = [row.recording for row in rows if not row.error]
-    found: dict[str, ReferenceFile] = {}
+    found: dict[str, tuple[ComparedMesh, ReferenceFile]] = {}
     failed = []
     with console.progress_bar("compare-truth") as progress:
         for done, name in enumerate(built, 1):
@@ -53,23 +59,42 @@ def compare_truth_command(
             except KinectBenchError as error:
                 failed += [f"{name}: {line}" for line in error.lines]
             progress(done, len(built))
-    refused = [
-        f"{name}: {each.reference} is refused: {each.refused}" for name, each in found.items() if each.refused
-    ]
     if common.as_json:
-        console.say_json({name: each.json_value() for name, each in found.items()})
+        console.say_json({name: whole.json_value() for name, (_, whole) in found.items()})
     else:
-        shown = [_row(name, each) for name, each in found.items() if not each.refused]
-        if shown:
-            console.out.print(console.text_table(shown, COLUMNS, FORMS))
+        _say_table(found)
+    refused = [_refusal(name, new) for name, (new, _) in found.items() if new.refused]
     same = [
-        f"{name}: {each.reference} is this very truth: it is compared with itself, which proves nothing"
-        for name, each in found.items()
-        if each.itself
+        f"{name}: {new.reference} is this very truth: it is compared with itself, which proves nothing"
+        for name, (new, _) in found.items()
+        if new.itself
     ]
-    console.lines("note", same, "yellow")
+    earlier = [
+        f"{_refusal(name, each)}; to forget that, delete build/{name}/reference.json and compare again"
+        for name, (new, whole) in found.items()
+        for each in whole.all
+        if each.refused and each.sha256 != new.sha256
+    ]
+    console.lines("note", [*same, *earlier], "yellow")
     console.lines("error", [*refused, *failed], "red")
-    return exit_status(rows) or (SOME_FAILED if refused or failed else 0)
+    status = exit_status(rows)
+    if not refused and not failed:
+        return status
+    return SOME_FAILED if len(found) > len(refused) else CANNOT_BE_USED
+
+
+def _refusal(name: str, of: "ComparedMesh") -> str:
+    return f"{name}: {of.reference} is refused: {of.refused}"
+
+
+def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> None:
+    """Print what was accepted, now and before, beside the same objects."""
+    from kinectbench.cli import console
+
+    shown = [_row(name, each) for name, (_, whole) in found.items() for each in whole.all if not each.refused]
+    if shown:
+        console.out.print(console.text_table(shown, COLUMNS, FORMS))
+        console.say(LEGEND)
 
 
 def _references(
@@ -89,7 +114,7 @@ def _references(
     return {next(iter(names)): reference}
 
 
-def _row(name: str, found: "ReferenceFile") -> dict[str, object]:
+def _row(name: str, found: "ComparedMesh") -> dict[str, object]:
     """A recording in the table."""
     other, pose = found.runner_up, "one"
     if found.symmetric_axis_floor is not None:

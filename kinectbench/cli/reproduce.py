@@ -1,7 +1,7 @@
 """The command `reproduce`: the protocol of a paper, from recordings to its table."""
 
 from dataclasses import asdict, replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -9,9 +9,15 @@ from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.methods import Device
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
+
+if TYPE_CHECKING:
+    from kinectbench.release.release import Release
 
 # 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. What `--set` says wins.
 COUNT = 50
+# Characters of a name or a source in the table (chosen here).
+LONGEST_NAME = 200
 PAPER_REAL = (f"views.count={COUNT}", "pairs.framing=object")
 
 
@@ -23,7 +29,8 @@ def reproduce_command(
 ) -> int:
     """Build, publish, predict and score by the protocol of the paper; print its table; go on after a stop.
 
-    All networks that come trained predict. Thresholds are those of the validation split.
+    All networks that come trained predict; other methods' predictions beside theirs are scored, too.
+    Thresholds are those of the validation split.
     """
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
@@ -61,13 +68,26 @@ def reproduce_command(
             jobs=common.workers,
             progress=progress,
         )
-    tables = [table for table in tables if table.method in packaged_methods()]
     found = paper_tables(tables)
     # Such as: it learnt from objects of the test.
     warned = [f"{table.method}: {line}" for table in tables for line in table.warnings]
     console.lines("warning", warned, "yellow")
-    text = "\n".join([paper_markdown(found), *(f"- {line}" for line in warned)])
+    text = "\n".join([paper_markdown(found), f"- {_origin(release)}", *(f"- {line}" for line in warned), ""])
     with replaced_file(folder / "table.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
     common.tell([asdict(table) for table in found], text.splitlines())
     return exit_status(rows)
+
+
+def _origin(release: "Release") -> str:
+    """What the pairs are, in a line of the table."""
+    pairs, info = release.split("test"), release.metadata
+    counted = f"{len(pairs)} pairs of {printable(info.name, LONGEST_NAME)}"
+    if info.settings.recordings is None:
+        return (
+            f"The figures are of {counted}, which were not built of recordings here but synthesised or "
+            "imported: nothing proves that they are real."
+        )
+    many = len({pair.recording for pair in pairs})
+    stated = printable(info.settings.source or "unspecified", LONGEST_NAME)
+    return f"The figures are of {counted}, built of {many} recording{'s' * (many != 1)}; source: {stated}."

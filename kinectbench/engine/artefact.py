@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 7,
     "publish": 37,
     "synthesize": 2,
-    "score": 9,
+    "score": 10,
     "baselines": 3,
 }
 

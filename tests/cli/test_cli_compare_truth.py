@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from shutil import copy
 
 import pytest
 from scipy.spatial.transform import Rotation
@@ -47,26 +48,68 @@ def test_right_meshes_of_a_folder_are_compared(command: Command, root: Path) -> 
 
 
 def test_a_truth_beside_itself_is_said_to_be_so(command: Command, root: Path) -> None:
-    """Its F of 1 proves nothing."""
+    """Its F of 1 proves nothing, and takes nobody's place."""
+    folder = root / "build/chair"
+    (folder / "reference.json").unlink(missing_ok=True)
     run = command(root, "compare-truth", "chair", "--reference", "build/chair/object/mesh.ply")
     assert run.status == 0, run.err
     assert "note: chair: mesh.ply is this very truth: it is compared with itself" in run.err
-    found = ReferenceFile.read(root / "build/chair")
+    found = ReferenceFile.read(folder)
     assert found.itself and found.f_score_10mm == 1.0 and found.info.json_value()["itself"] is True
     other = command(root, "compare-truth", "chair", "--reference", "meshes/chair.ply", "--json")
     assert "itself" not in other.err and "itself" not in json.loads(other.out)["chair"]
-    assert "itself" not in ReferenceFile.read(root / "build/chair").info.json_value()
+    assert "itself" not in ReferenceFile.read(folder).info.json_value()
+    command(root, "compare-truth", "chair", "--reference", "build/chair/object/mesh.ply")
+    found = ReferenceFile.read(folder)
+    assert [each.reference for each in found.all] == ["chair.ply", "mesh.ply"] and not found.itself
+
+
+def _table_decision(command: Command, root: Path) -> tuple[str, str]:
+    command(root, "triage")
+    rows = json.loads((root / "triage/triage.json").read_text())["rows"]
+    (row,) = [row for row in rows if row["recording"] == "table"]
+    return row["decision"], "; ".join(row["reasons"])
 
 
 def test_a_wrong_mesh_is_refused_and_triage_says_look(command: Command, root: Path) -> None:
     run = command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
-    assert run.status == 3
+    assert run.status == 1
     assert "error: table: chair.ply is refused: " in run.err and "Traceback" not in run.err
-    command(root, "triage")
-    rows = json.loads((root / "triage/triage.json").read_text())["rows"]
-    table = next(row for row in rows if row["recording"] == "table")
-    assert table["decision"] == "look"
-    assert any(line.startswith("its reference chair.ply does not fit: ") for line in table["reasons"])
+    decision, reasons = _table_decision(command, root)
+    assert decision == "look" and "its reference chair.ply does not fit: " in reasons
+
+
+def test_a_refusal_keeps_the_mesh_that_fits(command: Command, root: Path) -> None:
+    file = root / "build/table/reference.json"
+    file.unlink(missing_ok=True)
+    assert command(root, "compare-truth", "table", "--reference", "meshes/table.ply").status == 0
+    good = json.loads(file.read_text())
+    assert "others" not in good
+    # A file of before this rule is read, and its mesh is kept.
+    run = command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
+    assert run.status == 1 and "table.ply" in run.out and "F: of the surface" in run.out
+    assert "error: table: chair.ply is refused: " in run.err
+    whole = json.loads(file.read_text())
+    (other,) = whole.pop("others")
+    assert whole == good and other["reference"] == "chair.ply" and other["refused"]
+    decision, reasons = _table_decision(command, root)
+    assert decision == "look" and "its reference chair.ply does not fit: " in reasons
+    # Once more the good one: each stands there once, and the refusal is told.
+    run = command(root, "compare-truth", "table", "--reference", "meshes/table.ply")
+    assert run.status == 0 and "note: table: chair.ply is refused: " in run.err
+    assert [each.reference for each in ReferenceFile.read(file.parent).all] == ["table.ply", "chair.ply"]
+    # Of an object that was built before nothing is kept.
+    file.write_text(json.dumps({**good, "object_fingerprint": "older"}))
+    command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
+    assert [each.reference for each in ReferenceFile.read(file.parent).all] == ["chair.ply"]
+
+
+def test_some_refused_is_another_status_than_all(command: Command, root: Path) -> None:
+    (root / "mixed").mkdir()
+    for name in ("chair", "table"):
+        copy(root / "meshes/chair.ply", root / f"mixed/{name}.ply")
+    run = command(root, "compare-truth", "--references", "mixed", "--json")
+    assert run.status == 3 and "error: table: table.ply is refused: " in run.err
 
 
 def test_recordings_without_a_mesh_are_named(command: Command, root: Path) -> None:
@@ -84,10 +127,10 @@ def test_recordings_without_a_mesh_are_named(command: Command, root: Path) -> No
         (("--reference", "meshes/chair.ply"), 2, "name the one recording that the mesh is of"),
         (("--references", "nowhere"), 1, "no such folder"),
         (("--references", "recordings"), 1, "holds no mesh named as a recording or its object"),
-        (("chair", "--reference", "benchmark.yaml"), 3, "save it as .ply"),
-        (("chair", "--reference", "no.ply"), 3, "no.ply"),
-        (("chair", "--reference", "meshes/flat.obj"), 3, "its faces have no area"),
-        (("chair", "--reference", "meshes/points.ply"), 3, "no mesh, as it has no faces"),
+        (("chair", "--reference", "benchmark.yaml"), 1, "save it as .ply"),
+        (("chair", "--reference", "no.ply"), 1, "no.ply"),
+        (("chair", "--reference", "meshes/flat.obj"), 1, "its faces have no area"),
+        (("chair", "--reference", "meshes/points.ply"), 1, "no mesh, as it has no faces"),
     ],
 )
 def test_what_cannot_be_used_is_one_line(

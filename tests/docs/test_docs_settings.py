@@ -37,7 +37,7 @@ def test_help_and_page_name_every_format_of_simulate(command: Callable[..., Run]
 
 
 @pytest.mark.parametrize(
-    ("page", "model"), [("simulation.md", SimulationSpec), ("synthetic.md", SynthesisSettings)]
+    ("page", "model"), [("evidence/simulation.md", SimulationSpec), ("synthetic.md", SynthesisSettings)]
 )
 def test_every_setting_is_listed(page: str, model: type[Settings]) -> None:
     items = [" ".join(item.split()) for item in (DOCS / page).read_text().split("\n- ")]

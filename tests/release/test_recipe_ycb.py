@@ -5,19 +5,17 @@ import tarfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from made_once import made_once
 from scan_server import ScanServer
 from small_benchmark import Run
 
-from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
-from kinectbench.lab.simulate.simulate import simulate
-from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.file import load_benchmark
 
-h5py = pytest.importorskip("h5py", reason="needs kinectbench[ycb]")
+pytest.importorskip("h5py", reason="needs kinectbench[ycb]")
+from ycb_replica import make_thing
+
 Command = Callable[..., Run]
 THINGS = ("chair", "bench", "stool", "crate", "piano", "kennel")
 SOURCES = """\
@@ -44,20 +42,7 @@ publish: {gate: {min_estimated_iou: 0, max_unknown_share: 1, max_doubts: 100, mi
 def make_things(folder: Path) -> None:
     """Each on a turntable, 24 images of 160 x 120 pixels, with masks and the poses of the turntable."""
     for name in THINGS:
-        spec = {
-            "object": f"{name}:seed=0",
-            "format": "ycb",
-            "path": {"frames": 24, "moves": "turntable", "arc_rad": 6.2},
-            "sensor": {"width": 160, "height": 120},
-            "given": {"masks": True},
-            "save_depth": False,
-        }
-        simulate(SimulationSpec.model_validate(spec), folder / name)
-        # The simulator writes where the camera stands; its truth is how the thing lies to the camera.
-        for row in np.loadtxt(folder / f"{name}.truth" / "trajectory.txt"):
-            pose = rigid(rotation_from_quaternion_xyzw(row[4:8]), row[1:4])
-            with h5py.File(folder / name / "poses" / f"NP5_{int(row[0])}_pose.h5", "a") as file:
-                file["H_table_from_reference_camera"][:] = pose
+        make_thing(folder, name, f"{name}:seed=0")
 
 
 def packed(folder: Path) -> bytes:

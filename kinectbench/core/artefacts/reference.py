@@ -1,6 +1,7 @@
 """reference.json beside an object: how it compares with a mesh that somebody else measured or drew."""
 
-from typing import ClassVar, Literal
+from collections.abc import Sequence
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -52,16 +53,11 @@ class ReferenceInfo(StoredPart):
     itself: Literal[True] | None = Field(None, description=ITSELF)
 
 
-class ReferenceFile(Stored):
-    """build/<recording>/reference.json."""
+class ComparedMesh(StoredPart):
+    """A mesh beside an object."""
 
-    FILE: ClassVar[str] = "reference.json"
-    ADVICE: ClassVar[str] = "`kinectbench compare-truth` makes it again"
-
-    format_version: Literal[1] = Field(1, description="of this file's format")
     reference: str = Field(description=MESH)
     sha256: str = Field(description="of its bytes")
-    object_fingerprint: str = Field(description="of the object that it was compared with")
     refused: str | None = Field(description=REFUSED)
     itself: Literal[True] | None = Field(None, description=ITSELF)
     closed: bool = Field(description="whether every edge of the mesh has two faces")
@@ -90,3 +86,50 @@ class ReferenceFile(Stored):
         """What a release says of it."""
         keys = [key for key in ReferenceInfo.model_fields if key != "itself" or self.itself]
         return ReferenceInfo(**{key: getattr(self, key) for key in keys})
+
+
+class ReferenceFile(Stored, ComparedMesh):
+    """build/<recording>/reference.json: the mesh that was accepted last, and beside it the others.
+
+    A mesh that is the truth itself, or was refused, stands there where there is no better one.
+    """
+
+    FILE: ClassVar[str] = "reference.json"
+    ADVICE: ClassVar[str] = "`kinectbench compare-truth` makes it again"
+
+    format_version: Literal[1] = Field(1, description="of this file's format")
+    object_fingerprint: str = Field(description="of the object that they were compared with")
+    others: tuple[ComparedMesh, ...] = Field(
+        (),
+        description="other meshes compared with this object: accepted ones first, then the last one first",
+    )
+
+    @property
+    def all(self) -> tuple[ComparedMesh, ...]:
+        """All comparisons, this one first."""
+        return (self, *self.others)
+
+    @classmethod
+    def of(cls, compared: Sequence[ComparedMesh], object_fingerprint: str) -> Self:
+        """The file of some comparisons with one object, the last one first."""
+        first, *others = sorted(compared, key=lambda each: (each.refused is not None, bool(each.itself)))
+        values = given(first) | {"object_fingerprint": object_fingerprint}
+        return cls(**(values | {"others": tuple(others)} if others else values))
+
+    def with_new(self, new: ComparedMesh) -> Self:
+        """The file after another comparison, which takes the place of an earlier one of the same mesh."""
+        earlier = [
+            ComparedMesh(**{key: value for key, value in given(each).items() if key not in OF_FILE})
+            for each in self.all
+            if each.sha256 != new.sha256
+        ]
+        return type(self).of([new, *earlier], self.object_fingerprint)
+
+
+# What only the whole file has.
+OF_FILE = ReferenceFile.model_fields.keys() - ComparedMesh.model_fields.keys()
+
+
+def given(part: ComparedMesh) -> dict[str, Any]:
+    """The values of a comparison that were given."""
+    return {key: getattr(part, key) for key in part.model_fields_set}

@@ -9,12 +9,13 @@ from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.artefacts.reference import (
+    ComparedMesh,
     DirectionPart,
     DirectionsPart,
     ReferenceFile,
     RunnerUpPart,
 )
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Bools, Float64
@@ -28,6 +29,8 @@ from kinectbench.stages.segment.object_model import MESH, ObjectModel, read_obje
 from kinectbench.stages.segment.reference.judge import Laid, lay
 from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
+# In a folder of a thing: where YCB's archives of Google's scanner have its mesh.
+YCB_MESH = "google_16k/nontextured.ply"
 # Of the reference, what lies so near to a measured sample was seen; what lies in free space was, too.
 NEAR_M = 0.02
 # Faces within 45 degrees of the vertical look up or down.
@@ -38,6 +41,8 @@ DECIMALS = 6
 
 def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
     """The mesh of each recording in a folder: `<id>.ply`, `.obj` or `.glb`, or by the name of its object.
+
+    So is YCB's own layout, `<object>/google_16k/nontextured.ply`.
 
     Args:
         folder: of the meshes.
@@ -50,7 +55,8 @@ def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
         raise RecordingError(f"{folder}: no such folder; name that of the meshes", what="not-found")
     found = {}
     for name, thing in names.items():
-        paths = (folder / f"{stem}{suffix}" for stem in (name, thing) for suffix in SUFFIXES)
+        plain = (folder / f"{stem}{suffix}" for stem in (name, thing) for suffix in SUFFIXES)
+        paths = (*plain, folder / thing / YCB_MESH)
         if (path := next((path for path in paths if path.is_file()), None)) is not None:
             found[name] = path
     if not found:
@@ -61,8 +67,10 @@ def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
     return found
 
 
-def compare_reference(folder: Path, path: Path) -> ReferenceFile:
-    """Compare the built object of a recording with a reference mesh, and write reference.json.
+def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, ReferenceFile]:
+    """Compare the built object of a recording with a reference mesh, and put it into reference.json.
+
+    What other meshes gave beside the same object stays there. A file that cannot be read is replaced.
 
     Args:
         folder: `build/<recording>/`, up to the object.
@@ -79,12 +87,20 @@ def compare_reference(folder: Path, path: Path) -> ReferenceFile:
             "reference": path.name,
             "sha256": reference.sha256,
             **({"itself": True} if reference.sha256 in _truths(folder / "object") else {}),
-            "object_fingerprint": Manifest.read(folder / "object").fingerprint,
         }
     )
-    with replaced_file(folder / found.FILE) as temporary:
-        temporary.write_text(found.text(), encoding="utf-8")
-    return found
+    fingerprint = Manifest.read(folder / "object").fingerprint
+    try:
+        before = ReferenceFile.read_if_there(folder)
+    except StorageError:
+        before = None
+    if before is not None and before.object_fingerprint == fingerprint:
+        whole = before.with_new(found)
+    else:
+        whole = ReferenceFile.of([found], fingerprint)
+    with replaced_file(folder / whole.FILE) as temporary:
+        temporary.write_text(whole.text(), encoding="utf-8")
+    return found, whole
 
 
 def _truths(folder: Path) -> Iterator[str]:
@@ -94,7 +110,7 @@ def _truths(folder: Path) -> Iterator[str]:
         yield truth.sha256
 
 
-def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ReferenceFile:
+def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ComparedMesh:
     """The figures of a reference beside an object; files are named by the caller.
 
     Args:
@@ -102,7 +118,7 @@ def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> Reference
         laid: the reference, as `lay` has laid it.
         closed: whether its mesh is.
     """
-    head = ReferenceFile(reference="", sha256="", object_fingerprint="", refused=laid.refused, closed=closed)
+    head = ComparedMesh(reference="", sha256="", refused=laid.refused, closed=closed)
     if laid.pose is None:
         return head
     T, T_floor_world = laid.pose.T, model.floor.T_floor_world

@@ -94,7 +94,8 @@ def _fingerprint(
 ) -> str:
     manifests = [release_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
     references = [
-        None if (found := current_reference(build / name)) is None else found.sha256 for name in recordings
+        None if (found := current_reference(build / name)) is None else [each.sha256 for each in found.all]
+        for name in recordings
     ]
     failures = [failure(build / each.id) for each in settings.recordings if each.id not in recordings]
     content = [

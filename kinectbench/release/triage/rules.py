@@ -87,7 +87,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         head = CameraFile.read_if_there(folder / "sequence")
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
-        of_reference = _of_reference(current_reference(folder))
+        of_reference = _of_references(current_reference(folder))
         look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
         # A warning is not repeated.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
@@ -185,17 +185,16 @@ def current_reference(folder: Path) -> ReferenceFile | None:
     return found
 
 
-def _of_reference(found: ReferenceFile | None) -> Iterator[str]:
-    """What is to be looked at of a mesh that somebody else measured or drew."""
-    if found is None:
-        return
-    if found.refused is not None:
-        yield f"its reference {found.reference} does not fit: {found.refused}"
-    elif found.f_score_10mm is not None and found.f_score_10mm < LEAST_REFERENCE_F:
-        yield (
-            f"its reference {found.reference} disagrees: F at 10 mm is {found.f_score_10mm:.2f}, below "
-            f"{LEAST_REFERENCE_F:g}"
-        )
+def _of_references(found: ReferenceFile | None) -> Iterator[str]:
+    """What is to be looked at of meshes that somebody else measured or drew."""
+    for each in () if found is None else found.all:
+        if each.refused is not None:
+            yield f"its reference {each.reference} does not fit: {each.refused}"
+        elif each.f_score_10mm is not None and each.f_score_10mm < LEAST_REFERENCE_F:
+            yield (
+                f"its reference {each.reference} disagrees: F at 10 mm is {each.f_score_10mm:.2f}, below "
+                f"{LEAST_REFERENCE_F:g}"
+            )
 
 
 def _of_frames(head: CameraFile | None) -> Iterator[str]:

@@ -11,8 +11,6 @@ from kinectbench.scoring.camera.surface import Surface
 
 # AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare so many points of each.
 POINTS, SEED = 16_384, 0
-# Of these, points that are moved: an exact assignment takes their number cubed.
-MOVED = 2048
 # PCN and AdaPoinTr: distances x 1000, F below 0.01 of their normalised units.
 PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 
@@ -54,9 +52,14 @@ def as_papers(
         ours: the predicted surface in known space, not empty.
         theirs: the true one, likewise.
         size_m: the diagonal of the truth's box, which is 1 for PCN.
-        emd: whether the earth mover's distance is computed, which takes two seconds.
+        emd: whether the earth mover's distance is computed, which takes seven seconds.
     """
     one, other = points_by_area(ours), points_by_area(theirs)
+    emd_m = None
+    if emd:
+        from kinectbench.scoring.camera.assignment import assigned_mean_m
+
+        emd_m = assigned_mean_m(one, other)
     ways = [_to_points(one, other), _to_points(other, one)]
     l1_m, l2_m2 = sum(way.mean() for way in ways), sum((way**2).mean() for way in ways)
     near = [float((way < PCN_TOLERANCE * size_m).mean()) for way in ways]
@@ -67,20 +70,8 @@ def as_papers(
         pcn_f=2 * near[0] * near[1] / sum(near) if sum(near) else 0.0,
         sds_chamfer_l1_mm=float(l1_m / 2 * MM_PER_M),
         sds_chamfer_l2_mm2=float(l2_m2 * MM_PER_M**2),
-        sds_emd_mm=earth_movers_m(one, other) * MM_PER_M if emd else None,
+        sds_emd_mm=None if emd_m is None else emd_m * MM_PER_M,
     )
-
-
-def earth_movers_m(points_m: Float64, others_m: Float64) -> float:
-    """The mean distance of the best one-to-one assignment of `MOVED` of each; exact.
-
-    SDS-Complete approximates it by an auction over all points (eps .005, 50 iterations).
-    """
-    from scipy.optimize import linear_sum_assignment
-    from scipy.spatial.distance import cdist
-
-    far_m = cdist(*(points[:: -(-len(points) // MOVED)] for points in (points_m, others_m)))
-    return float(far_m[linear_sum_assignment(far_m)].mean())
 
 
 def points_by_area(surface: Surface) -> Float64:
