@@ -12,8 +12,8 @@ from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
-    from kinectbench.record.begin import OdometryProcess
     from kinectbench.record.guide.process import GuideProcess
+    from kinectbench.record.odometry_process import OdometryProcess
     from kinectbench.record.recorder import Recorded
 
 
@@ -63,7 +63,7 @@ def record_command(
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     with _odometry(out) if built else nullcontext() as odometry:
-        with _guide(port, guided) as guide, console.frames_counted(f"record {out}") as progress:
+        with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
             done = record_with(
                 camera,
                 out,
@@ -86,7 +86,7 @@ def _odometry(out: Path) -> "Iterator[OdometryProcess | None]":
     if missing_extra("build"):
         yield None  # the build says so
         return
-    from kinectbench.record.begin import OdometryProcess
+    from kinectbench.record.odometry_process import OdometryProcess
 
     odometry = OdometryProcess(out)
     try:
@@ -96,7 +96,7 @@ def _odometry(out: Path) -> "Iterator[OdometryProcess | None]":
 
 
 @contextmanager
-def _guide(port: int, wanted: bool | None) -> "Iterator[GuideProcess | None]":
+def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess | None]":
     """The guide while one records; None if it is not wanted, or, with a warning, if it cannot be started."""
     from kinectbench.cli import console
 
@@ -111,7 +111,7 @@ def _guide(port: int, wanted: bool | None) -> "Iterator[GuideProcess | None]":
     try:
         if missing := missing_extra("build"):
             raise CaptureError(f"no guide: {missing}")
-        guide = GuideProcess(port)
+        guide = GuideProcess(port, out)
         console.lines("guide", [f"open {guide.url}"], "cyan")
     except CaptureError as error:
         console.lines("warning", [str(error)], "yellow")
@@ -129,13 +129,13 @@ def _build(common: Common, out: Path, ended_s: float, odometry: "OdometryProcess
     from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
-    from kinectbench.stages.track.begun import using_begun
+    from kinectbench.stages.track.partial_odometry import using_partial_odometry
 
     if odometry is not None:
         odometry.ended()
     quiet = replace(common, as_json=False)
     init_command(folder=out)
-    with using_begun(odometry.begun) if odometry is not None else nullcontext():
+    with using_partial_odometry(odometry.so_far) if odometry is not None else nullcontext():
         status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")

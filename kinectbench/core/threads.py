@@ -49,20 +49,20 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
         yield from map(function, items)
         return
     remaining = iter(items)
-    begun: deque[Future[Result]] = deque()
+    started: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for _ in range(threads + 1):
-                begun.extend(_begun(pool, function, remaining))
-            while begun:
-                result = begun.popleft().result()
-                begun.extend(_begun(pool, function, remaining))
+                started.extend(_started(pool, function, remaining))
+            while started:
+                result = started.popleft().result()
+                started.extend(_started(pool, function, remaining))
                 yield result
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _begun(
+def _started(
     pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]
 ) -> Iterator[Future[Result]]:
     """The next item's result, or the error that the iterator raised."""

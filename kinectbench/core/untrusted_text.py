@@ -92,17 +92,17 @@ def csv_rows(text: str) -> list[list[str]]:
         ValueError: it is malformed, or has too many values; the message names the line, from 1.
     """
     _check_values(text, ",\n")
-    reader, rows, begun = csv.reader(io.StringIO(text), strict=True), list[list[str]](), 0
+    reader, rows, first_line = csv.reader(io.StringIO(text), strict=True), list[list[str]](), 0
     try:
         for row in reader:
             rows.append(row)
-            begun = reader.line_num
+            first_line = reader.line_num
     except csv.Error as error:
         message = {
             "unexpected end of data": "a quote that is opened there is not closed",
             "',' expected after '\"'": "a quote is followed by neither a comma nor the end of the line",
         }.get(str(error), str(error))
-        raise ValueError(f"line {begun + 1}: {message}") from error
+        raise ValueError(f"line {first_line + 1}: {message}") from error
     return rows
 
 

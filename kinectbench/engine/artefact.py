@@ -37,7 +37,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,
-    "publish": 37,
+    "publish": 38,
     "synthesize": 2,
     "score": 10,
     "baselines": 3,

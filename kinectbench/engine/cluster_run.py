@@ -39,7 +39,7 @@ class Run(Generic[Task, Result]):
         events: what tasks and the scheduler say, and the futures that have ended.
         running: number of a task by its future; two of one that is tried twice.
         asked_gb: what each was submitted with.
-        begun: when each was submitted first, by `time.monotonic`.
+        submitted_s: when each was submitted first, by `time.monotonic`.
         seconds: how long those took that have ended.
         alone: those that may have nothing beside them.
         killed: those that are to be tried alone.
@@ -56,7 +56,7 @@ class Run(Generic[Task, Result]):
     events: "SimpleQueue[Any]" = field(default_factory=SimpleQueue)
     running: "dict[Future, int]" = field(default_factory=dict)
     asked_gb: dict[int, float] = field(default_factory=dict)
-    begun: dict[int, float] = field(default_factory=dict)
+    submitted_s: dict[int, float] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
     alone: set[int] = field(default_factory=set)
     killed: deque[int] = field(default_factory=deque)
@@ -84,7 +84,7 @@ class Run(Generic[Task, Result]):
         except Exception as error:  # the scheduler went since it was looked at
             raise self.gone() from error
         self.running[future] = number
-        self.begun.setdefault(number, time.monotonic())
+        self.submitted_s.setdefault(number, time.monotonic())
         if alone:
             self.alone.add(number)
         future.add_done_callback(self.events.put)
@@ -102,9 +102,9 @@ class Run(Generic[Task, Result]):
         """Give the longest running task to a second worker, if it is slower than most were."""
         copies = Counter(self.running.values())
         single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
-        slowest = min(single, key=self.begun.__getitem__, default=None)
+        slowest = min(single, key=self.submitted_s.__getitem__, default=None)
         usual_s = median(self.seconds) if self.seconds else float("inf")
-        if slowest is not None and time.monotonic() - self.begun[slowest] > 2 * usual_s:
+        if slowest is not None and time.monotonic() - self.submitted_s[slowest] > 2 * usual_s:
             self.submit(slowest)
 
     def ended(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
@@ -135,7 +135,7 @@ class Run(Generic[Task, Result]):
             del self.running[copy]
             copy.cancel()
         self._tell_orphaned(number)
-        self.seconds.append(time.monotonic() - self.begun.pop(number))
+        self.seconds.append(time.monotonic() - self.submitted_s.pop(number))
         yield self.tasks[number], outcome
 
     def _note_orphaned(self, event: dict[str, Any]) -> None:

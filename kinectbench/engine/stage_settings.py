@@ -28,6 +28,7 @@ from kinectbench.settings.models import (
     Vector4,
     ViewSettings,
 )
+from kinectbench.settings.pick import PickSettings
 
 Section = TypeVar("Section", bound=Settings)
 # The name of the source that a person's masks are.
@@ -112,9 +113,10 @@ class FuseSettings(StageSettings):
 class SuggestSettings(StageSettings):
     """Settings of `suggest`."""
 
-    ADDED = ("segment_by", "floor")
+    ADDED = ("segment_by", "floor", "pick")
 
     segment_by: SegmentBy | None = None
+    pick: PickSettings | None = None
     floor: Vector4 | None = None
     segmentation: FloorCuts
 
@@ -123,13 +125,14 @@ class SegmentSettings(StageSettings):
     """Settings of `segment`."""
 
     ADDED = (
-        *("segment_by", "floor", "underside"),
+        *("segment_by", "floor", "underside", "pick"),
         *("segmentation.line_width_m", "segmentation.near_m"),
         *("segmentation.camera_size_m", "segmentation.camera_height_m"),
     )
 
     segment_by: SegmentBy | None = None
     box: BoxSettings | None
+    pick: PickSettings | None = None
     floor: Vector4 | None = None
     underside: Underside = "unseen"
     segmentation: ObjectCuts

@@ -132,7 +132,8 @@ def _fuse(job: Job) -> StageSettings:
 
 def _suggest(job: Job) -> StageSettings:
     own, cuts = job.recording, part_of(FloorCuts, job.settings.segmentation)
-    return SuggestSettings(segment_by=own.segment_by, floor=own.plane_world, segmentation=cuts)
+    floor, pick = own.plane_world, own.pick
+    return SuggestSettings(segment_by=own.segment_by, floor=floor, pick=pick, segmentation=cuts)
 
 
 def _segment(job: Job) -> StageSettings:
@@ -140,6 +141,7 @@ def _segment(job: Job) -> StageSettings:
     return SegmentSettings(
         segment_by=own.segment_by,
         box=own.box,
+        pick=own.pick,
         floor=own.plane_world,
         underside=settings.underside_of(own),
         segmentation=part_of(ObjectCuts, settings.segmentation),

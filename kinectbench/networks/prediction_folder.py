@@ -57,8 +57,8 @@ class PredictionFolder:
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._folder, self._run = folder, run
-        done, begun = MethodFile.read_if_there(folder), UnfinishedFile.read_if_there(folder)
-        self._check(done, begun, targets)
+        done, unfinished = MethodFile.read_if_there(folder), UnfinishedFile.read_if_there(folder)
+        self._check(done, unfinished, targets)
         written = self._written_before(done)
         self._kept = {
             name: digest
@@ -70,7 +70,7 @@ class PredictionFolder:
         is_whole = is_same and all(map(self.holds, wanted)) and self._kept.keys() == written.keys()
         self._complete = done if is_whole else None
         if self._complete is None:
-            self._begin(done, begun, targets, say)
+            self._begin(done, unfinished, targets, say)
 
     def holds(self, target: Target) -> bool:
         """Whether this run wrote a target's prediction, and the file is unchanged."""
@@ -108,10 +108,10 @@ class PredictionFolder:
             (self._folder / name).unlink(missing_ok=True)
 
     def _check(
-        self, done: MethodFile | None, begun: UnfinishedFile | None, targets: Sequence[Target]
+        self, done: MethodFile | None, unfinished: UnfinishedFile | None, targets: Sequence[Target]
     ) -> None:
         folder = self._folder
-        for of in (done.benchmark_sha256 if done else None, begun.benchmark_sha256 if begun else None):
+        for of in (each.benchmark_sha256 for each in (done, unfinished) if each):
             if of and of != self._run.benchmark_sha256:
                 raise SettingsError(
                     f"{folder}: holds predictions for another release ({of[:8]}…); "
@@ -119,7 +119,7 @@ class PredictionFolder:
                     what="other-content",
                 )
         # What begins with a dot is the system's, or half a file of a run that was killed at its start.
-        ours = begun or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
+        ours = unfinished or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
         if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
             raise SettingsError(
                 f"{folder}: holds what `predict` did not write; choose another folder by --out, or move it "
@@ -148,7 +148,7 @@ class PredictionFolder:
     def _begin(
         self,
         done: MethodFile | None,
-        begun: UnfinishedFile | None,
+        unfinished: UnfinishedFile | None,
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
@@ -164,7 +164,7 @@ class PredictionFolder:
             removed = [name for name in sorted(before) if self._remove(name)]
         self._note(sorted(self._kept))
         if removed and say:
-            say(_removed_line(self._folder, len(removed), _difference(done, begun, self._run)))
+            say(_removed_line(self._folder, len(removed), _difference(done, unfinished, self._run)))
 
     def _remove(self, name: str) -> bool:
         """Remove a file that this run has not written; returns whether it existed."""
@@ -196,10 +196,10 @@ def _name(target: Target) -> str:
     return f"{target.recording}/{target.view}{SUFFIX}"
 
 
-def _difference(done: MethodFile | None, begun: UnfinishedFile | None, run: UnfinishedFile) -> str:
+def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
     """The difference to the run that left the files, as text; "" if it is this run."""
-    if begun is not None:
-        before = begun.json_value()
+    if unfinished is not None:
+        before = unfinished.json_value()
     elif done is not None:
         before = {**(done.settings or {}), "hardware": done.hardware}
         before["version"] = (done.version or "").removeprefix("kinectbench ")

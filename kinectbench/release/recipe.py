@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.sources_lock import LockedFile, ScanIndex, Sourc
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.storage import replaced_file, sha256_file, storage_errors
 from kinectbench.core.store.attempts import StoreGoneError
-from kinectbench.core.store.download import MOST_FILE_BYTES, Content, begun, download
+from kinectbench.core.store.download import MOST_FILE_BYTES, Content, download, partial_downloads
 from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import open_plain, read_plain_text
@@ -314,7 +314,7 @@ def _no_check(path: Path) -> None:
 def remove_scan(out: Path, scan: Scan) -> None:
     """Delete a scan and its partial downloads."""
     path = out / scan.path
-    for each in (path, out / scan.folder, *begun(path)):
+    for each in (path, out / scan.folder, *partial_downloads(path)):
         if each.is_dir():
             shutil.rmtree(each)
         else:

@@ -13,13 +13,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.geometry.boxes import BoxAnchor, Pose
+from kinectbench.core.geometry.boxes import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.names import Category, Name, Named, first_clash
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import DepthCode, Framing, PartialRule, Split, Underside
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
+from kinectbench.settings.pick import PickSettings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
 from kinectbench.settings.texts import Line
 
@@ -161,6 +161,7 @@ class RecordingSettings(Settings):
     underside: Underside | None = Field(None, description=f"{UNDERSIDE}; default: its category's")
     camera: CameraSettings | None = Field(None, description="only what the recording does not say")
     box: BoxSettings | None = Field(None, description="only where objects touch")
+    pick: PickSettings | None = Field(None, description="only where the cameras look elsewhere")
     floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
     segment_by: SegmentBy | None = Field(
         None, description="the object moves before the camera; masks, or that it turns, say what it is"

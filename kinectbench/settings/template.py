@@ -13,6 +13,7 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings, CategorySettings, RecordingSettings
+from kinectbench.settings.pick import PICK_FILE, PickSettings
 from kinectbench.settings.words import field_range, model_of
 
 # What `category` is until a person says it; `build` and `publish` warn of it.
@@ -50,7 +51,7 @@ def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes
     names = _unique_ids([folder_name if path == "." else path for path, _ in recordings], suffixes)
     lines = [HEADER.rstrip(), "", *_top_level(folder_name), "", "recordings:"]
     for number, ((path, kind), name) in enumerate(zip(recordings, names, strict=True)):
-        lines += _recording(name, path, kind)
+        lines += _recording(name, path, kind) + _picked(folder / path)
         lines += _recording_options() if number == 0 else []
     lines += ["", *_categories()]
     for section, field in BenchmarkSettings.model_fields.items():
@@ -81,6 +82,15 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
         _commented(f"    # underside: {underside.default}", f"say what you know; {underside.description}"),
         _commented(f"    split: {fields['split'].default}", fields["split"].description),
     ]
+
+
+def _picked(recording: Path) -> list[str]:
+    """The line of what was clicked while it was recorded; a file of another program is no such thing."""
+    try:
+        picked = PickSettings.model_validate_json((recording / PICK_FILE).read_bytes())
+    except (OSError, ValueError):
+        return []
+    return [_commented(f"    pick: {yaml_text(picked.model_dump(mode='json'))}", "clicked while recording")]
 
 
 def _recording_options() -> list[str]:

@@ -52,6 +52,7 @@ SETTINGS = {
     "recordings.chair.camera={fx: 131.0}": ALL,
     "recordings.chair.reference=scan.ply": FROM_SEGMENT,
     "recordings.chair.box={center_m: [0, 0, 0.5], size_m: [1, 1, 0.99]}": FROM_SEGMENT,
+    "recordings.chair.pick={frame: 3, pixel: [80, 60]}": FROM_SEGMENT,
     "recordings.chair.floor={plane_world: [0, 0, 1, 0]}": FROM_SEGMENT,
     "recordings.chair.underside=closed": (),  # it is
     "recordings.chair.underside=unseen": FROM_SEGMENT,

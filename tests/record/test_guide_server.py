@@ -13,15 +13,18 @@ from kinectbench.record.guide.server import FILES, PageServer
 
 @pytest.fixture
 def server() -> Iterator[PageServer]:
-    made = PageServer({"state": lambda: ("application/json", b"{}"), "mesh": lambda: None})
+    answers = {"state": lambda: ("application/json", b"{}"), "mesh": lambda: None}
+    made = PageServer(answers, posts={"pick": lambda body: body == b"here"})
     yield made
     made.close()
 
 
-def ask(server: PageServer, path: str, method: str = "GET", **headers: str) -> http.client.HTTPResponse:
+def ask(
+    server: PageServer, path: str, method: str = "GET", body: str | None = None, **headers: str
+) -> http.client.HTTPResponse:
     address = urlsplit(server.url)
     connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=10)
-    connection.request(method, path, headers={"Host": address.netloc, **headers})
+    connection.request(method, path, body, headers={"Host": address.netloc, **headers})
     answer = connection.getresponse()
     answer.body = answer.read()  # type: ignore[attr-defined]
     connection.close()
@@ -61,7 +64,20 @@ def test_the_page_may_load_its_own_files_only(server: PageServer) -> None:
     assert answer.headers["Content-Security-Policy"].startswith("default-src 'self'")
     assert answer.headers["Referrer-Policy"] == "no-referrer"
     assert "Access-Control-Allow-Origin" not in answer.headers
-    assert ask(server, urlsplit(server.url).path, "POST").status == 501
+    assert ask(server, urlsplit(server.url).path, "PUT").status == 501
+
+
+def test_only_the_page_itself_may_post(server: PageServer) -> None:
+    """A click needs the page's origin and its token, a known name, and a short body that says where."""
+    base, host = urlsplit(server.url).path, urlsplit(server.url).netloc
+    own = {"Origin": f"http://{host}", "body": "here"}
+    assert ask(server, f"{base}pick", "POST", **own).status == 204
+    assert ask(server, f"{base}pick", "POST", **{**own, "body": "there"}).status == 422
+    assert ask(server, f"{base}pick", "POST", body="here").status == 403
+    assert ask(server, f"{base}pick", "POST", **{**own, "Origin": "http://evil.example"}).status == 403
+    assert ask(server, "/x/pick", "POST", **own).status == 403
+    assert ask(server, f"{base}state", "POST", **own).status == 404
+    assert ask(server, f"{base}pick", "POST", **{**own, "body": "h" * 1001}).status == 404
 
 
 def test_a_port_that_is_taken_is_one_line(server: PageServer) -> None:

@@ -18,7 +18,7 @@ from kinectbench.core.types import Float64
 from kinectbench.lab.evaluate.reference import solids_iou
 from kinectbench.lab.simulate.objects import make_object
 from kinectbench.stages.segment.object_model import read_object
-from kinectbench.stages.segment.reference.judge import lay
+from kinectbench.stages.segment.reference.judge import register_reference
 
 Command = Callable[..., Run]
 # As `fetch recipes/ycb` writes a recording.
@@ -69,8 +69,8 @@ def test_a_scanners_mesh_is_laid_onto_what_was_built(command: Command, subject: 
     assert far_m < 0.001 and turned_deg < 0.5
     exact = solids_iou(model, true)[1]
     assert found.iou == pytest.approx(exact, abs=0.01)
-    refused = lay(model, larger(true)).refused
+    refused = register_reference(model, larger(true)).refused
     assert refused is not None
     other, _, its_seed = THINGS[THINGS.index(subject) - 1].partition(":")
     mesh = make_object(other, int(its_seed)).mesh
-    assert lay(model, TriangleMesh(mesh.vertices, mesh.faces)).refused is not None
+    assert register_reference(model, TriangleMesh(mesh.vertices, mesh.faces)).refused is not None

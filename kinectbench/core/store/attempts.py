@@ -217,11 +217,11 @@ def _given_up_for(
     place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
 ) -> StorageError:
     """The error of a store that failed for too long, or of a file in one that answers otherwise."""
-    kind, begun = StorageError, since
+    kind, since_s = StorageError, since
     if host in _given_up or not _has_answer(place, answers):
-        kind, begun = StoreGoneError, min(since, _given_up.setdefault(host, since))
+        kind, since_s = StoreGoneError, min(since, _given_up.setdefault(host, since))
     return kind(
-        f"{place}: the store did not answer well for {time.monotonic() - begun:.0f} s ({_reason(error)}); "
+        f"{place}: the store did not answer well for {time.monotonic() - since_s:.0f} s ({_reason(error)}); "
         "run the same command again when it does: what was stored is kept",
         what="no-answer",
     )

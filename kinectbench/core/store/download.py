@@ -118,12 +118,12 @@ def download(
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     content = patiently(_shown(urls[0]), attempt, lambda: furthest, lambda: _any_answers(urls))
-    for left in begun(path):
+    for left in partial_downloads(path):
         left.unlink(missing_ok=True)
     return content
 
 
-def begun(path: Path) -> list[Path]:
+def partial_downloads(path: Path) -> list[Path]:
     """Partial downloads beside a file's place."""
     names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
     return [each for each in names if each.name.startswith(f"{path.name}.")]

@@ -26,7 +26,7 @@ from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.solid import grid_iou, known_iou
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import MESH, ObjectModel, read_object
-from kinectbench.stages.segment.reference.judge import Laid, lay
+from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
 # In a folder of a thing: where YCB's archives of Google's scanner have its mesh.
@@ -82,7 +82,7 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
     """
     reference = read_reference(path)
     model = read_object(folder / "object")
-    found = reference_figures(model, lay(model, reference.mesh), reference.closed).model_copy(
+    found = reference_figures(model, register_reference(model, reference.mesh), reference.closed).model_copy(
         update={
             "reference": path.name,
             "sha256": reference.sha256,
@@ -110,31 +110,31 @@ def _truths(folder: Path) -> Iterator[str]:
         yield truth.sha256
 
 
-def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ComparedMesh:
+def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
     """The figures of a reference beside an object; files are named by the caller.
 
     Args:
         model: the object.
-        laid: the reference, as `lay` has laid it.
+        fit: the reference, as `register_reference` has it.
         closed: whether its mesh is.
     """
-    head = ComparedMesh(reference="", sha256="", refused=laid.refused, closed=closed)
-    if laid.pose is None:
+    head = ComparedMesh(reference="", sha256="", refused=fit.refused, closed=closed)
+    if fit.pose is None:
         return head
-    T, T_floor_world = laid.pose.T, model.floor.T_floor_world
-    if laid.scale is None:  # far off
+    T, T_floor_world = fit.pose.T, model.floor.T_floor_world
+    if fit.scale is None:  # far off
         return head.model_copy(
-            update={"T_world_reference": T, "residual_m": round(laid.pose.residual_m, DECIMALS)}
+            update={"T_world_reference": T, "residual_m": round(fit.pose.residual_m, DECIMALS)}
         )
-    f_5mm, f_10mm = f_scores(model, laid, T, (0.005, 0.01))
-    whole, known = solids_iou(model, laid.theirs.mesh.transformed(T)) if closed else (None, None)
-    other, axis = laid.runner_up, laid.symmetric_axis_floor
+    f_5mm, f_10mm = f_scores(model, fit, T, (0.005, 0.01))
+    whole, known = solids_iou(model, fit.theirs.mesh.transformed(T)) if closed else (None, None)
+    other, axis = fit.runner_up, fit.symmetric_axis_floor
     return head.model_copy(
         update={
             "T_world_reference": T,
-            "residual_m": round(laid.pose.residual_m, DECIMALS),
-            "scale": round(laid.scale, DECIMALS),
-            "mirrored_m": None if laid.mirrored_m is None else round(laid.mirrored_m, DECIMALS),
+            "residual_m": round(fit.pose.residual_m, DECIMALS),
+            "scale": round(fit.scale, DECIMALS),
+            "mirrored_m": None if fit.mirrored_m is None else round(fit.mirrored_m, DECIMALS),
             "runner_up": None
             if other is None
             else RunnerUpPart(
@@ -148,7 +148,7 @@ def reference_figures(model: ObjectModel, laid: Laid, closed: bool) -> ComparedM
             "f_score_10mm": round(f_10mm, DECIMALS),
             "iou": None if known is None else round(known, DECIMALS),
             "whole_iou": None if whole is None else round(whole, DECIMALS),
-            "directions": by_direction(laid, T, T_floor_world),
+            "directions": by_direction(fit, T, T_floor_world),
         }
     )
 
@@ -158,12 +158,14 @@ def _triple(vector: Float64) -> tuple[float, float, float]:
     return x, y, z
 
 
-def f_scores(model: ObjectModel, laid: Laid, T: Float64, thresholds_m: tuple[float, ...]) -> list[float]:
+def f_scores(
+    model: ObjectModel, fit: RegisteredReference, T: Float64, thresholds_m: tuple[float, ...]
+) -> list[float]:
     """F-scores of what both saw, by exact distances to triangles.
 
     Of the object that is what was measured; of the reference what lies in free space, or near to that.
     """
-    ours, theirs = laid.ours, laid.theirs
+    ours, theirs = fit.ours, fit.theirs
     there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
     other = transform_points(T, theirs.points)
     here = ours.distance_m(other)
@@ -184,9 +186,9 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
     return np.asarray(inside & (model.shape.labels[tuple(at.T)] == Label.FREE))
 
 
-def by_direction(laid: Laid, T: Float64, T_floor_world: Float64) -> DirectionsPart:
+def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
     """Signed distances of the measured surface along its own normals, by where they look."""
-    ours, theirs = laid.ours, laid.theirs
+    ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]
     back = transform_points(invert_rigid(T), points)
     far_m = theirs.distance_m(back)

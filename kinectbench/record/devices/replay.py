@@ -72,13 +72,13 @@ class Replay(Device):
 
     def _read_ahead(self) -> Iterator[RawFrame | None]:
         """The frames in their order, a few of them read before they are asked for; None: it is damaged."""
-        begun: deque[Future[RawFrame | None]] = deque()
+        reading: deque[Future[RawFrame | None]] = deque()
         for index in range(len(self._recording)):
-            begun.append(self._pool.submit(self._read, index))
-            if len(begun) > KEPT:
-                yield begun.popleft().result()
-        while begun:
-            yield begun.popleft().result()
+            reading.append(self._pool.submit(self._read, index))
+            if len(reading) > KEPT:
+                yield reading.popleft().result()
+        while reading:
+            yield reading.popleft().result()
 
     def _read(self, index: int) -> RawFrame | None:
         try:

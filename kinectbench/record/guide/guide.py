@@ -2,13 +2,14 @@
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.types import Float64
 from kinectbench.record.guide.looking import LEAST_KEYFRAMES, ObjectLook, look
@@ -21,15 +22,18 @@ from kinectbench.record.guide.sentences import (
     advice,
     directions_of,
 )
-from kinectbench.record.guide.tracker import LiveTracker
+from kinectbench.record.guide.tracker import KeyframesSoFar, LiveTracker
 from kinectbench.record.interface import Frame, Setup
+from kinectbench.stages.segment.find.picked import point_under
+from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
-# What was seen is looked at so often, by the clock of the frames, if a new keyframe came.
-LOOK_EVERY_S = 3.0
-# Depth is calibrated from so many keyframes on, and again when they are so many times as many.
-LEAST_CALIBRATED, CALIBRATED_AGAIN = 8, 1.5
-# Speeds are means of about so long: a hand shakes at several Hz.
-SPEED_S = 0.5
+# The graph is made and what was seen is looked at so often, by the clock of the frames, if a new keyframe
+# came: every 3 s the trajectory as it was said was 2.05 mm off, every 1.5 s 1.87 (600 simulated frames).
+LOOK_EVERY_S = 1.5
+# Speeds are means of about so long, of so many frames at most: a hand shakes at several Hz.
+SPEED_S, SPEED_FRAMES = 0.5, 60
+# The number of a frame among the tracker's, and a point (3,) in its camera frame, metres.
+Picked: TypeAlias = tuple[int, Float64]
 # A ball around the object fills the picture but for a margin.
 MARGIN = 1.1
 # The path is shown by as many points.
@@ -78,23 +82,21 @@ class Guide:
             beside: look on a thread of its own, while frames go on.
         """
         self._setup = setup
-        self.tracker, self.ring = LiveTracker(), Ring()
+        self.tracker, self.ring = LiveTracker(setup), Ring()
         self.seen: ObjectLook | None = None
-        self.poses: list[tuple[int, Float64]] = []
         self._speaker, self._looks, self._looked_at = Speaker(), 0, (0, -np.inf)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
-        self._look: Future[ObjectLook] | None = None
-        self._calibrated_at = 0
+        self._look: Future[tuple[KeyframeGraph, ObjectLook | None]] | None = None
+        self._picked: Picked | None = None
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
         """Track a frame, and say what is to be done."""
-        T_world_camera = self.tracker.take(frame, self._setup)
         self._look_again(frame.stamp_ns / NS_PER_S)
+        T_world_camera = self.tracker.take(frame)
         T_floor_camera: Float64 | None = None
         if T_world_camera is not None:
-            self._measure_speed(frame.stamp_ns, T_world_camera)
-            self.poses.append((frame.stamp_ns, T_world_camera))
+            self._measure_speed()
             if self.seen is not None:
                 T_floor_camera = np.asarray(self.seen.T_floor_world @ T_world_camera)
                 self._count(T_floor_camera[None])
@@ -104,11 +106,30 @@ class Guide:
         poses = T_world_camera, T_floor_camera
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
+    @property
+    def has_picked(self) -> bool:
+        """Whether the object was picked."""
+        return self._picked is not None
+
+    def pick(self, frame: Frame, pixel: tuple[int, int]) -> bool:
+        """The object is what a pixel of a frame's depth shows; False: it shows nothing.
+
+        Args:
+            frame: one that was taken.
+            pixel: column and row.
+        """
+        setup, index = self._setup, self.tracker.number_at(frame.stamp_ns)
+        point = point_under(depth_in_metres(frame.depth, setup.depth_scale), setup.camera, pixel)
+        if index is None or point is None:
+            return False
+        self._picked, self._looked_at = (index, point), (0, -np.inf)
+        return True
+
     def shown(self) -> dict[str, Any]:
         """Path, ring and box, for the page: metres, floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
-        T_world = np.array([T for _, T in self.poses])
+        _, T_world = self.tracker.poses()
         every = max(1, len(T_world) // PATH_POINTS)
         path = transform_points(self.seen.T_floor_world, T_world[::every, :3, 3])
         box = self.seen.box
@@ -126,38 +147,28 @@ class Guide:
     def _look_again(self, now_s: float) -> None:
         """Take the result of a look that is done; begin another one if it is time."""
         if self._look is not None and self._look.done():
-            self._take_look(self._look)
+            self._take_look(*self._look.result())
             self._look = None
         count = len(self.tracker.keyframes)
         known, last_s = self._looked_at
         if self._look is not None or count < max(LEAST_KEYFRAMES, known + 1) or now_s - last_s < LOOK_EVERY_S:
             return
         self._looked_at = count, now_s
-        keyframes, calibration = tuple(self.tracker.keyframes), self.tracker.calibration
-        again = count >= max(LEAST_CALIBRATED, CALIBRATED_AGAIN * self._calibrated_at)
-        if again:
-            self._calibrated_at = count
-        given = keyframes, self.tracker.camera, None if again else calibration
+        given = self.tracker.so_far(), self._picked
         if self._pool is not None:
-            self._look = self._pool.submit(look, *given)
+            self._look = self._pool.submit(_looked, *given)
             return
         self._look = Future()
-        try:
-            self._look.set_result(look(*given))
-        except KinectBenchError as error:
-            self._look.set_exception(error)
+        self._look.set_result(_looked(*given))
 
-    def _take_look(self, done: "Future[ObjectLook]") -> None:
-        try:
-            self.seen = done.result()
-        except KinectBenchError:
+    def _take_look(self, graph: KeyframeGraph, seen: ObjectLook | None) -> None:
+        self.tracker.go_on_from(graph)
+        if seen is None:
             return  # too little was seen; the next look knows more
-        if self.seen.straight is not None:
-            self.tracker.take_over(self.seen.straight)
+        self.seen = seen
         self._looks += 1
         self.ring = Ring()
-        if self.poses:
-            self._count(self.seen.T_floor_world @ np.array([T for _, T in self.poses]))
+        self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
         """Count poses (n, 4, 4) that look at the object."""
@@ -176,7 +187,7 @@ class Guide:
         box, T_floor_world = self.seen.box, self.seen.T_floor_world
         center = np.array(box.center_m)
         radius_m = float(np.linalg.norm(box.size_m)) / 2
-        positions = np.array([each.T_world_camera[:3, 3] for each in self.tracker.keyframes])
+        positions = self.tracker.poses(self.tracker.keyframes)[1][:, :3, 3]
         positions = transform_points(T_floor_world, positions)
         position = T_floor_camera[:3, 3]
         return Situation(
@@ -196,17 +207,28 @@ class Guide:
         camera = self._setup.camera
         return float(min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy)))
 
-    def _measure_speed(self, stamp_ns: int, T_world_camera: Float64) -> None:
+    def _measure_speed(self) -> None:
         """Over the last half second or more, so that the hand's shake is no speed."""
-        before = next(
-            (pose for pose in reversed(self.poses) if stamp_ns - pose[0] >= SPEED_S * NS_PER_S), None
-        )
-        if before is None:
+        stamps_ns, T_world = self.tracker.poses(self.tracker.newest(SPEED_FRAMES))
+        before = np.flatnonzero(stamps_ns[-1] - stamps_ns >= SPEED_S * NS_PER_S)
+        if not len(before):
             return
-        passed_s = (stamp_ns - before[0]) / NS_PER_S
-        moved = invert_rigid(before[1]) @ T_world_camera
+        first = int(before[-1])
+        passed_s = float(stamps_ns[-1] - stamps_ns[first]) / NS_PER_S
+        moved = invert_rigid(T_world[first]) @ T_world[-1]
         self._shift_mps = float(np.linalg.norm(moved[:3, 3])) / passed_s
         self._turn_radps = float(rotation_angle_rad(moved[:3, :3])) / passed_s
+
+
+def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:
+    """The graph of the keyframes, and what they saw of the object; None: too little."""
+    graph = known.graph()
+    T_world_camera = None if picked is None else known.placed(graph, picked[0])
+    at = None if picked is None or T_world_camera is None else transform_points(T_world_camera, picked[1])
+    try:
+        return graph, look(known.maps, graph, at)
+    except KinectBenchError:
+        return graph, None
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:

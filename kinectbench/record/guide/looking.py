@@ -4,18 +4,17 @@
 The frames are fewer and smaller, and the voxels larger.
 """
 
-from collections.abc import Sequence as Rows
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, OrientedBox, TriangleMesh
-from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float64
-from kinectbench.record.guide.straight import Keyframe, Straight, straightened
+from kinectbench.core.types import Float64, Int64
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.fuse import fuse, observe
 from kinectbench.stages.segment.find.gravity import floor_hint
@@ -24,13 +23,17 @@ from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
 from kinectbench.stages.segment.solid.grids import floor_layers, object_grid
 from kinectbench.stages.segment.solid.solid import make_solid
-from kinectbench.stages.track.frame_maps import STORED_PER_M
+from kinectbench.stages.track.frame_maps import STORED_PER_M, MapCache, stored_depth
+from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
 # The object's longest edge has so many voxels: an opening of a twentieth of it is two voxels wide.
 VOXELS_ALONG, FINEST_M = 40, 0.006
 # Keyframes that are fused, spread over the walk: 60 take 2 s beside the tracker on one core.
 MOST_KEYFRAMES = 60
 LEAST_KEYFRAMES = 3
+# Triangles that the page draws: 30,000 take 65 ms of software rendering (912x688 pixels, Chromium beside ten
+# other processes on two cores), 100,000 190 ms, 500,000 962 ms. 500,000 are reduced to them in half a second.
+SHOWN_TRIANGLES = 30_000
 FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 
@@ -43,69 +46,62 @@ class ObjectLook:
         box: around the object, floor frame.
         mesh: the object and what lies near it, floor frame.
         frontiers: openings that no keyframe saw into, the largest first.
-        straight: all keyframes calibrated, if that was asked for and found something.
     """
 
     T_floor_world: Float64
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
-    straight: Straight | None
 
 
 class _Depths:
     """The store of the keyframes."""
 
-    def __init__(self, keyframes: Rows[Keyframe]) -> None:
-        self._keyframes = keyframes
+    def __init__(self, maps: MapCache, keyframes: Int64) -> None:
+        self._maps, self._keyframes = maps, keyframes
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        return self._keyframes[index].depth
+        return stored_depth(self._maps[int(self._keyframes[index])][0].depth_m)
 
     def color_encoded(self, index: int) -> None:
         return None
 
 
-def look(
-    keyframes: Rows[Keyframe], camera: Camera, calibration: DepthCalibration | None = None
-) -> ObjectLook:
+def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = None) -> ObjectLook:
     """Find the object in what the keyframes saw, and what of it they did not see.
 
     Args:
-        keyframes: at least `LEAST_KEYFRAMES`.
-        camera: of their depth.
-        calibration: of their depth; None: find it first.
+        maps: of the keyframes, calibrated.
+        graph: at least `LEAST_KEYFRAMES`.
+        picked_world: (3,) a point on the object; None: the cameras look at it.
 
     Raises:
         SegmentationError: there is no floor, or nothing stands where the cameras look.
         ShapeError, TrackingError: too little was seen.
     """
-    straight = straightened(keyframes) if calibration is None else None
-    if straight is not None:
-        keyframes, calibration = straight.keyframes, straight.calibration
-    chosen = np.unique(np.linspace(0, len(keyframes) - 1, MOST_KEYFRAMES).round().astype(int))
-    keyframes = [keyframes[k] for k in chosen]
-    stamps_ns = np.array([each.stamp_ns for each in keyframes])
-    sequence = Sequence(camera, STORED_PER_M, stamps_ns, False, None, _Depths(keyframes))
-    sequence = sequence.calibrated(calibration or NO_CALIBRATION)
-    poses = np.array([each.T_world_camera for each in keyframes])
+    rows = np.flatnonzero(has_pose(graph.T_world))
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_KEYFRAMES).round().astype(int))]
+    keyframes, poses = np.array(graph.keyframes)[rows], graph.T_world[rows]
+    stamps_ns, store = maps.sequence.stamps_ns[keyframes], _Depths(maps, keyframes)
+    sequence = Sequence(maps[int(keyframes[0])][0].camera, STORED_PER_M, stamps_ns, False, None, store)
     trajectory = Trajectory(stamps_ns, poses, "tracked")
+    hint = floor_hint(sequence, trajectory, None, picked_world)
     scene = fuse(sequence, trajectory, FUSION).mesh
-    found = find_floor_and_object(scene, trajectory, None, CUTS, floor_hint(sequence, trajectory))
+    found = find_floor_and_object(scene, trajectory, None, CUTS, hint)
     voxel_size_m = max(max(found.box.size_m) / VOXELS_ALONG, FINEST_M)
     grid = object_grid(found.box, found.floor, voxel_size_m)
     rules = Rules(floor_layers(found.floor, CUTS, voxel_size_m))
-    seen = observe(sequence, trajectory, range(len(keyframes)), grid, FUSION)
+    seen = observe(sequence, trajectory, range(len(rows)), grid, FUSION)
     evidence = classify_voxels(seen, found.excluded(grid), rules, roughly=True)
     solid = make_solid(seen, evidence, rules)
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
     mesh = _around(scene, T_floor_world, found.box)
-    return ObjectLook(T_floor_world, found.box, mesh, frontiers, straight)
+    return ObjectLook(T_floor_world, found.box, mesh, frontiers)
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """The faces within half the object's size of its box, floor frame."""
+    """The faces within half the object's size of its box, floor frame; no more than the page can draw."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
-    return mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1)))
+    return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)

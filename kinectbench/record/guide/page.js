@@ -109,6 +109,13 @@ function tone() {
   source.stop(sound.currentTime + 0.15);
 }
 
+by("picture").addEventListener("click", async event => {
+  const at = event.target, box = at.getBoundingClientRect();
+  const told = { picture: Number(at.dataset.number), x: (event.clientX - box.left) / box.width, y: (event.clientY - box.top) / box.height };
+  const answer = await fetch("pick", { method: "POST", body: JSON.stringify(told) });
+  at.className = answer.ok ? "picked" : "missed";
+});
+
 async function turn() {
   try {
     const answer = await ask("state");
@@ -120,7 +127,8 @@ async function turn() {
       if (state.sentence !== spoken) { spoken = state.sentence; tone(); }
       const distance = state.distance_m === null ? "" : `, ${state.distance_m.toFixed(2)} m away`;
       by("figures").textContent = `frame ${state.number}, ${state.speed_mps.toFixed(2)} m/s${distance}`;
-      by("picture").src = `picture?${state.number}`;
+      by("picture").src = `picture?${state.picture}`;
+      by("picture").dataset.number = state.picture;
       draw();
       above();
     }

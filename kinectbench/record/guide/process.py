@@ -9,16 +9,19 @@ import warnings
 from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinectbench.core.errors import CaptureError, SettingsError
+from kinectbench.core.storage import pretty_json, replaced_file
 from kinectbench.core.types import Float64
 from kinectbench.record.guide.guide import Guide, Snapshot, mesh_bytes
 from kinectbench.record.guide.server import PageServer
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.quiet import in_a_line
+from kinectbench.settings.pick import PICK_FILE, PickSettings
 
 # The process is there after 2 to 5 s: libraries are loaded, and compiled functions read.
 START_S = 120.0
@@ -26,6 +29,8 @@ START_S = 120.0
 PICTURE_PX = 320
 # The process gives way to the recorder.
 NICER = 5
+# The newest pictures that can be clicked: of the last second and a half.
+KEPT_PICTURES = 6
 # The newest figures of so many frames are kept for whoever measures.
 KEPT_FIGURES = 20_000
 
@@ -55,8 +60,12 @@ class GuideProcess:
         said: of the newest frames.
     """
 
-    def __init__(self, port: int = 0) -> None:
+    def __init__(self, port: int = 0, folder: Path | None = None) -> None:
         """Start the process (spawned: threads do not survive a fork) and its page.
+
+        Args:
+            port: of the page; 0: one that is free.
+            folder: the recording, where it is written what was clicked; None: it is written nowhere.
 
         Raises:
             SettingsError: the port cannot be had.
@@ -64,7 +73,7 @@ class GuideProcess:
         """
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
-        self._process = context.Process(target=_run, args=(theirs, port), name="guide", daemon=True)
+        self._process = context.Process(target=_run, args=(theirs, port, folder), name="guide", daemon=True)
         self._process.start()
         theirs.close()
         self.sentence, self.said = "", deque[Said](maxlen=KEPT_FIGURES)
@@ -107,15 +116,16 @@ class GuideProcess:
             self._process.join()
 
 
-def _run(connection: Connection, port: int) -> None:
+def _run(connection: Connection, port: int, folder: Path | None) -> None:
     """In the process: serve the page, and look at one frame after another until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder
     warnings.simplefilter("ignore")  # the terminal has one line: that of the recorder
     with suppress(OSError):
         os.nice(NICER)
-    shown = _Shown()
+    shown = _Shown(folder)
+    answers = {"state": shown.state, "mesh": shown.mesh, "picture": shown.picture}
     try:
-        server = PageServer({"state": shown.state, "mesh": shown.mesh, "picture": shown.picture}, port)
+        server = PageServer(answers, port, {"pick": shown.pick})
     except SettingsError as error:
         connection.send(("port", str(error)))
         return
@@ -135,10 +145,13 @@ def _run(connection: Connection, port: int) -> None:
 class _Shown:
     """What the page asks for; it is made when it is asked for."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
         self._guide: Guide | None = None
         self._last: Snapshot | None = None
-        self._picture: Frame | None = None
+        self._picture: tuple[int, Frame] | None = None
+        # By their numbers, the newest pictures that were asked for: what is clicked is one of them.
+        self._asked: dict[int, Frame] = {}
 
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
         """Have the guide look at a frame."""
@@ -146,16 +159,18 @@ class _Shown:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
         if not self._last.lost or self._picture is None:
-            self._picture = frame
+            self._picture = number, frame
         return self._last
 
     def state(self) -> tuple[str, bytes] | None:
         """Figures of the last frame."""
-        last, guide = self._last, self._guide
-        if last is None or guide is None:
+        last, guide, picture = self._last, self._guide, self._picture
+        if last is None or guide is None or picture is None:
             return None
+        self._asked = dict([*self._asked.items(), picture][-KEPT_PICTURES:])
         value: dict[str, Any] = {"number": last.number, "kind": last.advice.kind}
         value |= {"sentence": last.advice.sentence, "lost": last.lost, "looks": last.looks}
+        value |= {"picture": picture[0], "picked": guide.has_picked}
         value |= {"distance_m": last.distance_m, "speed_mps": last.speed_mps, **guide.shown()}
         to_go_rad = last.advice.turn_rad
         value["turn_rad"] = -to_go_rad if to_go_rad and last.advice.kind == "left" else to_go_rad
@@ -167,13 +182,34 @@ class _Shown:
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
+    def pick(self, body: bytes) -> bool:
+        """The object was clicked: `{"picture": number, "x": share of its width, "y": of its height}`."""
+        try:
+            said = json.loads(body)
+            number, across, down = int(said["picture"]), float(said["x"]), float(said["y"])
+        except (ValueError, TypeError, KeyError, OverflowError):
+            return False
+        frame, guide = self._asked.get(number), self._guide
+        if frame is None or guide is None or not (0 <= across < 1 and 0 <= down < 1):
+            return False
+        height, width = frame.depth.shape
+        pixel = int(across * width), int(down * height)
+        if not guide.pick(frame, pixel):
+            return False
+        if self._folder is not None:
+            with replaced_file(self._folder / PICK_FILE) as temporary:
+                picked = PickSettings(frame=number, pixel=pixel).model_dump(mode="json")
+                temporary.write_text(pretty_json(picked), encoding="utf-8")
+        return True
+
     def picture(self) -> tuple[str, bytes] | None:
         """The last picture that has a pose: colour, or depth as grey."""
         import cv2
 
-        frame = self._picture
-        if frame is None:
+        asked = list(self._asked.values())
+        if not asked:
             return None
+        frame = asked[-1]
         if isinstance(frame.color, tuple):
             image = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
         elif frame.color is not None:

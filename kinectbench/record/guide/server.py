@@ -32,6 +32,10 @@ HEADERS = {
 }
 # What is asked for again and again: content type and bytes, or None if there is nothing yet.
 Answer = Callable[[], tuple[str, bytes] | None]
+# What is posted: takes the body, and says whether it could be used.
+TakePost = Callable[[bytes], bool]
+# A click is 60 bytes.
+MOST_POSTED_BYTES = 1000
 
 
 class PageServer:
@@ -41,18 +45,22 @@ class PageServer:
         url: where the page is, with its token.
     """
 
-    def __init__(self, answers: Mapping[str, Answer], port: int = 0) -> None:
+    def __init__(
+        self, answers: Mapping[str, Answer], port: int = 0, posts: Mapping[str, TakePost] | None = None
+    ) -> None:
         """Start it, on threads of its own.
 
         Args:
             answers: by the name below the token.
+            posts: by the name below the token.
             port: 0: one that is free.
 
         Raises:
             SettingsError: the port cannot be had.
         """
         token = secrets.token_urlsafe(TOKEN_BYTES)
-        handler = type("Handler", (_Handler,), {"token": token, "answers": dict(answers)})
+        own = {"token": token, "answers": dict(answers), "posts": dict(posts or {})}
+        handler = type("Handler", (_Handler,), own)
         try:
             self._server = ThreadingHTTPServer((HOST, port), handler)
         except (OSError, OverflowError) as error:
@@ -69,10 +77,11 @@ class PageServer:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers GET; what is not asked for rightly is refused without a reason."""
+    """Answers GET and POST; what is not asked for rightly is refused without a reason."""
 
     token: str
     answers: Mapping[str, Answer]
+    posts: Mapping[str, TakePost]
     protocol_version = "HTTP/1.1"
     # A connection that says nothing is closed.
     timeout = 30
@@ -93,6 +102,19 @@ class _Handler(BaseHTTPRequestHandler):
         if answer is None:
             return self._answer(HTTPStatus.NO_CONTENT, "text/plain", b"")
         return self._answer(HTTPStatus.OK, *answer)
+
+    def do_POST(self) -> None:
+        """Take what the page posts; the page itself must ask, with its origin."""
+        name, length = self._allowed(), self.headers.get("Content-Length", "")
+        self.close_connection = True  # a body that is refused is not read
+        if name is None or self.headers.get("Origin") is None:
+            return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
+        if name not in self.posts or not length.isdecimal() or int(length) > MOST_POSTED_BYTES:
+            return self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"")
+        used = self.posts[name](self.rfile.read(int(length)))
+        return self._answer(
+            HTTPStatus.NO_CONTENT if used else HTTPStatus.UNPROCESSABLE_ENTITY, "text/plain", b""
+        )
 
     def _allowed(self) -> str | None:
         """The name below the token; None: the request is not from the page's reader."""

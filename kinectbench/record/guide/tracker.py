@@ -1,49 +1,47 @@
-"""Online tracking: each frame is registered to the keyframes that share most of its view.
+"""Tracking while one records: the odometry of a build frame by frame, and its keyframe graph in between.
 
-The registration, its acceptance, and the rule for a new keyframe are those of `stages.track`, as is the
-calibration of depth (`straight`). What is not here is the optimisation of the keyframes: a build does that
-afterwards, with all frames.
+The graph closes loops, joins what was lost, and calibrates depth. The odometry goes on from its keyframes.
 """
 
+from collections.abc import Sequence as Rows
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.depth import NO_CALIBRATION
-from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
+from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.core.types import Float64
-from kinectbench.record.guide.straight import Keyframe, Straight, calibrated
+from kinectbench.core.types import Float64, Int64
 from kinectbench.record.interface import Frame, Setup
-from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
-from kinectbench.stages.track.features import find_features, pose_from_features, similarity
-from kinectbench.stages.track.frame_maps import STORED_PER_M, FrameMaps, MapCache
-from kinectbench.stages.track.odometry import MIN_POINTS, is_accepted, is_keyframe, point_stride
-from kinectbench.stages.track.registration import Registration, register
+from kinectbench.stages.track.features import FeatureCache
+from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
+from kinectbench.stages.track.odometry import FRAMES_BEFORE, Follower, Odometry
 
-# Keyframes that a frame is registered to, as `tracker.NEIGHBOURS`; and, of a lost camera, those that look
-# most like its picture: more than three take longer than the next frame needs to come.
-NEIGHBOURS, TRIED_WHEN_LOST = 2, 3
-# The motion goes on as it was for so long; after a longer gap the last pose is the better guess.
-STEADY_S = 0.3
+# Of these newest frames all is kept, of older ones only what the keyframes need.
+NEWEST = FRAMES_BEFORE + 2
 
 
-class OneFrame:
-    """The store of a sequence of one frame."""
+class LiveFrames:
+    """The newest frames that were given, by their number among them."""
 
-    def __init__(self, frame: Frame) -> None:
-        self._frame = frame
+    def __init__(self) -> None:
+        self._frames: dict[int, Frame] = {}
+
+    def add(self, index: int, frame: Frame) -> None:
+        """Keep a frame, and none older than the newest."""
+        self._frames[index] = frame
+        self._frames.pop(index - NEWEST, None)
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
         """Its depth."""
-        return self._frame.depth
+        return self._frames[index].depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
         """Its colour; pixels as a file without compression, which takes a copy."""
-        color = self._frame.color
+        color = self._frames[index].color
         if color is None or isinstance(color, tuple):
             return color
         import cv2
@@ -51,130 +49,110 @@ class OneFrame:
         return ".bmp", cv2.imencode(".bmp", np.ascontiguousarray(color[..., ::-1]))[1].tobytes()
 
 
-def cache_of(frame: Frame, setup: Setup) -> MapCache:
-    """The maps of a frame as the tracker of a build makes them."""
-    stamps_ns = np.array([frame.stamp_ns])
-    one = Sequence(setup.camera, setup.depth_scale, stamps_ns, setup.color_registered, None, OneFrame(frame))
-    return MapCache(one)
+class KeyframesSoFar(NamedTuple):
+    """What the graph of the keyframes is made of; nothing of it changes while frames go on.
+
+    Attributes:
+        maps: of the keyframes.
+        odometry: of the frames so far.
+    """
+
+    maps: MapCache
+    odometry: Odometry
+
+    def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
+        """The pose (4, 4) of a frame by the keyframe it was registered to; None: it is not in the graph."""
+        frame = self.odometry.frames[index]
+        if frame is None:
+            return None
+        home = self.odometry.frames[frame.keyframe]
+        assert home is not None
+        T_world_home = graph.T_world[graph.keyframes.index(frame.keyframe)]
+        T_world_camera = T_world_home @ invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
+        return T_world_camera if np.isfinite(T_world_camera).all() else None
+
+    def graph(self) -> KeyframeGraph:
+        """The keyframes' poses, loops closed, and the calibration of their depth, which `maps` has then."""
+        return build_graph(self.maps, FeatureCache(self.maps), self.odometry)
 
 
 class LiveTracker:
     """Follows the camera through the frames that it is given; the first one defines the world.
 
     Attributes:
-        keyframes: so far, in the order of time.
-        calibration: of depth, as far as it is known.
-        lost: whether the last frame has no pose.
+        lost: whether the last frame has no pose in the world.
+        keyframes: numbers of the frames that others are registered to.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, setup: Setup) -> None:
         """No frame was seen."""
-        self.keyframes: list[Keyframe] = []
-        self.calibration = NO_CALIBRATION
+        self._frames, self._setup, self._stamps_ns = LiveFrames(), setup, list[int]()
+        maps = MapCache(self._sequence())
+        self._follower = Follower(maps, FeatureCache(maps))
+        self.keyframes = self._follower.keyframes
+        # The segment of the odometry that is the world.
+        self._world = 0
         self.lost = False
-        self._last: tuple[int, Float64] | None = None
-        self._twist_per_s = np.zeros(6)
-        self._row = 0
 
-    @property
-    def camera(self) -> Camera:
-        """Of the keyframes' depth; there must be one."""
-        return self.keyframes[0].maps[0].camera
-
-    def take(self, frame: Frame, setup: Setup) -> Float64 | None:
+    def take(self, frame: Frame) -> Float64 | None:
         """The pose (4, 4) of a frame in the world; None: the camera is lost."""
-        cache = cache_of(frame, setup)
-        cache.calibrate(self.calibration)
-        maps = cache[0]
-        if len(maps[0].points) < MIN_POINTS:
-            self.lost = True
-            return None
-        if not self.keyframes:
-            self._add(frame.stamp_ns, cache, np.eye(4))
-            self._last = frame.stamp_ns, np.eye(4)
-            return np.eye(4)
-        found = self._placed(maps, self._predicted(frame.stamp_ns)) or self._found_again(maps)
-        self.lost = found is None
-        if found is None:
-            return None
-        row, registration = found
-        T_world_camera = on_so3(self.keyframes[row].T_world_camera @ registration.T_target_source)
-        self._move(frame.stamp_ns, T_world_camera)
-        self._row = row
-        if is_keyframe(registration, maps):
-            self._add(frame.stamp_ns, cache, T_world_camera)
-        return T_world_camera
+        index, follower = len(self._stamps_ns), self._follower
+        self._stamps_ns.append(frame.stamp_ns)
+        self._frames.add(index, frame)
+        follower.maps.sequence = self._sequence()
+        follower.take(index)
+        if index >= NEWEST and index - NEWEST not in follower.keyframes:
+            follower.maps.forget(index - NEWEST)
+        taken = follower.frames[index]
+        self.lost = taken is None or taken.segment != self._world
+        return None if taken is None or self.lost else taken.T_segment_camera
 
-    def take_over(self, straight: Straight) -> None:
-        """Go on from calibrated keyframes; those that came since move with the last of them."""
-        before, known = self.keyframes, len(straight.keyframes)
-        keyframes = [*straight.keyframes]
-        T_moved = keyframes[-1].T_world_camera @ invert_rigid(before[known - 1].T_world_camera)
-        for each in before[known:]:
-            T_world_camera = on_so3(T_moved @ each.T_world_camera)
-            keyframes.append(replace(calibrated(each, straight.calibration), T_world_camera=T_world_camera))
-        self.calibration, self.keyframes = straight.calibration, keyframes
-        if self._last is not None:
-            row = self._row
-            T_moved = keyframes[row].T_world_camera @ invert_rigid(before[row].T_world_camera)
-            self._last = self._last[0], on_so3(T_moved @ self._last[1])
+    def poses(self, frames: Rows[int] | None = None) -> tuple[Int64, Float64]:
+        """Stamps (n,) and poses (n, 4, 4) in the world, as they are known now, of the frames that have one.
 
-    def _add(self, stamp_ns: int, cache: MapCache, T_world_camera: Float64) -> None:
-        maps = cache[0]
-        cache.calibrate(NO_CALIBRATION)
-        depth = np.minimum(np.rint(cache[0][0].depth_m * STORED_PER_M), 65535).astype(np.uint16)
-        made = (maps, keyframe_thumbnail(maps), find_features(maps), depth)
-        self._row = len(self.keyframes)
-        self.keyframes.append(Keyframe(stamp_ns, T_world_camera, *made))
+        Args:
+            frames: numbers of those that are asked for; None: all.
+        """
+        followed = self._follower.frames
+        wanted = range(len(followed)) if frames is None else frames
+        known = [(index, each) for index in wanted if (each := followed[index]) is not None]
+        known = [(index, each) for index, each in known if each.segment == self._world]
+        stamps_ns = np.array([self._stamps_ns[index] for index, _ in known], np.int64)
+        return stamps_ns, np.array([each.T_segment_camera for _, each in known]).reshape(-1, 4, 4)
 
-    def _move(self, stamp_ns: int, T_world_camera: Float64) -> None:
-        assert self._last is not None
-        last_ns, T_last = self._last
-        passed_s = max(stamp_ns - last_ns, 1) / NS_PER_S
-        moved = twist_from_rigid(invert_rigid(T_last) @ T_world_camera)
-        self._twist_per_s = moved / passed_s if passed_s < STEADY_S else np.zeros(6)
-        self._last = stamp_ns, T_world_camera
+    def number_at(self, stamp_ns: int) -> int | None:
+        """Among its frames, of the one with a stamp; None: it was not given."""
+        return self._stamps_ns.index(stamp_ns) if stamp_ns in self._stamps_ns else None
 
-    def _predicted(self, stamp_ns: int) -> list[Float64]:
-        """Poses to begin at: the motion goes on, or the camera stands still."""
-        assert self._last is not None
-        last_ns, T_last = self._last
-        passed_s = (stamp_ns - last_ns) / NS_PER_S
-        if self.lost or not 0 < passed_s < STEADY_S:
-            return [T_last]
-        return [np.asarray(T_last @ rigid_from_twist(self._twist_per_s * passed_s)), T_last]
+    def newest(self, count: int) -> range:
+        """Numbers of the newest frames, at most so many."""
+        taken = len(self._stamps_ns)
+        return range(max(0, taken - count), taken)
 
-    def _placed(self, maps: FrameMaps, starts: list[Float64]) -> tuple[int, Registration] | None:
-        """Register a frame to the keyframes that share its view: the row of the first, and how."""
-        view = keyframe_thumbnail(maps)
-        for T_start in starts:
-            shared = [
-                shared_view(each.thumbnail, view, invert_rigid(each.T_world_camera) @ T_start)
-                for each in self.keyframes
-            ]
-            # The keyframe of the frame before goes first, so that the oldest ones hold the world in place.
-            order = [int(k) for k in np.argsort(-np.array(shared), kind="stable") if shared[k] > 0]
-            rows = ([self._row] + [k for k in order if k != self._row])[:NEIGHBOURS]
-            found = self._registered(maps, rows, T_start)
-            if is_accepted(found):
-                return rows[0], found
-        return None
+    def so_far(self) -> KeyframesSoFar:
+        """A copy of the keyframes, for a graph of another thread."""
+        odometry = self._follower.so_far()
+        return KeyframesSoFar(self._follower.maps.copied(), odometry)
 
-    def _registered(self, maps: FrameMaps, rows: list[int], T_start: Float64) -> Registration:
-        targets = [self.keyframes[row] for row in rows]
-        starts = [invert_rigid(each.T_world_camera) @ T_start for each in targets]
-        return register(maps, [each.maps for each in targets], starts, every=point_stride(maps))
+    def go_on_from(self, graph: KeyframeGraph) -> None:
+        """Put the keyframes where a graph has them; what came since moves with the last of its segment."""
+        frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
+        T_moved: dict[int, Float64] = {}  # by keyframe
+        T_last: dict[int, Float64] = {}  # by segment
+        self._world = min(graph.joined)
+        for index, each in enumerate(frames):
+            if each is None or each.segment not in graph.joined:
+                continue
+            if each.keyframe == index:
+                if index in placed:
+                    T_last[each.segment] = placed[index] @ invert_rigid(each.T_segment_camera)
+                T_moved[index] = T_last[each.segment]
+            T_world_camera = on_so3(T_moved[each.keyframe] @ each.T_segment_camera)
+            frames[index] = replace(each, segment=self._world, T_segment_camera=T_world_camera)
+        self._follower.calibrate(graph.calibration)
 
-    def _found_again(self, maps: FrameMaps) -> tuple[int, Registration] | None:
-        """Register a frame of a lost camera to the keyframes that look most like it."""
-        features = find_features(maps)
-        known = [each.features for each in self.keyframes]
-        scores = similarity([features, *known])[0, 1:]
-        for row in np.argsort(-scores, kind="stable")[:TRIED_WHEN_LOST]:
-            keyframe = self.keyframes[int(row)]
-            seen = pose_from_features(features, keyframe.features, maps[0].camera)
-            if seen is not None:
-                found = register(maps, [keyframe.maps], [seen[0]], 1, every=point_stride(maps))
-                if is_accepted(found):
-                    return int(row), found
-        return None
+    def _sequence(self) -> Sequence:
+        setup, stamps_ns = self._setup, np.array(self._stamps_ns, np.int64)
+        return Sequence(
+            setup.camera, setup.depth_scale, stamps_ns, setup.color_registered, None, self._frames
+        )

@@ -9,7 +9,7 @@ from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Progress, Underside
+from kinectbench.core.types import Float64, Progress, Underside
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
 from kinectbench.stages.fuse import observe
@@ -49,6 +49,7 @@ def segment(
     floor: Vector4 | None = None,
     underside: Underside = "unseen",
     limits: SensorLimits = DEFAULT_LIMITS,
+    picked_world: Float64 | None = None,
 ) -> ObjectModel:
     """Find the object in the fused scene, make it a solid, and judge the solid.
 
@@ -63,13 +64,14 @@ def segment(
         floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
         underside: a person's statement on the underside.
         limits: of the sensor.
+        picked_world: (3,) a point on the object that a person picked; None: the cameras look at it.
 
     Raises:
         SegmentationError: no floor, no object, or a box with nothing in it.
         ShapeError: no solid can be made.
     """
     # Find the object, and choose the grid around it.
-    hint = floor_hint(sequence, trajectory, floor)
+    hint = floor_hint(sequence, trajectory, floor, picked_world)
     if sequence.beside_m is None:
         chosen = find_floor_and_object(scene, trajectory, given_box, segmentation, hint)
     else:  # only the object's own depth was fused

@@ -9,7 +9,7 @@ into those frames and averaged where they see the same surface.
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -142,6 +142,16 @@ class MapCache:
         """What is pickled: all but the maps, which are made again when they are asked for."""
         return {**vars(self), "_kept": OrderedDict()}
 
+    def copied(self) -> "MapCache":
+        """A copy for another thread: what either does changes nothing of the other's."""
+        read = {**self._read}
+        return replace(self, averaged={**self.averaged}, sharpness={}, _kept=OrderedDict(), _read=read)
+
+    def forget(self, index: int) -> None:
+        """Keep nothing of a frame that is asked for no more."""
+        self._read.pop(index, None)
+        self._kept.pop(index, None)
+
     def __getitem__(self, index: int) -> FrameMaps:
         if index in self._kept:
             self._kept.move_to_end(index)
@@ -191,7 +201,13 @@ class MapCache:
         return frame
 
     def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
-        """Use this depth for a frame from now on: (height, width) uint16, 0.1 mm, working resolution."""
+        """Use this depth for a frame from now on: (height, width) uint16, 0.1 mm, working resolution.
+
+        Where depth is calibrated, this is too.
+        """
+        if self.correction_per_m is not None:
+            depth_m = corrected_depth_m(depth_in_metres(depth, STORED_PER_M), -self.correction_per_m)
+            depth = stored_depth(depth_m)
         self.averaged[index] = depth
         self._kept.pop(index, None)
 
@@ -299,7 +315,12 @@ class DepthAverage:
     def stored(self) -> NDArray[np.uint16]:
         """(height, width) uint16 mean depth in 0.1 mm, 0 = none."""
         mean_m = self._total / np.maximum(self._count, 1)
-        return np.asarray(np.rint(np.minimum(mean_m * STORED_PER_M, 65535)), np.uint16)
+        return stored_depth(mean_m)
+
+
+def stored_depth(depth_m: Float32 | NDArray[np.float64]) -> NDArray[np.uint16]:
+    """Depth of any shape in metres as 0.1 mm; beyond 6.5 m it is 6.5 m."""
+    return np.asarray(np.rint(np.minimum(depth_m * STORED_PER_M, 65535)), np.uint16)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)

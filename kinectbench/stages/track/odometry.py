@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
+from kinectbench.core.geometry.depth import DepthCalibration
 from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.features import FeatureCache, pose_from_features
@@ -177,8 +178,19 @@ class Follower:
             self.take(index)
             if progress:
                 progress(index + 1)
+        return self.so_far()
+
+    def so_far(self) -> Odometry:
+        """The odometry of the frames that were taken; the last keyframe's depth is averaged so far."""
         self._end_average()
-        return Odometry(tuple(self.frames), self.reasons, tuple(self.keyframes), tuple(self.constraints))
+        frames, keyframes = tuple(self.frames), tuple(self.keyframes)
+        return Odometry(frames, dict(self.reasons), keyframes, tuple(self.constraints))
+
+    def calibrate(self, calibration: DepthCalibration) -> None:
+        """Correct depth from now on; the last keyframe's depth is averaged no further."""
+        self._end_average()
+        self.average = None
+        self.maps.calibrate(calibration)
 
     def _first_of_segment(self, index: int) -> Followed:
         """A frame that fits none before it: the first keyframe of a new segment."""

@@ -19,7 +19,6 @@ from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Float64, Progress
-from kinectbench.stages.track.begun import begun_for
 from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -35,6 +34,7 @@ from kinectbench.stages.track.odometry import (
     point_stride,
 )
 from kinectbench.stages.track.outliers import OUTLIER_REASON, find_outliers
+from kinectbench.stages.track.partial_odometry import partial_odometry_of
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.shutter_search import find_shutter
 from kinectbench.stages.track.smoothing import smoothed
@@ -61,7 +61,7 @@ def track_frames(
     """
     n = len(sequence)
     report = progress or (lambda done, total: None)
-    follower = None if T_given is not None else begun_for(sequence)
+    follower = None if T_given is not None else partial_odometry_of(sequence)
     if follower is None:
         maps = MapCache(sequence)
         follower = Follower(maps, FeatureCache(maps), T_given)

@@ -15,7 +15,7 @@ from scan_server import Fault, ScanServer
 from kinectbench.core.errors import StorageError
 from kinectbench.core.store import attempts
 from kinectbench.core.store import download as downloads
-from kinectbench.core.store.download import Content, begun, download
+from kinectbench.core.store.download import Content, download, partial_downloads
 
 CONTENT = b"PK\x03\x04" + random.Random(0).randbytes(700_000)
 KNOWN = Content(len(CONTENT), hashlib.sha256(CONTENT).hexdigest())
@@ -49,7 +49,7 @@ def said(*urls: str, path: Path, known: Content | None = None) -> str:
 def test_two_interruptions_are_gone_on_from(server: ScanServer, tmp_path: Path) -> None:
     server.choose = lambda number, path: "cut" if number in (0, 2) else ""
     assert download([f"{server.url}/a.zip"], tmp_path / "a.zip") == KNOWN
-    assert (tmp_path / "a.zip").read_bytes() == CONTENT and begun(tmp_path / "a.zip") == []
+    assert (tmp_path / "a.zip").read_bytes() == CONTENT and partial_downloads(tmp_path / "a.zip") == []
     ranges = [asked for _, asked in server.asked if asked]
     half = len(CONTENT) // 2
     assert ranges == [f"bytes={half}-", f"bytes={half + (len(CONTENT) - half) // 2}-"]
@@ -58,7 +58,7 @@ def test_two_interruptions_are_gone_on_from(server: ScanServer, tmp_path: Path) 
 def test_the_next_call_goes_on_where_the_last_one_stopped(server: ScanServer, tmp_path: Path) -> None:
     server.choose = lambda number, path: "cut" if number == 0 else "busy"
     assert "answers 503" in said(f"{server.url}/a.zip", path=tmp_path / "a.zip")
-    (left,) = begun(tmp_path / "a.zip")
+    (left,) = partial_downloads(tmp_path / "a.zip")
     assert left.stat().st_size == len(CONTENT) // 2
     server.choose = lambda number, path: ""
     assert download([f"{server.url}/a.zip"], tmp_path / "a.zip") == KNOWN

@@ -10,7 +10,7 @@ from slow import slow
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.lab.evaluate.reference import reference_figures
-from kinectbench.stages.segment.reference.judge import Laid, lay
+from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.register import mirror_image, sampled
 
 # None of them was looked at when the rules were chosen. A bottle and a stool have rotational symmetry.
@@ -36,7 +36,9 @@ def exact_iou(one: TriangleMesh, other: TriangleMesh) -> float:
     return both / (a.volume() + b.volume() - both)
 
 
-def off(found: Laid, upright: TriangleMesh, T: NDArray[np.float64], symmetric: bool) -> tuple[float, float]:
+def off(
+    found: RegisteredReference, upright: TriangleMesh, T: NDArray[np.float64], symmetric: bool
+) -> tuple[float, float]:
     """How far a registration is from the true one: metres, degrees; of a symmetric mesh its axis alone."""
     assert found.pose is not None
     wrong = found.pose.T @ T @ np.linalg.inv(T_WORLD_FLOOR)
@@ -53,7 +55,7 @@ def off(found: Laid, upright: TriangleMesh, T: NDArray[np.float64], symmetric: b
 def test_a_moved_mesh_comes_back_within_a_millimetre(name: str) -> None:
     upright = drawn(name)
     theirs, T = moved(upright, 11)
-    found = lay(model_of(upright), theirs)
+    found = register_reference(model_of(upright), theirs)
     assert found.refused is None and found.pose is not None
     far_m, turned_deg = off(found, upright, T, name in SYMMETRIC)
     assert far_m < 0.001 and turned_deg < 0.5
@@ -67,15 +69,15 @@ def test_the_iou_is_that_of_the_two_solids(name: str) -> None:
     upright = drawn(name)
     theirs, _ = moved(upright, 12)
     model = model_of(thicker(upright))
-    laid = lay(model, theirs)
-    found = reference_figures(model, laid, closed=True)
-    assert laid.pose is not None and found.iou is not None and found.whole_iou is not None
-    exact = exact_iou(model.shape.mesh, theirs.transformed(laid.pose.T))
+    fit = register_reference(model, theirs)
+    found = reference_figures(model, fit, closed=True)
+    assert fit.pose is not None and found.iou is not None and found.whole_iou is not None
+    exact = exact_iou(model.shape.mesh, theirs.transformed(fit.pose.T))
     assert exact < 0.995
     assert found.whole_iou == pytest.approx(exact, abs=0.01) and found.iou == pytest.approx(exact, abs=0.01)
     assert found.f_score_10mm is not None and found.f_score_10mm > 0.97
     # Of an open mesh there is no solid.
-    assert reference_figures(model, laid, closed=False).iou is None
+    assert reference_figures(model, fit, closed=False).iou is None
 
 
 def test_distances_are_signed_by_direction() -> None:
@@ -83,9 +85,9 @@ def test_distances_are_signed_by_direction() -> None:
     exact = TriangleMesh(*_box())
     wide = TriangleMesh((exact.vertices - [0.25, 0, 0]) * [0.504 / 0.5, 1, 1], exact.faces)
     model = model_of(wide)
-    laid = lay(model, moved(exact, 13)[0])
-    found = reference_figures(model, laid, closed=True).directions
-    assert laid.refused is None and found is not None
+    fit = register_reference(model, moved(exact, 13)[0])
+    found = reference_figures(model, fit, closed=True).directions
+    assert fit.refused is None and found is not None
     wide_sides, other_sides, top = 2 * 0.3 * 0.4, 2 * 0.5 * 0.4, 0.5 * 0.3
     assert found.side.mean_m == pytest.approx(0.002 * wide_sides / (wide_sides + other_sides), abs=1e-4)
     assert found.up.mean_m == pytest.approx(0, abs=1e-4)
@@ -117,19 +119,19 @@ def test_a_wrong_mesh_is_refused(name: str, wrong: str, said: str) -> None:
     upright = drawn(name)
     made = {"mirrored": lambda: mirror_image(sampled(upright)).mesh, "larger": lambda: larger(upright)}
     mesh = made[wrong]() if wrong in made else of_one_size(drawn(wrong), upright)
-    found = lay(model_of(upright), moved(mesh, 14)[0])
+    found = register_reference(model_of(upright), moved(mesh, 14)[0])
     assert found.refused is not None and said in found.refused and "\n" not in found.refused
 
 
 def test_another_unit_is_refused_at_once() -> None:
     upright = drawn("chair:7")
-    found = lay(model_of(upright), TriangleMesh(upright.vertices * 1000, upright.faces))
+    found = register_reference(model_of(upright), TriangleMesh(upright.vertices * 1000, upright.faces))
     assert found.pose is None and found.refused is not None and "another unit than metres" in found.refused
 
 
 def test_of_two_poses_that_fit_the_other_is_stated() -> None:
     upright = TriangleMesh(*_box())
-    found = lay(model_of(upright), moved(upright, 15)[0])
+    found = register_reference(model_of(upright), moved(upright, 15)[0])
     assert found.refused is None and found.pose is not None and found.runner_up is not None
     assert found.runner_up.fits_as_well and np.degrees(found.runner_up.turn_rad) > 170
     assert found.symmetric_axis_floor is None

@@ -10,7 +10,7 @@ import numpy as np
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.trajectory.association import poses_at
-from kinectbench.core.trajectory.coverage import from_above, median_middle_depth_m
+from kinectbench.core.trajectory.coverage import from_above, looked_at, median_middle_depth_m
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 
@@ -43,11 +43,19 @@ class FloorHint:
             metres; or None.
         middle_depth_m: median depth in the middle of the images, which says where the cameras look
             (`looked_at`); None: where their axes meet.
+        picked_world: (3,) a point on the object that a person picked: it stands for where the cameras look.
     """
 
     up_world: Float64 | None = None
     plane_world: Float64 | None = None
     middle_depth_m: float | None = None
+    picked_world: Float64 | None = None
+
+    def focus_world(self, T_world_camera: Float64) -> Float64:
+        """Where the object is looked for (3,): the point that was picked, else where the cameras look."""
+        if self.picked_world is not None:
+            return self.picked_world
+        return looked_at(T_world_camera, self.middle_depth_m)
 
 
 NOTHING_KNOWN = FloorHint()
@@ -69,11 +77,17 @@ class KnowsUp(Protocol):
         """Up in some frames' own axes, by an accelerometer."""
 
 
-def floor_hint(sequence: Recorded, trajectory: Trajectory, plane: Sequence[float] | None = None) -> FloorHint:
-    """`hint_of` a recording with its poses, and with the depth in the middle of its images."""
+def floor_hint(
+    sequence: Recorded,
+    trajectory: Trajectory,
+    plane: Sequence[float] | None = None,
+    picked_world: Float64 | None = None,
+) -> FloorHint:
+    """`hint_of` a recording with its poses, the depth in the middle of its images, and a picked point."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
-    return replace(hint, middle_depth_m=median_middle_depth_m(sequence, good))
+    middle_depth_m = median_middle_depth_m(sequence, good)
+    return replace(hint, middle_depth_m=middle_depth_m, picked_world=picked_world)
 
 
 def hint_of(

@@ -6,7 +6,6 @@ import numpy as np
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.surface_points import spacing_m, surface_points
@@ -75,7 +74,7 @@ def find_scene(
         SegmentationError: the scene is empty, or has no floor and must have one.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
-    focus_world = looked_at(T_world_camera, hint.middle_depth_m)
+    focus_world = hint.focus_world(T_world_camera)
     near = distance_scale(T_world_camera, focus_world)
     scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
     surface = surface_points(mesh, CELL_M * scale)

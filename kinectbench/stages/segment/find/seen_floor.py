@@ -8,7 +8,6 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.surface_points import thinned
@@ -70,7 +69,7 @@ def floor_of_frames(
         points, toward = oriented(depth_m, camera)
         clouds.append(transform_points(T, points))
         normals.append(toward @ T[:3, :3].T)
-    focus_world = looked_at(T_world_camera, hint.middle_depth_m)
+    focus_world = hint.focus_world(T_world_camera)
     cell_m = CELL_M * distance_scale(T_world_camera, focus_world)
     surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
     if len(surface.points) < MIN_POINTS:
@@ -98,7 +97,7 @@ def other_floor(
         seen, _ = floor_of_frames(near_m, sequence.camera.every(step), T_world_camera, hint)
     except SegmentationError:
         return ()
-    focus = np.append(looked_at(T_world_camera, hint.middle_depth_m), 1.0)
+    focus = np.append(hint.focus_world(T_world_camera), 1.0)
     far_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus[:3], axis=1)))
     cosine = np.clip(seen.plane_world[:3] @ floor.plane_world[:3], -1, 1)
     turn_deg = float(np.degrees(np.arccos(cosine)))

@@ -61,7 +61,7 @@ class RunnerUp:
 
 
 @dataclass(frozen=True)
-class Laid:
+class RegisteredReference:
     """A reference mesh beside a built object.
 
     Attributes:
@@ -85,7 +85,7 @@ class Laid:
     symmetric_axis_floor: Float64 | None = None
 
 
-def lay(model: ObjectModel, mesh: TriangleMesh) -> Laid:
+def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredReference:
     """Register a reference to a built object, and judge whether it is the object's.
 
     Args:
@@ -94,31 +94,33 @@ def lay(model: ObjectModel, mesh: TriangleMesh) -> Laid:
     """
     ours, theirs = sampled_object(model), sampled(mesh)
     if not ours.counted.any():
-        return Laid(ours, theirs, "nothing of the object was measured, so that nothing can be compared")
+        return RegisteredReference(
+            ours, theirs, "nothing of the object was measured, so that nothing can be compared"
+        )
     sizes = theirs.diagonal_m / ours.diagonal_m
     if not 1 / MOST_SIZES < sizes < MOST_SIZES:
-        return Laid(
+        return RegisteredReference(
             ours,
             theirs,
             f"its diagonal is {theirs.diagonal_m:.3g} m and the object's {ours.diagonal_m:.3g} m: another "
             "object, another unit than metres, or surroundings that are to be cut off",
         )
     if _lies_across(mesh):
-        return Laid(
+        return RegisteredReference(
             ours, theirs, f"too many of its {len(mesh.faces)} faces lie across each other; simplify it"
         )
     T_floor_world = model.floor.T_floor_world
     found = poses(ours, theirs, T_floor_world)
     best, R_floor = found[0], T_floor_world[:3, :3] @ found[0].T[:3, :3]
     if best.residual_m > MOST_RESIDUAL * ours.diagonal_m:
-        return Laid(ours, theirs, _refusal(best.residual_m, ours.diagonal_m, None, 1.0), best)
+        return RegisteredReference(ours, theirs, _refusal(best.residual_m, ours.diagonal_m, None, 1.0), best)
     axis = symmetric_axis(theirs)
     runner_up = _runner_up(found, T_floor_world, LEAST_SHARE * ours.diagonal_m) if len(found) > 1 else None
     scale = best_scale(ours, theirs, best.T)
     of_mirror = poses(ours, mirror_image(theirs), T_floor_world)[0].residual_m
     refused = _refusal(best.residual_m, ours.diagonal_m, of_mirror, scale)
     axis_floor = None if axis is None else R_floor @ axis
-    return Laid(ours, theirs, refused, best, scale, of_mirror, runner_up, axis_floor)
+    return RegisteredReference(ours, theirs, refused, best, scale, of_mirror, runner_up, axis_floor)
 
 
 def _lies_across(mesh: TriangleMesh) -> bool:

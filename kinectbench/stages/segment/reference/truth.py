@@ -21,7 +21,7 @@ from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.select import fit_box
 from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.reference.judge import Laid, lay
+from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.mesh import Reference, read_reference
 from kinectbench.stages.segment.solid.evidence import SHELL_M
 from kinectbench.stages.segment.solid.grids import REFERENCE_VOXEL_M, object_grid, surround_grid
@@ -54,12 +54,12 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
             "`reference` out and use `kinectbench compare-truth`",
             what="open-mesh",
         )
-    laid = lay(model, reference.mesh)
-    if laid.refused is not None or laid.pose is None:
+    fit = register_reference(model, reference.mesh)
+    if fit.refused is not None or fit.pose is None:
         raise SegmentationError(
-            f"{path}: the reference mesh does not fit the object: {laid.refused}", what="other-mesh"
+            f"{path}: the reference mesh does not fit the object: {fit.refused}", what="other-mesh"
         )
-    posed = reference.mesh.transformed(laid.pose.T)
+    posed = reference.mesh.transformed(fit.pose.T)
     mesh = TriangleMesh(posed.vertices, outwards(posed.vertices, posed.faces))
     shape = _solid(mesh, model.floor, model.box.yaw_rad, model.shape.grid.voxel_size_m, path)
     around = surround_grid(shape.grid, model.floor)
@@ -71,7 +71,7 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
         surround=around,
         surround_labels=np.full(around.shape, Label.OTHER, np.uint8),
     )
-    return replace(changed, quality=_quality(changed, reference, laid, path.name))
+    return replace(changed, quality=_quality(changed, reference, fit, path.name))
 
 
 def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
@@ -100,19 +100,19 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
     return costs_too_much(cells[:, :2], mesh.faces, grid.shape[:2])
 
 
-def _quality(model: ObjectModel, reference: Reference, laid: Laid, name: str) -> QualityFile:
+def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
     """What is said of a truth that is a reference: no estimate, as nothing of it is fused."""
-    assert laid.pose is not None and laid.scale is not None, "it fits"
+    assert fit.pose is not None and fit.scale is not None, "it fits"
     shape, fused, warnings = model.shape, model.quality, list[str]()
-    other = laid.runner_up
-    if other is not None and other.fits_as_well and laid.symmetric_axis_floor is None:
+    other = fit.runner_up
+    if other is not None and other.fits_as_well and fit.symmetric_axis_floor is None:
         warnings.append(
             f"the reference mesh also fits turned by {np.degrees(other.turn_rad):.0f}°: what no camera saw "
             "may be on the wrong side"
         )
-    if laid.pose.residual_m < LEAST_NOISE * model.surface_sigma_m:
+    if fit.pose.residual_m < LEAST_NOISE * model.surface_sigma_m:
         warnings.append(
-            f"the reference mesh lies {laid.pose.residual_m * 1000:.2g} mm from the fused surface, whose own "
+            f"the reference mesh lies {fit.pose.residual_m * 1000:.2g} mm from the fused surface, whose own "
             f"error is {model.surface_sigma_m * 1000:.2g} mm: was it made of this recording?"
         )
     kept = {key: getattr(fused, key) for key in OF_FRAMES if key in fused.model_fields_set}
@@ -133,7 +133,7 @@ def _quality(model: ObjectModel, reference: Reference, laid: Laid, name: str) ->
             kind="reference mesh",
             reference=name,
             sha256=reference.sha256,
-            residual_m=round(laid.pose.residual_m, 6),
-            scale=round(laid.scale, 6),
+            residual_m=round(fit.pose.residual_m, 6),
+            scale=round(fit.scale, 6),
         ),
     )

@@ -1,4 +1,4 @@
-"""The odometry of a build, begun in a process of its own while a recording is written.
+"""The odometry of a build, in a process of its own while a recording is written.
 
 It reads the folder that grows, so that it never holds the recorder up. It takes every frame, by the build's
 own code, and the build goes on where it is.
@@ -21,10 +21,10 @@ from kinectbench.stages.ingest.depth_code import encode_depth
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_folder import frame_digest, onto_depth
-from kinectbench.stages.track.begun import BegunOdometry
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Follower
+from kinectbench.stages.track.partial_odometry import PartialOdometry
 
 # The process gives way to the recorder and to the guide.
 NICER = 10
@@ -54,12 +54,12 @@ class OdometryProcess:
         """The folder is whole: its last frames are taken too."""
         self._ask("whole")
 
-    def begun(self) -> BegunOdometry | None:
+    def so_far(self) -> PartialOdometry | None:
         """What was done so far; None if nothing was, or the process failed. The process ends."""
         self._ask("give")
         with suppress(EOFError, OSError):
             answer = self._mine.recv()
-            return answer if isinstance(answer, BegunOdometry) else None
+            return answer if isinstance(answer, PartialOdometry) else None
         return None
 
     def close(self) -> None:
@@ -140,9 +140,9 @@ class GrowingOdometry:
         follower.take(index)
         return True
 
-    def begun(self) -> BegunOdometry | None:
+    def so_far(self) -> PartialOdometry | None:
         """What was done so far."""
-        return BegunOdometry(self._follower, tuple(self._digests)) if self._follower else None
+        return PartialOdometry(self._follower, tuple(self._digests)) if self._follower else None
 
 
 def _run(connection: Connection, folder: Path) -> None:
@@ -156,7 +156,7 @@ def _run(connection: Connection, folder: Path) -> None:
         while True:
             asked = connection.recv() if connection.poll(0 if busy else READ_AGAIN_S) else ""
             if asked == "give":
-                connection.send(growing.begun())
+                connection.send(growing.so_far())
                 return
             try:
                 whole |= asked == "whole"

@@ -1,7 +1,7 @@
-"""Odometry that was begun while a recording was made, and goes on in its build.
+"""Odometry that began while a recording was made, and goes on in its build.
 
 The odometry of a frame depends on the frames up to it alone, so that it is the same whenever it is computed.
-What was begun counts only if its frames are those of the sequence, byte by byte.
+What was done before counts only if its frames are those of the sequence, byte by byte.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ from kinectbench.stages.track.odometry import Follower
 
 
 @dataclass(frozen=True)
-class BegunOdometry:
+class PartialOdometry:
     """The odometry of a sequence's first frames.
 
     Attributes:
@@ -31,13 +31,13 @@ class BegunOdometry:
 
 
 # Asked for when the frames are to be tracked.
-Ask: TypeAlias = Callable[[], BegunOdometry | None]
-_ask: ContextVar[Ask | None] = ContextVar("begun", default=None)
+Ask: TypeAlias = Callable[[], PartialOdometry | None]
+_ask: ContextVar[Ask | None] = ContextVar("partial_odometry", default=None)
 
 
 @contextmanager
-def using_begun(ask: Ask) -> Iterator[None]:
-    """Within the block, the next sequence that is tracked goes on from what was begun, if it is of it."""
+def using_partial_odometry(ask: Ask) -> Iterator[None]:
+    """Within the block, the next sequence that is tracked goes on from what was done, if it is of it."""
     token = _ask.set(ask)
     try:
         yield
@@ -45,21 +45,21 @@ def using_begun(ask: Ask) -> Iterator[None]:
         _ask.reset(token)
 
 
-def begun_for(sequence: Sequence) -> Follower | None:
-    """What was begun of a sequence, with the frames of the sequence; None: nothing. It is given out once."""
+def partial_odometry_of(sequence: Sequence) -> Follower | None:
+    """What was done of a sequence, with the frames of the sequence; None: nothing. It is given out once."""
     ask, frames = _ask.get(), sequence.frames
     _ask.set(None)
-    begun = ask() if ask and isinstance(frames, FolderFrames) else None
-    if begun is None or not isinstance(frames, FolderFrames):
+    partial = ask() if ask and isinstance(frames, FolderFrames) else None
+    if partial is None or not isinstance(frames, FolderFrames):
         return None
-    maps, taken = begun.follower.maps, len(begun.digests)
+    maps, taken = partial.follower.maps, len(partial.digests)
     of = maps.sequence
     same = (
         (of.camera, of.depth_scale, of.color_registered)
         == (sequence.camera, sequence.depth_scale, sequence.color_registered)
         and taken <= len(sequence)
         and np.array_equal(of.stamps_ns[:taken], sequence.stamps_ns[:taken])
-        and all(frames.digest(index) == digest for index, digest in enumerate(begun.digests))
+        and all(frames.digest(index) == digest for index, digest in enumerate(partial.digests))
     )
     maps.sequence = sequence
-    return begun.follower if same else None
+    return partial.follower if same else None

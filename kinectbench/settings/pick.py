@@ -1,0 +1,17 @@
+"""What the object is, where somebody picked it: beside the recording, and in benchmark.yaml."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kinectbench.settings.base import Settings
+
+# Beside a recording's own files: what was clicked while it was recorded.
+PICK_FILE = "pick.json"
+
+
+class PickSettings(Settings):
+    """A pixel of a frame's depth that shows the object; `record` writes it where it is clicked."""
+
+    frame: int = Field(ge=0, description="number of the frame, from 0")
+    pixel: Annotated[tuple[int, int], Field(strict=False)] = Field(description="column and row, from 0")
