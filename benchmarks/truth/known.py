@@ -197,6 +197,13 @@ def _estimates(rows: Sequence[Row]) -> Iterator[Figure]:
         yield at_most("estimated_iou off by over .10, and nothing says so: objects", len(silent), 0)
         yield told("which", [_with(row, row.off) for row in silent])
         yield told("of these with the verdict `good`", sum(not row.warnings for row in silent))
+    known = [
+        abs(row.estimated_known - row.known_iou) for row in rows if row.estimated_known and row.known_iou
+    ]
+    if known:
+        yield at_most("estimated_known_iou: median error", float(np.median(known)), 0.03)
+        inside = [bool(row.known_in_interval) for row in rows if row.known_in_interval is not None]
+        yield at_least("IoU on known within its interval, share of objects", float(np.mean(inside)), 0.95)
     yield from _mean(
         "calibration error, mean of the objects'", rows, lambda row: row.calibration, at_most, 0.03
     )

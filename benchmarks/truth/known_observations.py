@@ -45,7 +45,7 @@ class Observed:
         family: of the object.
         halves: what the odd and the even frames say.
         whole: what both say.
-        excluded: bool, voxels that cannot be the object.
+        neighbours: bool, voxels near the surface of a neighbour.
         layers: about the floor.
         ray_width_m: of the frames at the object.
         true: bool, the voxel's middle lies in the true solid.
@@ -56,7 +56,7 @@ class Observed:
     family: str
     halves: tuple[Observation, Observation]
     whole: Observation
-    excluded: Bools
+    neighbours: Bools
     layers: FloorLayers
     ray_width_m: float
     true: Bools
@@ -99,7 +99,7 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
         family=family,
         halves=(odd, even),
         whole=merge(odd, even),
-        excluded=chosen.excluded(grid),
+        neighbours=chosen.neighbours(grid),
         layers=floor_layers(chosen.floor, segmentation, REFERENCE_VOXEL_M),
         ray_width_m=median_ray_width_m(
             sequence.camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2)

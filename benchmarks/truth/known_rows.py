@@ -54,6 +54,8 @@ class Row:
         low: `estimated_iou_low`.
         high: `estimated_iou_high`.
         in_interval: whether `iou` lies between the two; None without them.
+        estimated_known: `estimated_known_iou` of quality.json.
+        known_in_interval: whether `known_iou` lies in its interval; None without one.
         frontiers: how many quality.json reports; None if it does not say.
         calibration: error of the probability, ten bins.
         bins: these bins.
@@ -80,6 +82,8 @@ class Row:
     low: float | None
     high: float | None
     in_interval: bool | None
+    estimated_known: float | None
+    known_in_interval: bool | None
     frontiers: int | None
     calibration: float | None
     bins: tuple[CalibrationBin, ...]
@@ -143,6 +147,8 @@ def measure_row(task: Task) -> Row | NotBuilt:
         low=solid.estimated_iou_low,
         high=solid.estimated_iou_high,
         in_interval=solid.iou_in_interval,
+        estimated_known=solid.estimated_known_iou,
+        known_in_interval=solid.known_iou_in_interval,
         frontiers=None if frontiers is None else len(frontiers),
         calibration=solid.calibration_error,
         bins=solid.calibration_bins,

@@ -72,11 +72,14 @@ class GateSettings(Settings):
     Wider than the limits of the warnings, which say where to look: those beyond these would mislead.
     """
 
-    # Chosen from measurements: 0.83 to 0.97 of sound recordings (simulated furniture, a real
-    # cabinet), 0.45 where three things were taken for one. Of the paper's networks IoU is 0.5 to 0.7: a truth
-    # that is less like the object than predictions are cannot rank them.
+    # Scores count known voxels. Of the paper's networks IoU is 0.5 to 0.7: a truth that is less like the
+    # object than predictions are cannot rank them.
     min_estimated_iou: float = Field(
-        0.7, ge=0, le=1, description="least estimate; with a trajectory that is not good, its lower end"
+        0.7,
+        ge=0,
+        le=1,
+        description="least estimate on known voxels (of the whole solid in files without it); with a "
+        "trajectory that is not good, its lower end",
     )
     min_grade: Grade = Field("not good", description="of the trajectory: not good, fair or good")
     # Beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.

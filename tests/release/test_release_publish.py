@@ -145,16 +145,20 @@ def test_the_estimate_is_told_with_its_interval_and_its_reasons(build: Path, tmp
     }  # fmt: skip
     found = {
         "warnings": [advice], "estimated_iou": 0.7412, "estimated_iou_low": 0.352, "estimated_iou_high": 0.8,
+        "estimated_known_iou": 0.78,
         "estimated_iou_reasons": ["an opening"], "frontiers": [frontier], "repeatability_iou": 0.93,
     }  # fmt: skip
     (tmp_path / "build" / "chair_02" / "object" / "quality.json").write_text(json.dumps(found))
     names = ["chair_01", "chair_02"]
     summary = publish(synthetic_settings(), tmp_path / "build", tmp_path / "benchmark", names)
-    assert f"chair_02: {advice}" in summary.warnings and "its lower end below 0.45" in summary.warnings[0]
+    assert (
+        f"chair_02: {advice}" in summary.warnings and "known voxels is 0.78, below 0.8" in summary.warnings[0]
+    )
     card = (summary.folder / "README.md").read_text()
-    assert "| recording | object | pairs | passed over | estimated IoU | repeatability IoU |" in card
-    assert "| chair_02 | blue_chair | 1 | 0 | 0.741 (0.352 to 0.800) | 0.930 |" in card
-    assert "| chair_01 | red_chair | 2 | 0 |  | 0.930 |" in card
+    head = "passed over | estimated IoU | estimated IoU on known voxels | repeatability IoU |"
+    assert f"| recording | object | pairs | {head}" in card
+    assert "| chair_02 | blue_chair | 1 | 0 | 0.741 (0.352 to 0.800) | 0.780 | 0.930 |" in card
+    assert "| chair_01 | red_chair | 2 | 0 |  |  | 0.930 |" in card
     sheet = (summary.folder / "datasheet.md").read_text()
     assert f"- {INTERVAL_LOW}: 0.352, of 1 recording\n" in sheet
     assert f"- {INTERVAL_HIGH}: 0.8, of 1 recording\n" in sheet

@@ -190,7 +190,7 @@ def bars(rows: Mapping[str, TriageRow], found: Mapping[str, Mapping[str, Any]]) 
 
 
 def measure(options: argparse.Namespace, folder: Path) -> Iterator[Figure]:
-    scans = four() if options.four else forty()[:: options.every]
+    scans = four() if options.four else forty(options.seeds)[:: options.every]
     made, root = folder / "made", folder / "recipe"
     made.mkdir(parents=True, exist_ok=True)
     root.mkdir(exist_ok=True)
@@ -219,6 +219,7 @@ if __name__ == "__main__":
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--four", action="store_true", help="only four scans")
     parser.add_argument("--every", type=int, default=1, help="every so many of the forty")
+    parser.add_argument("--seeds", type=int, default=0, help="other objects: added to their seeds")
     parser.add_argument("--folder", type=Path, help="keep all here; scans that are there are used again")
     options = parser.parse_args()
     with TemporaryDirectory() as temporary:

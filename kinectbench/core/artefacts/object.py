@@ -198,6 +198,15 @@ class QualityFile(Stored):
     estimated_iou_low: float | None = Field(None, description=INTERVAL_LOW)
     estimated_iou_high: float | None = Field(None, description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
+    estimated_known_iou: float | None = Field(
+        None, description="estimate of the IoU to the unknown truth over known voxels alone"
+    )
+    estimated_known_iou_low: float | None = Field(
+        None, description="lower end of its interval: the surface may be off by more; no bound"
+    )
+    estimated_known_iou_high: float | None = Field(
+        None, description="upper end of its interval: the surface may be off by less; no bound"
+    )
     frontiers: tuple[FrontierPart, ...] = Field(
         (), description="openings that nobody looked into, that with the largest volume behind it first"
     )
@@ -236,6 +245,16 @@ class QualityFile(Stored):
     truth: ReferenceTruth | None = Field(
         None, description="a mesh that is the truth, in place of what was fused; missing: fused"
     )
+
+    @property
+    def trusted_iou(self) -> tuple[float | None, float | None, str]:
+        """The estimate of what scores count, its lower end, and where it holds, in words.
+
+        It is that on known voxels; in files without it, that of the whole solid.
+        """
+        if self.estimated_known_iou is None:
+            return self.estimated_iou, self.estimated_iou_low, ""
+        return self.estimated_known_iou, self.estimated_known_iou_low, " on known voxels"
 
     @property
     def measurement_warnings(self) -> tuple[str, ...]:

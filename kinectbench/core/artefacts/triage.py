@@ -26,6 +26,10 @@ class TriageRow(StoredPart):
     review: str | None = Field(None, description="why a person decided so; null: the rules did")
     estimated_iou: float | None = Field(None, description="of quality.json")
     estimated_iou_low: float | None = Field(None, description="of quality.json")
+    estimated_known_iou: float | None = Field(None, description="of quality.json")
+    incomplete: tuple[str, ...] = Field(
+        (), description="what nobody saw, if it is much, one line each: scores leave it out"
+    )
     built: bool = Field(description="whether it has everything up to the pairs")
 
 

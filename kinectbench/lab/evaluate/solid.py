@@ -122,6 +122,8 @@ class SolidFigures:
         estimated_iou_low: least IoU by quality.json.
         estimated_iou_high: greatest.
         iou_in_interval: whether the IoU of `fine` lies between these two; None without them.
+        estimated_known_iou: what quality.json says of the IoU over known voxels; None if it does not say.
+        known_iou_in_interval: whether `known_iou` of `fine` lies in its interval; None without one.
     """
 
     fine: SolidOverlap
@@ -146,6 +148,8 @@ class SolidFigures:
     estimated_iou_low: float | None
     estimated_iou_high: float | None
     iou_in_interval: bool | None
+    estimated_known_iou: float | None
+    known_iou_in_interval: bool | None
 
 
 def canonical_cube(truth: Truth) -> Grid:
@@ -203,7 +207,9 @@ def solid_figures(
     gross = gross_errors(voxels, true_volume_m3 * (1 + seeable.closed_share), beyond_m3)
     exact_gross = gross_errors(voxels.against_exact, true_volume_m3, exact_beyond_m3)
     bins = calibration(voxels)
-    low, high = (getattr(model.quality, name, None) for name in ("estimated_iou_low", "estimated_iou_high"))
+    quality = model.quality
+    of_whole = (quality.estimated_iou_low, quality.estimated_iou_high)
+    of_known = (quality.estimated_known_iou_low, quality.estimated_known_iou_high)
     return SolidFigures(
         fine=figures,
         coarse=overlap(coarse),
@@ -223,11 +229,19 @@ def solid_figures(
         calibration_error=calibration_error(bins),
         calibration_bins=bins,
         face_bias_m=face_bias(model.shape.mesh.transformed(registration.T_truth_built), truth, surface),
-        estimated_iou=model.quality.estimated_iou,
-        estimated_iou_low=low,
-        estimated_iou_high=high,
-        iou_in_interval=None if low is None or high is None else bool(low <= figures.iou <= high),
+        estimated_iou=quality.estimated_iou,
+        estimated_iou_low=of_whole[0],
+        estimated_iou_high=of_whole[1],
+        iou_in_interval=_lies_in(of_whole, figures.iou),
+        estimated_known_iou=quality.estimated_known_iou,
+        known_iou_in_interval=_lies_in(of_known, figures.known_iou),
     )
+
+
+def _lies_in(interval: tuple[float | None, float | None], iou: float | None) -> bool | None:
+    """Whether an IoU lies in an interval; None if one of them is not known."""
+    low, high = interval
+    return None if low is None or high is None or iou is None else bool(low <= iou <= high)
 
 
 def reduced_solids(solids: EvaluatedSolids) -> EvaluatedSolids:

@@ -187,6 +187,7 @@ def _solid(figures: SolidFigures) -> Iterator[FigureRow]:
         yield _row("estimated IoU, at least", figures.estimated_iou_low)
         yield _row("estimated IoU, at most", figures.estimated_iou_high)
         yield FigureRow("IoU lies between them", "yes" if figures.iou_in_interval else "no")
+    yield _row("estimated IoU on known", figures.estimated_known_iou)
 
 
 def _bias(bias: FaceBias) -> Iterator[FigureRow]:

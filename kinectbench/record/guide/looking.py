@@ -92,7 +92,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     grid = object_grid(found.box, found.floor, voxel_size_m)
     rules = Rules(floor_layers(found.floor, CUTS, voxel_size_m))
     seen = observe(sequence, trajectory, range(len(rows)), grid, FUSION)
-    evidence = classify_voxels(seen, found.excluded(grid), rules, roughly=True)
+    evidence = classify_voxels(seen, found.neighbours(grid), rules, roughly=True)
     solid = make_solid(seen, evidence, rules)
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)

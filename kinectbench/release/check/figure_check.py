@@ -87,13 +87,10 @@ def _reviewed(review: Any, decision: str) -> bool:
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
     """Limits that its quality violates and `poor` lacks; and limits in `poor` that its quality keeps."""
     quality = info.quality
-    values = (quality.estimated_iou, quality.estimated_iou_low)
-    known = [value for value in values if value is not None]
+    value, low, _ = quality.trusted_iou
+    values = [1 if each is None else each for each in (value, low)]
     # Of a trajectory that is not good it is the lower end, so either may break the limit.
-    low_iou, any_low = (
-        (1 if values[0] is None else values[0]) < limits.min_estimated_iou,
-        min([*known, 1]) < limits.min_estimated_iou,
-    )
+    low_iou, any_low = (each < limits.min_estimated_iou for each in (values[0], min(values)))
     unknown = (quality.unknown_share or 0) > limits.max_unknown_share
     warned = len(quality.measurement_warnings) > limits.max_doubts
     for key, must, may in (

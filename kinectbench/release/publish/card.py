@@ -24,6 +24,7 @@ from kinectbench.release.publish.isolate import isolated_line
 # Key of quality.json -> label, format, factor.
 QUALITY = {
     "estimated_iou": ("estimated IoU", "{:.3f}", 1.0),
+    "estimated_known_iou": ("estimated IoU on known voxels", "{:.3f}", 1.0),
     "repeatability_iou": ("repeatability IoU", "{:.3f}", 1.0),
     "surface_sigma_m": ("σ of the surface", "{:.1f} mm", 1000.0),
     "unknown_share": ("never seen, of the solid", "{:.1f} %", 100.0),

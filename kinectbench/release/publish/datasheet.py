@@ -27,6 +27,7 @@ FIGURES = {
     "estimated_iou": ("estimated IoU of the solid to the unknown truth", "", 1.0),
     "estimated_iou_low": (INTERVAL_LOW, "", 1.0),
     "estimated_iou_high": (INTERVAL_HIGH, "", 1.0),
+    "estimated_known_iou": ("the same over known voxels alone", "", 1.0),
     "repeatability_iou": ("IoU of solids made of odd and of even frames", "", 1.0),
     "surface_sigma_m": ("standard deviation of the surface", " mm", 1000.0),
     "unknown_share": ("share of the solid that no frame saw", " %", 100.0),

@@ -48,6 +48,8 @@ def _row(each: Judged, quality: QualityFile | None) -> TriageRow:
         review=recording.review.reason if recording.review else None,
         estimated_iou=quality.estimated_iou if quality else None,
         estimated_iou_low=quality.estimated_iou_low if quality else None,
+        estimated_known_iou=quality.estimated_known_iou if quality else None,
+        incomplete=each.incomplete,
         built=quality is not None,
     )
 

@@ -139,18 +139,19 @@ def _make_solids(
     The odd and the even frames are fused apart and then merged: the repeatability of the shape costs no
     further pass over the frames. The rules see the object in a world that is 1 / scale times as large.
     """
-    excluded, larger = chosen.excluded(grid), rules.enlarged(scale)
+    neighbours, beyond_box, larger = chosen.neighbours(grid), chosen.beyond_box(grid), rules.enlarged(scale)
     odd, even = frames.fused_half(0, grid), frames.fused_half(1, grid)
     try:
         of_odd, of_even = (
-            solidify(enlarged_observation(half, scale), excluded, larger) for half in (odd, even)
+            solidify(enlarged_observation(half, scale), neighbours, larger, beyond_box)
+            for half in (odd, even)
         )
     except ShapeError as error:
         raise ShapeError(f"odd or even frames alone: {error}", what=error.what) from error
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), scale)
     del odd, even  # of a large object each is a gigabyte
-    evidence = classify_voxels(together, excluded, larger)
+    evidence = classify_voxels(together, neighbours, larger, beyond_box)
     whole = make_solid(together, evidence, larger)
     T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
     frontiers = find_frontiers(whole, evidence, larger.limits, T_floor_grid)

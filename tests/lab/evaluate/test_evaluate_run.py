@@ -59,6 +59,7 @@ def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
     assert max(abs(found["solid"]["face_bias_m"][side]) for side in ("up", "side")) < 1e-6
     assert found["solid"]["face_bias_m"]["down"] is None
     assert found["solid"]["estimated_iou"] is found["solid"]["iou_in_interval"] is None
+    assert found["solid"]["estimated_known_iou"] is found["solid"]["known_iou_in_interval"] is None
     assert [score["f"] for score in found["scene"]["visible"]["scores"]] == [1, 1]
     assert found["masks"]["mean_valid_iou"] == found["masks"]["mean_iou"] == 1
     assert found["pairs"]["iou"]["worst"] > 0.9999

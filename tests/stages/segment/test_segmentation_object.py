@@ -175,7 +175,9 @@ def test_excluded_against_a_walk_over_voxels(two_things, given):
     found = find_floor_and_object(mesh, trajectory, given, SegmentationSettings())
     T_floor_grid = rigid(yaw_rotation(0.3), [-0.25, -0.3, -0.04])
     grid = Grid((64, 48, 32), 0.0125, found.floor.T_world_floor @ T_floor_grid)
-    excluded = found.excluded(grid)
+    excluded, beyond = found.neighbours(grid), found.beyond_box(grid)
+    assert (beyond is None) is (given is None)
+    excluded = excluded if beyond is None else excluded | beyond
     index = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1)
     centers_floor = transform_points(T_floor_grid, (index + 0.5) * grid.voxel_size_m)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)

@@ -41,7 +41,7 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
     solid[2:6, 2:6, :16] = True
     vertices = np.argwhere(solid) * 0.01
     shape = shape_of(solid, mesh=TriangleMesh(vertices, np.zeros((0, 3), np.int64)))
-    estimate = IouEstimate(0.7, 0.3, 0.9, 0.8, ("an opening that nobody looked into",) * told)
+    estimate = IouEstimate(0.7, 0.3, 0.9, 0.8, 0.9, 0.8, 1.0, ("an opening that nobody looked into",) * told)
     lines = _warnings([], shape, 0.95, estimate, ("record from above",) * told, 0.5)
     assert len(lines) == 2 and lines[0].startswith(
         "the estimated IoU of the solid to the truth is 0.70, lowered by: "
@@ -56,7 +56,7 @@ def test_a_surface_that_may_be_far_off_is_not_good_without_a_word(measured_low: 
     solid = np.zeros((40, 40, 40), bool)
     solid[5:35, 5:35, :30] = True
     mesh = TriangleMesh(np.argwhere(solid) * 0.01, np.zeros((0, 3), np.int64))
-    estimate = IouEstimate(0.89, 0.7, 1.0, measured_low, ())
+    estimate = IouEstimate(0.89, 0.7, 1.0, measured_low, 0.9, 0.8, 1.0, ())
     found = _warnings([], shape_of(solid, mesh=mesh), 0.95, estimate, (), 0.0)
     assert len(found) == lines and all("IoU of the solid to the truth is 0.75" in line for line in found)
 

@@ -34,7 +34,7 @@ def solid_of(
     observed: Observation, excluded: np.ndarray | None = None, layers: FloorLayers = LAYERS
 ) -> SolidShape:
     none = np.zeros(SHAPE, bool)
-    shape = solidify(observed, none if excluded is None else excluded, Rules(layers))
+    shape = solidify(observed, none, Rules(layers), excluded)
     check_invariants(shape, observed, none if excluded is None else excluded)
     return shape
 
@@ -248,8 +248,18 @@ def test_what_is_left_out_and_was_not_seen_is_air():
     excluded = box_distance((0.0, 0.0, 0.0), (0.3, 0.03, 0.3)) < 0
     body_m = box_distance((0.06, 0.05, -1.0), (0.26, 0.19, 0.3))
     observed = observation(body_m, hidden=excluded)
-    shape = solidify(observed, excluded, Rules(LAYERS))
+    shape = solidify(observed, np.zeros(SHAPE, bool), Rules(LAYERS), excluded)
     assert shape.probability[excluded].max() <= 0.05 and not shape.solid[excluded].any()
+
+
+def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept():
+    """Of a couch whose underside nobody saw, near what lies below it: the neighbour has measured voxels."""
+    body_m = box_distance(*BOX)
+    near = body_m < -0.02  # deep inside the object, where nothing was measured
+    shape = solidify(observation(body_m), near, Rules(LAYERS))
+    alone = solidify(observation(body_m), np.zeros(SHAPE, bool), Rules(LAYERS))
+    assert near.sum() > 100 and np.array_equal(shape.solid, alone.solid)
+    assert np.array_equal(shape.labels, alone.labels)
 
 
 def test_never_seen_is_unknown():

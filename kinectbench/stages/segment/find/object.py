@@ -213,11 +213,29 @@ class Segmentation:
         """Whether the space below the object is unknown."""
         return self.how == "masks" and not self.floor.found
 
-    def excluded(self, grid: Grid) -> Bools:
-        """Voxels of an upright grid that cannot be the object: bool of the grid's shape.
+    def neighbours(self, grid: Grid) -> Bools:
+        """Where a neighbour's surface is and the object's is not: bool of an upright grid's shape."""
+        ground_floor, heights_m = self._middles_floor(grid)
+        cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
+        levels = np.floor(heights_m / self.cell_m).astype(np.int64)
+        first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
+        shape = np.append(cells.reshape(-1, 2).max(axis=0), levels.max()) + 1 - first
+        foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
+        x, y = (cells[..., axis, None] - first[axis] for axis in (0, 1))
+        return np.asarray(foreign[x, y, levels - first[2]])
 
-        They are outside a given box, or where a neighbour's surface is and the object's is not.
-        """
+    def beyond_box(self, grid: Grid) -> Bools | None:
+        """Where a given box ends: bool of an upright grid's shape; None without a given box."""
+        if self.how != "box":
+            return None
+        ground_floor, heights_m = self._middles_floor(grid)
+        at_middle = ground_floor.copy()
+        at_middle[..., 2] = self.box.center_m[2]
+        inside = np.abs(heights_m - self.box.center_m[2]) <= self.box.size_m[2] / 2
+        return np.asarray(~(self.box.contains(at_middle)[:, :, None] & inside))
+
+    def _middles_floor(self, grid: Grid) -> tuple[Float64, Float64]:
+        """Middles (nx, ny, 3) of an upright grid's columns, and heights (nz,) of its layers, floor frame."""
         T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
         # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
         nx, ny, nz = grid.shape
@@ -226,18 +244,7 @@ class Segmentation:
         )
         ground_floor = transform_points(T_floor_grid, ground * grid.voxel_size_m)[:, :, 0]
         heights_m = T_floor_grid[2, 3] + (np.arange(nz) + 0.5) * grid.voxel_size_m
-        cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
-        levels = np.floor(heights_m / self.cell_m).astype(np.int64)
-        first = np.append(cells.reshape(-1, 2).min(axis=0), levels.min())
-        shape = np.append(cells.reshape(-1, 2).max(axis=0), levels.max()) + 1 - first
-        foreign = _dilated(self.other_cells, first, shape) & ~_dilated(self.object_cells, first, shape)
-        x, y = (cells[..., axis, None] - first[axis] for axis in (0, 1))
-        excluded: Bools = foreign[x, y, levels - first[2]]
-        if self.how == "box":
-            at_middle = np.dstack([ground_floor[..., :2], np.full((nx, ny), self.box.center_m[2])])
-            inside = np.abs(heights_m - self.box.center_m[2]) <= self.box.size_m[2] / 2
-            excluded = excluded | ~(self.box.contains(at_middle)[:, :, None] & inside)
-        return excluded
+        return ground_floor, heights_m
 
 
 def find_floor_and_object(

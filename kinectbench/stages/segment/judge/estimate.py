@@ -57,6 +57,9 @@ class IouEstimate:
         low: lower end of the interval; behind an opening that no frame saw into the other guess may be right.
         high: upper end; the guess behind every opening is right.
         measured_low: the least IoU that the error of the surface leaves, where every guess is right.
+        known: the IoU over known voxels alone, which only the error of the surface lowers.
+        known_low: lower end of its interval.
+        known_high: upper end of its interval.
         reasons: what widens the interval, a line each.
     """
 
@@ -64,6 +67,9 @@ class IouEstimate:
     low: float
     high: float
     measured_low: float
+    known: float
+    known_low: float
+    known_high: float
     reasons: tuple[str, ...]
 
 
@@ -130,6 +136,9 @@ def estimate_iou(
         max(0.0, expected.iou(most) - spread),
         min(guessed.iou(least), expected.iou(least) + spread),
         guessed.iou(most),
+        max(0.0, 1 - missing),
+        max(0.0, 1 - most),
+        1 - least,
         _reasons(frontiers, per_mm, shifted, pose_error.checked),
     )
 

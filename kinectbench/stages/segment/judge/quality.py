@@ -75,12 +75,10 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    unsupported = _unsupported(chosen, together)
-    advice = tuple(frontier.advice(report.first_rad) for frontier in frontiers)
+    unsupported, advice = _unsupported(chosen, together), tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
-    boxes = (box, *(solid_box(half, chosen.floor, box.yaw_rad) for half in (odd, even)))
-    whole, of_odd, of_even = (BoxPart.of(each, BOX_DECIMALS_M, BOX_DECIMALS_RAD) for each in boxes)
+    of_odd, of_even = (_box_part(solid_box(half, chosen.floor, box.yaw_rad)) for half in (odd, even))
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
@@ -91,6 +89,9 @@ def measure_quality(
         estimated_iou_low=round(estimate.low, 4),
         estimated_iou_high=round(estimate.high, 4),
         estimated_iou_reasons=estimate.reasons,
+        estimated_known_iou=round(estimate.known, 4),
+        estimated_known_iou_low=round(estimate.known_low, 4),
+        estimated_known_iou_high=round(estimate.known_high, 4),
         frontiers=tuple(_frontier_part(frontier, report.first_rad) for frontier in frontiers),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
@@ -99,7 +100,7 @@ def measure_quality(
         underside_share=round(together.underside_share, 4),
         volume_m3=round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
         labels=LabelCounts(**{each.name.lower(): int((together.labels == each).sum()) for each in Label}),
-        box=whole,
+        box=_box_part(box),
         box_odd=of_odd,
         box_even=of_even,
         selection=chosen.how,
@@ -110,6 +111,10 @@ def measure_quality(
         beyond_share=report.beyond_share,
         method=method(rules),
     )
+
+
+def _box_part(box: OrientedBox) -> BoxPart:
+    return BoxPart.of(box, BOX_DECIMALS_M, BOX_DECIMALS_RAD)
 
 
 def _unknown_shares(shape: SolidShape) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64, Int64, Underside
 from kinectbench.core.voxels.distance import distance_within_m
@@ -123,14 +124,19 @@ class VoxelEvidence:
 
 
 def classify_voxels(
-    observation: Observation, excluded: Bools, rules: Rules, *, roughly: bool = False
+    observation: Observation,
+    neighbours: Bools,
+    rules: Rules,
+    beyond: Bools | None = None,
+    roughly: bool = False,
 ) -> VoxelEvidence:
     """Classify the voxels, and find which of the unseen ones a camera could see.
 
     Args:
         observation: TSDF and votes on an upright grid.
-        excluded: bool, voxels that cannot be the object: neighbours, outside a given box.
+        neighbours: bool, voxels near a neighbour's surface; what nobody measured there may be the object.
         rules: by which the solid is made.
+        beyond: bool, voxels outside a given box.
         roughly: with fewer lines of sight, for solids that are only compared with one another.
     """
     voxel_m, layers = observation.grid.voxel_size_m, rules.layers
@@ -139,14 +145,14 @@ def classify_voxels(
     signed_m = _signed_distance_m(observation, rules.ray_width_m)
     free = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~free
-    excluded = excluded | _detached(behind & ~excluded, layers)
+    excluded = neighbours & observed if beyond is None else (neighbours & observed) | beyond
+    excluded |= _detached(behind & ~excluded, layers)
     sheet_m = np.float32(SHEET_VOXELS * voxel_m)
     surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
     surface &= ~excluded
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    above = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * voxel_m
-    heights_m = above.astype(np.float32) if rules.stands else None
+    heights_m = _heights_m(observation.grid, layers) if rules.stands else None
     sight = look_directions(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
@@ -159,9 +165,8 @@ def classify_voxels(
     unseen[:, :, contact] &= standing[:, :, None]
     excluded[:, :, contact] |= ~standing[:, :, None] & ~free[:, :, contact]
     closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
-    underside[:, :, contact] = (
-        unseen[:, :, contact] & underside[:, :, contact.stop, None] & ~solid[:, :, None]
-    )
+    from_below = underside[:, :, contact.stop] & ~solid
+    underside[:, :, contact] = unseen[:, :, contact] & from_below[:, :, None]
     if rules.underside == "closed":
         closed |= underside
     return VoxelEvidence(
@@ -178,6 +183,11 @@ def classify_voxels(
         surface=surface,
         heights_m=heights_m,
     )
+
+
+def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
+    """Heights of the layers' middles above the plane that the object stands on, metres."""
+    return np.asarray((np.arange(grid.shape[2]) - layers.below + 0.5) * grid.voxel_size_m, np.float32)
 
 
 def _observed(observation: Observation) -> Bools:

@@ -73,13 +73,16 @@ class Solids:
     surface_sigma_m: float
 
 
-def solidify(observation: Observation, excluded: Bools, rules: Rules) -> SolidShape:
+def solidify(
+    observation: Observation, neighbours: Bools, rules: Rules, beyond_box: Bools | None = None
+) -> SolidShape:
     """Make a solid of some of the frames, for comparison: classify roughly, then `make_solid`.
 
     Raises:
         ShapeError: nothing is left.
     """
-    return make_solid(observation, classify_voxels(observation, excluded, rules, roughly=True), rules)
+    evidence = classify_voxels(observation, neighbours, rules, beyond_box, roughly=True)
+    return make_solid(observation, evidence, rules)
 
 
 def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> SolidShape:
