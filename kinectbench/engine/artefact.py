@@ -31,7 +31,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 12,
-    "track": 9,
+    "track": 10,
     "fuse": 6,
     "segment": 35,
     "sample-views": 3,

@@ -39,6 +39,15 @@ class LostStretch(StoredPart):
     reason: str = Field("", description="the most frequent reason")
 
 
+class Jump(StoredPart):
+    """A step of the camera that is faster by far than the others."""
+
+    from_frame: int = Field(description="the frame before it")
+    to_frame: int = Field(description="the next frame with a pose")
+    moved_m: float = Field(description="how far the camera moves, metres")
+    times_as_fast: float = Field(description="its speed, by the speed that 95 % of the steps keep")
+
+
 class RejectedFrame(ScaledPart):
     """A frame that was left out because its depth disagrees with its given pose."""
 
@@ -137,6 +146,7 @@ class TrajectoryHealth(ScaledPart, Stored):
     tracked: int = Field(description="of these, frames with a pose")
     lost: tuple[int, ...] = Field((), description="frames without one, but for the rejected")
     lost_stretches: tuple[LostStretch, ...] = Field((), description="runs of lost frames")
+    jumps: tuple[Jump, ...] = Field((), description="steps that are faster by far than the others")
     relocalised: tuple[int, ...] = Field((), description="frames whose pose was found again after a gap")
     rejected: tuple[RejectedFrame, ...] = Field(
         (), description="frames left out because their depth disagrees with their given pose"

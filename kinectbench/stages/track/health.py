@@ -29,6 +29,7 @@ from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.health_figures import (
     ConstraintCorrection,
     constraint_correction,
+    jumps,
     lost_stretches,
     median,
     median_depths_m,
@@ -68,6 +69,7 @@ def health(
         tracked=int(case.posed.sum()),
         lost=_indices(case.lost),
         lost_stretches=tuple(lost_stretches(sequence.stamps_ns, case.lost, tracked.reasons)),
+        jumps=tuple(jumps(tracked.T_world_camera, sequence.stamps_ns)),
         relocalised=_indices(np.array(case.states) == "relocalised"),
         rejected=tuple(_rejected(case, frame) for frame in _indices(case.rejected)),
         degenerate=_indices(tracked.degenerate),

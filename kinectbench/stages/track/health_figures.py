@@ -5,13 +5,13 @@ residual, motion and blur; and where the camera was lost.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.trajectory import LostStretch
+from kinectbench.core.artefacts.trajectory import Jump, LostStretch
 from kinectbench.core.geometry import Camera, invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.images import image_sharpness
 from kinectbench.core.sequence import Sequence
@@ -26,6 +26,9 @@ ACCEPTED_WEIGHT = 0.5
 MIN_WEIGHT = 0.1
 # A correction is averaged over a grid of this many points across and down the image.
 GRID = 5
+# A step is a jump if it is so long, and so many times as fast as 95 % of the steps: of 70 simulated scans
+# tracked within 30 mm none has one, of five whose poses are off by 0.7 m and more three do.
+JUMP_M, JUMP_TIMES = 0.5, 2.0
 # For frames without any depth.
 TYPICAL_DEPTH_M = 1.5
 
@@ -140,6 +143,28 @@ def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float
     speed_m_per_s[1:] = np.linalg.norm(T_before_now[:, :3, 3], axis=1) / elapsed_s
     turn_rad_per_s[1:] = rotation_angle_rad(T_before_now[:, :3, :3]) / elapsed_s
     return speed_m_per_s, turn_rad_per_s
+
+
+def jumps(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> Iterator[Jump]:
+    """Steps between consecutive poses that are long, and faster by far than 95 % of them.
+
+    Args:
+        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        stamps_ns: (n,) strictly increasing.
+    """
+    posed = np.flatnonzero(has_pose(T_world_camera))
+    if len(posed) < 2:
+        return
+    moved_m = np.linalg.norm(np.diff(T_world_camera[posed, :3, 3], axis=0), axis=1)
+    speed_m_per_s = moved_m / (np.diff(stamps_ns[posed]) / 1e9)
+    times = speed_m_per_s / max(float(np.percentile(speed_m_per_s, 95)), 1e-9)
+    for k in np.flatnonzero((moved_m > JUMP_M) & (times > JUMP_TIMES)).tolist():
+        yield Jump(
+            from_frame=int(posed[k]),
+            to_frame=int(posed[k + 1]),
+            moved_m=round(float(moved_m[k]), 2),
+            times_as_fast=round(float(times[k]), 1),
+        )
 
 
 def lost_stretches(

@@ -100,6 +100,7 @@ class _Builder:
             keyframe_thumbnail(maps[frame]) for frame in self.keyframes
         ]
         self.textured = any(maps[frame].has_intensity for frame in self.keyframes[:3])
+        self.lost = np.array([frame is None for frame in odometry.frames])
         followed = [odometry.frames[frame] for frame in self.keyframes]
         self.segments = np.array([f.segment for f in followed if f is not None])
         self.T_segment = np.array([f.T_segment_camera for f in followed if f is not None])
@@ -276,15 +277,37 @@ class _Builder:
                         self._try(i, j, self._between(i, a) @ each.T_a_b @ self._between(b, j))
 
     def _join_groups(self) -> None:
-        """Join two groups if two constraints agree on their relative pose, or one spans a gap in time."""
+        """Join two groups if two constraints agree on their relative pose, or one spans a gap in time.
+
+        Consecutive frames come first. Opposite sides of a symmetric object fit each other as well, and more
+        often: where a join by consecutive frames contradicts such constraints, they are refused.
+        """
         while True:
-            between = self._joining_constraints()
-            ranked = [(self._agreed(constraints), groups) for groups, constraints in sorted(between.items())]
-            candidates = [(agreed, groups) for agreed, groups in ranked if agreed is not None]
+            candidates = []
+            for groups, constraints in sorted(self._joining_constraints().items()):
+                following = [each for each in constraints if self._follows(each)]
+                if (agreed := self._agreed(following or constraints)) is not None:
+                    candidates.append((bool(following), *agreed, groups))
             if not candidates:
                 return
-            (_, each), groups = max(candidates, key=lambda candidate: candidate[0][0])
+            follows, _, each, groups = max(candidates, key=lambda candidate: candidate[:2])
             self._join(each, groups)
+            if follows:
+                self._refuse_contradictions()
+
+    def _refuse_contradictions(self) -> None:
+        """Refuse loops within a group that break the drift bound."""
+        for each in list(self.constraints):
+            a, b = self._ends(each)
+            within = each.kind == "loop" and self.group[a] == self.group[b]
+            if within and self._breaks_drift_bound(a, b, each.T_a_b):
+                self.constraints.remove(each)
+                self.refused.append(replace(each, weight=0.0))
+
+    def _follows(self, each: Constraint) -> bool:
+        """Whether its frames are consecutive keyframes, and the camera was never lost between them."""
+        a, b = self._ends(each)
+        return b == a + 1 and not self.lost[each.a : each.b].any()
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
         """The constraint that most others confirm, with their number; None if too few confirm it."""

@@ -7,8 +7,15 @@ path, and more. All limits were chosen by hand.
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
-from kinectbench.core.artefacts.trajectory import GivenFigures, Grade, Recommendation, TrajectoryHealth
+from kinectbench.core.artefacts.trajectory import (
+    GivenFigures,
+    Grade,
+    LoopClosure,
+    Recommendation,
+    TrajectoryHealth,
+)
 
 GRADES: tuple[Grade, ...] = ("good", "fair", "not good")
 MIN_POSES = 3
@@ -32,6 +39,9 @@ TIMES_NOISE = (2.0, 3.0)
 UNMATCHED_SHARE = (0.4, 0.5)
 # Refinement moves motion-capture poses by their own noise, and drifting poses by more.
 REFINED_APART_M = 0.025
+# Consecutive keyframes that overlap and agree so well, and are placed so far from that: of 70 simulated
+# scans only one, which was 1 m off, has such a pair.
+TORN_OVERLAP, TORN_INLIERS, TORN_M = 0.5, 0.95, 0.1
 # Given poses drift if distant frames disagree by this many times as much as near ones, plus 5 mm.
 TIMES_NEAR = 2.0
 
@@ -146,6 +156,14 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     if accepted < loops:
         level = _at_least(accepted / loops, ACCEPTED_LOOP_RATIO)
         yield level, f"{loops - accepted} of {loops} loops contradict the rest"
+    # Poses that somebody gave may jump from view to view.
+    for jump in health.jumps if health.source == "tracked" else ():
+        frames = f"between frames {jump.from_frame} and {jump.to_frame}"
+        times = f"{jump.times_as_fast:.1f} times as fast as elsewhere"
+        yield 2, f"{frames} the camera would move by {jump.moved_m:.1f} m, {times}"
+    for row in _torn(health):
+        off = f"their poses are {row.correction_m:.1f} m off"
+        yield 2, f"frames {row.a} and {row.b} fit each other, but {off}"
     # A given trajectory that is refined constrains the path by itself.
     if health.source == "tracked" and health.open_path_m is not None:
         level = _at_most(health.open_path_m, OPEN_PATH_M)
@@ -154,6 +172,15 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
             arc = f" (arc of {round(math.degrees(health.arc_rad), 2):.0f} degrees)"
         path = f"{health.open_path_m:.1f} m of path lie outside any loop{arc}"
         yield level, f"{path}, their drift is not known" if level else f"only {path}"
+
+
+def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
+    """Refused registrations of consecutive keyframes that fit well, and place them elsewhere."""
+    following = set(pairwise(health.keyframes))
+    for row in health.refused_loops:
+        fits = (row.overlap or 0) >= TORN_OVERLAP and (row.inlier_share or 0) >= TORN_INLIERS
+        if (row.a, row.b) in following and fits and (row.correction_m or 0) > TORN_M:
+            yield row
 
 
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:

@@ -19,6 +19,7 @@ from tracking_scenes import (
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.lab.simulate.path import look_at
+from kinectbench.stages.track import keyframe_graph
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -30,6 +31,36 @@ from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 pytestmark = pytest.mark.xdist_group("tracking")
 
 INFORMATION = np.diag([1e6] * 3 + [1e6] * 3)  # 1 mrad, 1 mm
+
+
+# --- groups that are joined
+
+
+def test_consecutive_frames_join_groups_before_the_sides_of_a_symmetric_object_do() -> None:
+    """Six keyframes of an orbit, lost between frames 2 and 3; three loops see the front in the back."""
+    poses = ring(6, 1.5)
+    wrong = poses.copy()
+    wrong[3:] = ring(6, 1.5)[[0, 1, 2]]
+    follows = constraint_of(2, 3, between(poses, 2, 3), "loop")
+    loops = [constraint_of(a, b, between(wrong, a, b), "loop") for a, b in ((0, 4), (1, 4), (1, 5))]
+    builder = object.__new__(keyframe_graph._Builder)
+    builder.row = {k: k for k in range(6)}
+    builder.group = np.array([0, 0, 0, 1, 1, 1])
+    builder.T_world = np.concatenate([poses[:3], [invert_rigid(poses[3]) @ T for T in poses[3:]]])
+    builder.path_m = np.arange(6) * 1.5
+    builder.lost = np.zeros(6, bool)
+    builder.constraints, builder.refused = [follows, *loops], []
+    builder._join_groups()
+    assert set(builder.group.tolist()) == {0}
+    assert np.allclose(builder.T_world, poses)
+    assert builder.constraints == [follows] and [each.weight for each in builder.refused] == [0.0] * 3
+    # A gap in which the camera was lost is bridged by whatever most constraints agree on.
+    builder.group = np.array([0, 0, 0, 1, 1, 1])
+    builder.T_world = np.concatenate([poses[:3], [invert_rigid(poses[3]) @ T for T in poses[3:]]])
+    builder.lost[2] = True
+    builder.constraints, builder.refused = [follows, *loops], []
+    builder._join_groups()
+    assert np.allclose(builder.T_world, wrong)
 
 
 # --- pose graphs with known answers

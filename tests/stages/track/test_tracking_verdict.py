@@ -15,6 +15,7 @@ from kinectbench.core.artefacts.trajectory import GivenFigures, LoopClosure, Rej
 from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import track
+from kinectbench.stages.track.health_figures import jumps
 from kinectbench.stages.track.verdict import judge, recommend
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -166,6 +167,29 @@ def judged(loops: int = 20, believed_loops: int = 20, degenerate: int = 0, rejec
     left_out = [RejectedFrame(frame=k) for k in range(rejected)]
     rows = {"loops": closures, "degenerate": range(degenerate), "rejected": left_out}
     return judge(health_of(**{**GOOD, **rows, **changes}))
+
+
+def test_poses_that_consecutive_frames_contradict_are_not_good() -> None:
+    torn = LoopClosure(a=3, b=5, overlap=0.9, inlier_share=0.99, correction_m=1.1, believed=False)
+    found = health_of(**GOOD | {"keyframes": (0, 3, 5), "refused_loops": (torn,)})
+    grade, words = judge(found)
+    assert grade == "not good" and "frames 3 and 5 fit each other, but their poses are 1.1 m off" in words
+    for other in ({"correction_m": 0.01}, {"overlap": 0.2}, {"b": 8}):
+        row = torn.model_copy(update=other)
+        assert judge(found.model_copy(update={"refused_loops": (row,)}))[0] != "not good"
+
+
+def test_a_jump_is_not_good() -> None:
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, 0, 3] = 0.05 * np.arange(30)
+    poses[20:, 0, 3] += 1.2
+    poses[12:19] = np.nan  # lost, and found where the camera may have walked meanwhile
+    (jump,) = jumps(poses, np.arange(30) * 100_000_000)
+    assert (jump.from_frame, jump.to_frame, jump.moved_m) == (19, 20, 1.25)
+    found = health_of(**GOOD | {"jumps": (jump,)})
+    assert judge(found)[0] == "not good" and "the camera would move by 1.2 m" in judge(found)[1]
+    given = found.model_copy(update={"source": "refine"})
+    assert "the camera would move" not in judge(given)[1]
 
 
 @pytest.mark.parametrize(
