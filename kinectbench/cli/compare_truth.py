@@ -121,6 +121,8 @@ def _row(name: str, found: "ComparedMesh") -> dict[str, object]:
         pose = "any turn about its axis of symmetry"
     elif other is not None and other.fits_as_well:
         pose = f"or turned by {other.json_value()['turn_deg']:.0f}°, which fits as well"
+    if found.mirror_fits_as_well:
+        pose += "; its mirror image fits as well"
     return {
         "recording": name,
         "reference": found.reference,

@@ -19,6 +19,7 @@ from kinectbench.lab.evaluate.reference import solids_iou
 from kinectbench.lab.simulate.objects import make_object
 from kinectbench.stages.segment.object_model import read_object
 from kinectbench.stages.segment.reference.judge import register_reference
+from kinectbench.stages.segment.reference.register import mirror_image, sampled
 
 Command = Callable[..., Run]
 # As `fetch recipes/ycb` writes a recording.
@@ -36,9 +37,9 @@ SIZE = {
     "path": {"frames": 40, "moves": "turntable", "arc_rad": 6.2},
     "sensor": {"width": 320, "height": 240},
 }
-# A vase has rotational symmetry. The mirror image of a mug is a mug.
-THINGS = ("mug:0", "vase:1", "shoe:2")
-SYMMETRIC = ("vase:1",)
+# A vase and a bin have rotational symmetry. All but a shoe and an animal are their own mirror images.
+THINGS = ("mug:0", "vase:1", "shoe:2", "bin:0", "toy_animal:2", "toy_car:1")
+SYMMETRIC, MIRRORED = ("vase:1", "bin:0"), ("shoe:2", "toy_animal:2")
 
 
 def off(wrong: Float64, mesh: TriangleMesh, symmetric: bool) -> tuple[float, float]:
@@ -69,8 +70,19 @@ def test_a_scanners_mesh_is_laid_onto_what_was_built(command: Command, subject: 
     assert far_m < 0.001 and turned_deg < 0.5
     exact = solids_iou(model, true)[1]
     assert found.iou == pytest.approx(exact, abs=0.01)
-    refused = register_reference(model, larger(true)).refused
-    assert refused is not None
     other, _, its_seed = THINGS[THINGS.index(subject) - 1].partition(":")
     mesh = make_object(other, int(its_seed)).mesh
-    assert register_reference(model, TriangleMesh(mesh.vertices, mesh.faces)).refused is not None
+    wrong = [larger(true), TriangleMesh(mesh.vertices, mesh.faces)]
+    if subject in MIRRORED:
+        wrong.append(mirror_image(sampled(true)).mesh)
+    assert all(register_reference(model, each).refused is not None for each in wrong)
+
+
+@pytest.mark.slow
+def test_of_a_bottle_that_was_fused_too_far_out_no_size_is_accepted(command: Command, tmp_path: Path) -> None:
+    true = make_thing(tmp_path / "scans", "bottle", "bottle:seed=1", **SIZE)
+    (tmp_path / "benchmark.yaml").write_text(BENCHMARK.format(name="bottle"))
+    assert command(tmp_path, "segment", "--jobs", "1").status == 0
+    model = read_object(tmp_path / "build/bottle_NP5/object")
+    for mesh in (true, larger(true)):
+        assert register_reference(model, mesh).refused is not None

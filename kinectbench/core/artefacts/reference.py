@@ -69,6 +69,10 @@ class ComparedMesh(StoredPart):
     )
     scale: float | None = Field(None, description="by what the mesh would be multiplied to fit best")
     mirrored_m: float | None = Field(None, description="`residual_m` of its mirror image")
+    mirror_fits_as_well: Literal[True] | None = Field(
+        None,
+        description="true: nothing that was measured tells the mesh from its mirror image; missing: it does",
+    )
     runner_up: RunnerUpPart | None = Field(
         None, description="the next best pose; null: none has less than three times the residual"
     )

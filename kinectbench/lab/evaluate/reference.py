@@ -135,6 +135,7 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
             "residual_m": round(fit.pose.residual_m, DECIMALS),
             "scale": round(fit.scale, DECIMALS),
             "mirrored_m": None if fit.mirrored_m is None else round(fit.mirrored_m, DECIMALS),
+            **({"mirror_fits_as_well": True} if fit.mirror_as_well else {}),
             "runner_up": None
             if other is None
             else RunnerUpPart(
@@ -169,7 +170,8 @@ def f_scores(
     there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
     other = transform_points(T, theirs.points)
     here = ours.distance_m(other)
-    here = here[_is_free(model, other) | ((here < NEAR_M) & ours.counted[ours.tree.query(other)[1]])]
+    _, measured = ours.faced(other, theirs.normals @ T[:3, :3].T)
+    here = here[_is_free(model, other) | ((here < NEAR_M) & measured)]
     scores = []
     for threshold_m in thresholds_m:
         precision, recall = (float((way < threshold_m).mean()) if len(way) else 0.0 for way in (there, here))

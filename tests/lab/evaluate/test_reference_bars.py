@@ -1,17 +1,20 @@
 """A reference mesh comes back to the object that it is of, and the mesh of another one is refused."""
 
+from dataclasses import replace
+
 import manifold3d
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from reference_models import T_WORLD_FLOOR, drawn, model_of, moved
+from reference_models import T_WORLD_FLOOR, VOXEL_M, drawn, model_of, moved
 from slow import slow
 
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.lab.evaluate.reference import reference_figures
 from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
-from kinectbench.stages.segment.reference.register import mirror_image, sampled
+from kinectbench.stages.segment.reference.register import mirror_image, sampled, sampled_object
 
 # None of them was looked at when the rules were chosen. A bottle and a stool have rotational symmetry.
 RIGHT = ["chair:7", "bottle:1", *map(slow, ["toy_car:1", "stool:0", "watering_can:2", "helmet:3"])]
@@ -123,10 +126,44 @@ def test_a_wrong_mesh_is_refused(name: str, wrong: str, said: str) -> None:
     assert found.refused is not None and said in found.refused and "\n" not in found.refused
 
 
+def test_of_a_bottle_that_is_too_thick_no_size_is_accepted() -> None:
+    """Narrow things are fused too far out, but for their tops: a mesh 5 % too large would fit."""
+    upright = drawn("bottle:1")
+    model = model_of(TriangleMesh(upright.vertices * [1.05, 1.05, 1.0], upright.faces))
+    assert register_reference(model, moved(upright, 14)[0]).refused is not None
+    refused = register_reference(model, moved(larger(upright), 14)[0]).refused
+    assert refused is not None and "its size cannot be judged" in refused
+
+
+def test_surface_before_which_nothing_was_measured_does_not_count() -> None:
+    """The inside of a wall is near to what was measured, but was not measured itself."""
+    model = model_of(drawn("bin:0"))
+    labels, half = model.shape.labels.copy(), model.shape.grid.shape[0] // 2
+    labels[half:][labels[half:] == Label.FREE] = Label.UNKNOWN
+    before = sampled_object(model)
+    found = sampled_object(replace(model, shape=replace(model.shape, labels=labels)))
+    far_m = transform_points(model.shape.grid.T_grid_world, found.points)[:, 0] - half * VOXEL_M
+    beyond = far_m > 2 * VOXEL_M  # in corners there is surface before surface
+    assert found.counted[beyond].mean() < 0.05 and before.counted[beyond].mean() > 0.8
+    assert (found.counted == before.counted)[far_m < -2 * VOXEL_M].all() and found.counted.any()
+
+
 def test_another_unit_is_refused_at_once() -> None:
     upright = drawn("chair:7")
     found = register_reference(model_of(upright), TriangleMesh(upright.vertices * 1000, upright.faces))
     assert found.pose is None and found.refused is not None and "another unit than metres" in found.refused
+
+
+@pytest.mark.parametrize(("unknown_below_m", "as_well"), [(0.12, True), (0.0, None)])
+def test_a_mirror_image_that_fits_as_well_is_stated(unknown_below_m: float, as_well: bool | None) -> None:
+    """A box with a block at the foot of one corner is not its own mirror image; the block may be unseen."""
+    block = manifold3d.Manifold.cube([0.15, 0.1, 0.1]).translate([0.45, 0.18, 0.0])
+    made = (manifold3d.Manifold.cube([0.5, 0.3, 0.4]) + block).to_mesh64()
+    upright = TriangleMesh(np.array(made.vert_properties[:, :3]), np.array(made.tri_verts, np.int32))
+    model = model_of(upright, unknown_below_m)
+    fit = register_reference(model, moved(upright, 16)[0])
+    found = reference_figures(model, fit, closed=True)
+    assert found.refused is None and found.mirror_fits_as_well is as_well
 
 
 def test_of_two_poses_that_fit_the_other_is_stated() -> None:

@@ -4,18 +4,22 @@ docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of
 they were chosen by.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh, transform_points
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.solid import costs_too_much
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.reference.register import (
+    JUDGED,
     LEAST_SHARE,
+    SIZED,
+    SIZED_OUT,
     Pose,
     Sampled,
     about,
@@ -29,7 +33,9 @@ from kinectbench.stages.segment.reference.register import (
 # Of the object's diagonal: the residual of right meshes was 0.28 % at most, and 0.84 % of a helmet whose
 # hollow no camera saw; of other objects of the same size it was 2.2 % or more.
 MOST_RESIDUAL = 0.01
-# The best scale of right meshes was off by 0.5 % at most, of those 5 % too large or small by 4.4 % or more.
+# The best scale of right meshes was off by 0.5 % at most, of those 5 % too large or small by 4.4 % or more;
+# so is the scale beside which the surface may lie too far out: the two differed by 0.4 % at most, but by 5 %
+# or more of bottles that were fused 2 mm too far out.
 MOST_SCALE = 0.02
 # The mirror image of a right mesh had 0.97 of its residual at least; that of a mirrored mesh 0.39 at most,
 # where the object is not its own mirror image. Differences below `LEAST_SHARE` say nothing.
@@ -73,6 +79,7 @@ class RegisteredReference:
         mirrored_m: residual of its mirror image; None where that was not needed.
         runner_up: None: no other pose has less than three times the residual.
         symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None without one.
+        mirror_as_well: its mirror image, which is another shape, fits as well.
     """
 
     ours: Sampled
@@ -83,6 +90,7 @@ class RegisteredReference:
     mirrored_m: float | None = None
     runner_up: RunnerUp | None = None
     symmetric_axis_floor: Float64 | None = None
+    mirror_as_well: bool = False
 
 
 def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredReference:
@@ -113,14 +121,26 @@ def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredRefe
     found = poses(ours, theirs, T_floor_world)
     best, R_floor = found[0], T_floor_world[:3, :3] @ found[0].T[:3, :3]
     if best.residual_m > MOST_RESIDUAL * ours.diagonal_m:
-        return RegisteredReference(ours, theirs, _refusal(best.residual_m, ours.diagonal_m, None, 1.0), best)
+        return RegisteredReference(ours, theirs, _refusal(best.residual_m, ours.diagonal_m), best)
     axis = symmetric_axis(theirs)
     runner_up = _runner_up(found, T_floor_world, LEAST_SHARE * ours.diagonal_m) if len(found) > 1 else None
-    scale = best_scale(ours, theirs, best.T)
-    of_mirror = poses(ours, mirror_image(theirs), T_floor_world)[0].residual_m
-    refused = _refusal(best.residual_m, ours.diagonal_m, of_mirror, scale)
+    scales = [best_scale(ours, theirs, best.T, free) for free in (SIZED_OUT, SIZED)]
+    mirror = mirror_image(theirs)
+    mirrored = poses(ours, mirror, T_floor_world)[0]
+    refused = _refusal(best.residual_m, ours.diagonal_m, mirrored.residual_m, scales)
+    # It lies elsewhere than the mesh, where nothing was measured: the mesh is not its own mirror image.
+    least_m = max(best.residual_m, LEAST_SHARE * ours.diagonal_m)
+    as_well = LEAST_MIRRORED * mirrored.residual_m < least_m < _between(theirs, best.T, mirror, mirrored.T)
     axis_floor = None if axis is None else R_floor @ axis
-    return RegisteredReference(ours, theirs, refused, best, scale, of_mirror, runner_up, axis_floor)
+    return RegisteredReference(
+        ours, theirs, refused, best, scales[0], mirrored.residual_m, runner_up, axis_floor, as_well
+    )
+
+
+def _between(one: Sampled, T_one: Float64, other: Sampled, T_other: Float64) -> float:
+    """Mean distance of a mesh from another where both are laid, metres."""
+    T = invert_rigid(T_other) @ T_one
+    return float(other.distance_m(transform_points(T, one.points[one.few(JUDGED)])).mean())
 
 
 def _lies_across(mesh: TriangleMesh) -> bool:
@@ -130,7 +150,12 @@ def _lies_across(mesh: TriangleMesh) -> bool:
     return costs_too_much(cells[:, :2], mesh.faces, (FULL_CELLS, FULL_CELLS))
 
 
-def _refusal(residual_m: float, diagonal_m: float, of_mirror_m: float | None, scale: float) -> str | None:
+def _refusal(
+    residual_m: float,
+    diagonal_m: float,
+    of_mirror_m: float | None = None,
+    scales: Sequence[float] = (1.0, 1.0),
+) -> str | None:
     share = residual_m / diagonal_m
     if share > MOST_RESIDUAL:
         return (
@@ -143,10 +168,16 @@ def _refusal(residual_m: float, diagonal_m: float, of_mirror_m: float | None, sc
             f"its mirror image fits better, {of_mirror_m * 1000:.1f} mm off in the mean and not "
             f"{residual_m * 1000:.1f} mm: mirror it back"
         )
-    if abs(scale - 1) > MOST_SCALE:
+    off = [scale - 1 for scale in scales if abs(scale - 1) > MOST_SCALE]
+    if len(off) == len(scales) and max(off) * min(off) > 0:
         return (
-            f"it fits best {scale:.3f} times as large, more than {MOST_SCALE:.0%} off: check its size "
+            f"it fits best {scales[0]:.3f} times as large, more than {MOST_SCALE:.0%} off: check its size "
             "and the depth scale of the camera"
+        )
+    if off:
+        return (
+            f"its size cannot be judged: it fits best {scales[1]:.3f} times as large, or {scales[0]:.3f} "
+            "times if the surface was fused too far out or in, as that of a narrow thing is"
         )
     return None
 
@@ -164,7 +195,7 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
     """The axis (3,), in the reference's frame, about which any turn leaves it as it is; None without one."""
-    points = theirs.few(1000)
+    points = theirs.points[theirs.few(1000)]
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T
     for axis in axes:
