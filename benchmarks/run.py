@@ -31,8 +31,8 @@ ROOMS = {
     "speed": ROOT / "speed",
     "robustness": TESTS / "robustness",
 }
-# These have command lines of their own, and no figures.
-NOT_LISTED = ("fuzzing", "hostile", "replica", "standing_alone")
+# These are run by their paths: the list stays short.
+NOT_LISTED = ("fuzzing", "hostile", "replica", "same_object", "standing_alone")
 BASELINES = ROOT / "baselines.json"
 # Where modules are that benchmarks share.
 IMPORTED = (ROOT, *ROOMS.values(), TESTS / "support")

@@ -6,10 +6,15 @@ one family, whose objects differ least; those of other sizes are not compared, a
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
 from figures import Figure, arguments, at_least, at_most, run, told
 
 from kinectbench.core.geometry.boxes import yaw_rotation

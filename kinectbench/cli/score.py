@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 PROTOCOLS = "paper, known, occluded, measured, known-unsaid, shell, or of the camera frame camera, aligned"
-CLOSE = "make open meshes in the camera frame solid: winding (numbers above 0.5)"
+CLOSE = "make open meshes in the camera frame solid: winding, or poisson (also points with normals)"
 UPSAMPLING = "of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"

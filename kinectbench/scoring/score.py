@@ -8,8 +8,10 @@ from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
+from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, SettingsError
+from kinectbench.core.extras import missing_extra
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
@@ -19,7 +21,6 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
 from kinectbench.scoring.camera.score import protocols_in_space, score_in_camera
-from kinectbench.scoring.camera.solid import CLOSINGS
 from kinectbench.scoring.declared import (
     changed_files,
     changed_line,
@@ -64,7 +65,7 @@ def score(
         jobs: number of processes, or where else pairs are counted; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder that keeps counts until all are complete; None keeps nothing.
-        close: how open meshes in the camera frame are made solid: "winding"; None: not at all.
+        close: how open meshes and points in the camera frame are made solid, of `CLOSINGS`; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
@@ -158,13 +159,15 @@ def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | N
     """Refuse names of protocols, of upsampling and of ways to close meshes that are not known.
 
     Raises:
-        SettingsError: one that is not.
+        SettingsError: one that is not, or what it needs is not installed.
     """
     check_protocols(protocols)
     if upsampling not in CONVENTIONS:
         raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
     if close not in (None, *CLOSINGS):
         raise SettingsError(f"--close {close}: choose {' or '.join(CLOSINGS)}")
+    if close == "poisson" and (missing := missing_extra("build")):
+        raise SettingsError(f"--close {close}: {missing}", what="no-package")
 
 
 def score_methods(

@@ -45,11 +45,16 @@ def test_wrong_words_are_told_in_one_line(
 def test_one_category_is_trained_by_the_command(
     command: Command, tiny: Callable[..., Path], learning: Release, tmp_path: Path
 ) -> None:
-    words = ("train", str(tiny()), "--data", str(learning.folder), "--out", "run", "--device", "cpu")
+    config = tiny(("batch: 2", "batch: 2, leave_out: [chair_z]"))
+    words = ("train", str(config), "--data", str(learning.folder), "--out", "run", "--device", "cpu")
+    note = "{}: note: training.leave_out: chair_z: in no release that was given"
     wrong = command(tmp_path, *words, "--category", "tabel")
-    assert (wrong.status, wrong.err.count("\n"), "did you mean 'table'?" in wrong.err) == (1, 1, True), wrong
+    lines = wrong.err.splitlines()
+    assert (wrong.status, lines[0], len(lines)) == (1, note.format("tiny-tabel"), 2), wrong
+    assert "did you mean 'table'?" in lines[1]
     made = command(tmp_path, *words, "--category", "table", "--json")
-    assert made.status == 0 and json.loads((tmp_path / "run" / "training.json").read_text())["pairs"] == 2
+    assert (made.status, made.err.splitlines()[0]) == (0, note.format("tiny-table"))
+    assert json.loads((tmp_path / "run" / "training.json").read_text())["pairs"] == 2
     assert trained.open_trained(tmp_path / "run").config.name == "tiny-table"
 
 

@@ -327,6 +327,9 @@ def test_schema_problems() -> None:
     ]
     assert "'views'" in next(schema_problems("views/a/views.json", '{"format_version": 1, "refused": []}'))
     assert list(schema_problems("croissant.json", "{}")) == []
+    # What a check of this project says stands alone, without pydantic's "Value error, ".
+    (problem,) = schema_problems("thresholds.json", '{"thresholds": {"chair": 0.5, "Chair": 0.5}}')
+    assert problem.startswith("'thresholds': the categories 'chair' and 'Chair' differ")
 
 
 def test_lineage(release: Release) -> None:

@@ -4,9 +4,12 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
+from pydantic_core import InitErrorDetails
 from raising import raises
 from score_rows import row, table
 from small_benchmark import Run
@@ -85,6 +88,26 @@ def test_wrong_columns_are_told(many: ScoreTable, tmp_path: Path, name: str) -> 
     assert "\n" not in str(error.value) and str(error.value).startswith(
         f"{tmp_path / ROWS_NPZ}: not the rows"
     )
+
+
+def test_a_check_of_a_row_is_told_in_its_own_words(
+    many: ScoreTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without pydantic's "Value error, "."""
+
+    def refused(*_: object) -> NoReturn:
+        said: InitErrorDetails = {
+            "type": "value_error",
+            "loc": ("iou",),
+            "input": 2,
+            "ctx": {"error": ValueError("too good")},
+        }
+        raise ValidationError.from_exception_data("ScoreRow", [said])
+
+    many.write(tmp_path)
+    monkeypatch.setattr(score_columns, "_rows", refused)
+    with raises(StorageError, "storage.damaged", match=r"\('iou': too good\)"):
+        ScoreTable.read(tmp_path)
 
 
 def stranger(folder: Path, **rows_file: object) -> None:

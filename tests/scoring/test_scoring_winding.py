@@ -96,5 +96,5 @@ def test_open_meshes_are_scored_as_solids_where_that_is_asked(
     monkeypatch.setattr(winding, "MOST_STEPS", 10_000)
     (reason, *_) = {found.reason for found in score(release, folder, method="open", close="winding").failures}
     assert "faces across each other; simplify the mesh" in reason
-    with raises(SettingsError, "settings.wrong-value", "--close poisson"):
-        score(release, folder, method="open", close="poisson")
+    with raises(SettingsError, "settings.wrong-value", "--close hull: choose winding or poisson"):
+        score(release, folder, method="open", close="hull")

@@ -16,7 +16,9 @@ from pydantic.fields import FieldInfo
 IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
 SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
 UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
-Closing = Annotated[str | None, Field(json_schema_extra={"enum": ["winding", None]})]
+# How what has no inside can be made solid.
+CLOSINGS = ("winding", "poisson")
+Closing = Annotated[str | None, Field(json_schema_extra={"enum": [*CLOSINGS, None]})]
 OptionalUnitRange = Annotated[float | None, Field(json_schema_extra=IN_UNIT_RANGE)]
 
 # Protocols of predictions in the camera frame.
@@ -270,7 +272,8 @@ class InSpace:
     )
     as_papers: AsPapers | None = Field(default=None, description="of the whole under `camera`")
     closed: Closing = Field(
-        default=None, description="how an open mesh was made solid, by `--close`; null where it was not"
+        default=None,
+        description="how an open mesh or points were made solid, by `--close`; null: they were not",
     )
     calibration: Calibration | None = Field(
         default=None, description="of the votes of several solids, in the rows of their mean"

@@ -107,7 +107,7 @@ class ScoreSettings(StoredPart):
     upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
     averages: str | None = Field(None, description="the order of the means")
     surface_metrics: bool | None = Field(None, description="whether they were computed")
-    close: Closing = Field(None, description="how open meshes are made solid; null: they are not")
+    close: Closing = Field(None, description="how open meshes and points are made solid; null: they are not")
     f_score_mm: tuple[float, ...] = Field((), description="tolerances of the F-scores in millimetres")
     surface_dice_sigmas: float | None = Field(None, description="tolerance of the surface Dice")
     interval_level: float | None = Field(None, description="of the confidence intervals")

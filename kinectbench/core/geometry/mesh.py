@@ -146,6 +146,28 @@ def isosurface(field: Float32, observed: Bools | None = None, level: float = 0.0
     return mesh.keep_faces(whole)
 
 
+def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) -> TriangleMesh:
+    """Screened Poisson surface reconstruction (M. Kazhdan and H. Hoppe 2013; Open3D).
+
+    Args:
+        points: (n, 3), not all at one place.
+        normals: (n, 3) of length 1, outward.
+        depth: of the octree: 2^depth cells along the cube at most, which bounds time and memory.
+        cube: its side, in sides of the points' box; a surface that reaches it is open there.
+    """
+    o3d = _open3d()
+    middle, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
+    # The library counts in float32, and ends the process where points are the same to it.
+    vectors = o3d.utility.Vector3dVector
+    cloud = o3d.geometry.PointCloud(vectors((points - middle) / size))
+    cloud.normals = vectors(normals)
+    # One thread gives the same bytes at each run; several crash at times (mkazhdan/PoissonRecon, issue 298).
+    made = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, depth=depth, scale=cube, n_threads=1
+    )[0]
+    return TriangleMesh(np.asarray(made.vertices) * size + middle, np.asarray(made.triangles, np.int32))
+
+
 @cache
 def _open3d() -> Any:
     """Open3D, whose functions for plotly are imported on their first call only.

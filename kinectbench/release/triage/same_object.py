@@ -1,7 +1,7 @@
 """Recordings of the same object: their shapes are turned about the vertical until they agree.
 
 docs/releases.md has the rule, docs/evidence/releases.md what was measured of it by
-`python benchmarks/run.py same_object`.
+`python benchmarks/truth/same_object.py`.
 """
 
 from collections.abc import Iterator, Mapping

@@ -30,7 +30,9 @@ def space_alone(
         SettingsError: others are among them, another upsampling is asked, or meshes are to be closed.
     """
     if close is not None:
-        raise SettingsError(f"--close {close}: only of meshes whose method.json has 'frame': 'camera'")
+        raise SettingsError(
+            f"--close {close}: only of meshes and points whose method.json has 'frame': 'camera'"
+        )
     asked = tuple(name for name in IN_SPACE if name in (protocols or ()))
     if others := [name for name in protocols or () if asked and name not in asked]:
         raise SettingsError(

@@ -58,7 +58,7 @@ def score_in_camera(
         missing: "error" lists a missing prediction as a failure; "empty" scores the worst of each figure.
         jobs: number of processes.
         progress: called with (views done, views in all).
-        close: how open meshes are made solid, of `CLOSINGS`; None: not at all.
+        close: how open meshes and points are made solid, of `CLOSINGS`; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
@@ -85,7 +85,7 @@ def score_in_camera(
     said = (
         *method_lines(folder, declared, release),
         *depth_warnings(release, looked_at, declared),
-        *_without_inside(results),
+        *_without_inside(results, close),
         *_open_truth(release, test),
         *table.warnings,
     )
@@ -242,21 +242,22 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
     ]
 
 
-def _without_inside(results: Mapping[Target, ViewResult]) -> list[str]:
+def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
     """A line on predictions that have no inside; none if all have."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]
     lines = []
     if without:
+        needs = "; --close poisson needs normals" * (close == "poisson")
         lines.append(
             f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: "
-            "they have no inside, so they have metrics of surfaces alone"
+            f"they have no inside, so they have metrics of surfaces alone{needs}"
         )
     if closed:
         lines.append(
-            f"{len(closed)} of {len(results)} predictions are open meshes, such as {closed[0]}, made solid "
-            f"by --close {open_ones[closed[0]]}"
+            f"{len(closed)} of {len(results)} predictions are open meshes or points, such as {closed[0]}, "
+            f"made solid by --close {open_ones[closed[0]]}"
         )
     return lines
 

@@ -10,13 +10,15 @@ from kinectbench.core.geometry.closed import is_closed, joined_vertices, outward
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
+from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.mesh_outside import outside_share
 from kinectbench.scoring.mesh_prediction import MAX_FAR
 
-# How open meshes can be made solid: by generalised winding numbers above 1/2.
-CLOSINGS = ("winding",)
+# Of Poisson reconstruction: samples, depth of its octree, side of its cube. So cells are 1/64 of the shape,
+# and what is open is closed (measured; docs/evidence/scoring.md, "Ways to close a mesh").
+POISSON_SAMPLES, POISSON_DEPTH, POISSON_CUBE = 30_000, 7, 2.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,28 @@ def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
     return ClosedMesh(vertices, faces) if is_closed(faces) else None
 
 
+def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
+    """The mesh whose inside is that of an open mesh or of points; None where they stay without.
+
+    Args:
+        shape: an open mesh, or points.
+        surface: of the shape, in its frame.
+        close: of `CLOSINGS`: by winding numbers it is an open mesh as it is; by Poisson reconstruction a mesh
+            of samples that have normals, which nearly always is closed.
+    """
+    if close == "winding":
+        return shape if shape.form == "mesh" else None
+    from kinectbench.core.geometry.mesh import poisson_surface
+
+    if surface.normals is None:
+        return None
+    some = surface.chosen(np.flatnonzero(surface.normals.any(axis=1))).thinned(POISSON_SAMPLES)
+    if some.normals is None or not len(some) or not np.ptp(some.points_m, axis=0).any():
+        return None
+    mesh = poisson_surface(some.points_m, some.normals, POISSON_DEPTH, POISSON_CUBE)
+    return CameraShape("mesh", mesh.vertices, mesh.faces.astype(np.int64)) if len(mesh.faces) else None
+
+
 def solid_in(
     truth: SpaceTruth,
     shape: CameraShape,
@@ -55,7 +79,7 @@ def solid_in(
     T_grid_prediction: Float64,
     close: str | None = None,
 ) -> Solid | None:
-    """A predicted solid in the cells of the truth; None of points, and of open meshes unless they are closed.
+    """A predicted solid in the cells of the truth; None of points, and of open meshes unless that is asked.
 
     A cell is occupied if its centre is inside a closed mesh, in an occupied cell, or where distances that are
     interpolated linearly are negative.
@@ -65,7 +89,7 @@ def solid_in(
         shape: that is predicted.
         mesh: what `closed_mesh` makes of it.
         T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid.
-        close: how open meshes are made solid, of `CLOSINGS`.
+        close: of `CLOSINGS`, if an open mesh is solid by winding numbers; None: it is not.
 
     Raises:
         PredictionError: the mesh is too far away, or has too many faces across each other.

@@ -24,7 +24,7 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, register_surface
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
 from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
-from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in
+from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in, to_be_closed
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
 from kinectbench.scoring.camera.votes import Votes
@@ -50,7 +50,7 @@ class Scored:
         cut: of the true known shape, what lies outside the method's own volume; None where it has none.
         silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
         hypotheses: of several predictions; None of the first or only one.
-        closed: how an open mesh was made solid, as `--close` has it; None where it was not.
+        closed: how an open mesh or points were made solid, as `--close` has it; None where they were not.
         calibration: of the votes of several predictions that have an inside.
     """
 
@@ -77,7 +77,7 @@ class ViewJob:
         files: of its predictions, the main one first; () for an empty one.
         method: what method.json declares.
         protocols: camera, aligned or both.
-        close: how open meshes are made solid; None: not at all.
+        close: how open meshes and points are made solid; None: not at all.
     """
 
     target: Target
@@ -150,7 +150,7 @@ def score_shape(
         asked: see `asked_rows`.
         volume_m: (2, 3), lowest and highest corner of what the method looks at, camera frame; None: all,
             or the shape's own grid.
-        close: how an open mesh is made solid; None: not at all.
+        close: how an open mesh or points are made solid; None: not at all.
         votes: gets its solids; None: nobody asks for them.
 
     Raises:
@@ -160,8 +160,12 @@ def score_shape(
     if not len(surface):
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
-    closed = close if shape.form == "mesh" and mesh is None and not truth.is_open else None
-    is_solid = closed is None and (mesh is not None or shape.cells is not None)
+    is_solid = mesh is not None or shape.cells is not None
+    own, closed = shape, None
+    may_close = close is not None and not is_solid and not truth.is_open
+    if close is not None and may_close and (made := to_be_closed(shape, surface, close)) is not None:
+        own, closed = made, close
+        mesh = None if made is shape else closed_mesh(made)
     rows: list[Scored] = []
     for protocol, kind in asked:
         T, alignment, moved = truth.T_grid_camera, None, as_predicted
@@ -169,7 +173,7 @@ def score_shape(
             found_T, alignment = _aligned(truth, as_predicted, kind)
             T = found_T @ T
             moved = surface.transformed(T)
-        solid = None if truth.is_open else solid_in(truth, shape, mesh, T, close)
+        solid = None if truth.is_open else solid_in(truth, own, mesh, T, closed)
         if votes is not None and solid is not None:
             votes.solids.setdefault((protocol, kind), []).append(solid.cells)
         found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
