@@ -11,9 +11,10 @@ import yaml
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
+from kinectbench.core.untrusted import read_plain_text
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings, CategorySettings, RecordingSettings
-from kinectbench.settings.pick import PICK_FILE, PickSettings
+from kinectbench.settings.pick import PICK_BYTES, PICK_FILE, PickSettings
 from kinectbench.settings.words import field_range, model_of
 
 # What `category` is until a person says it; `build` and `publish` warn of it.
@@ -87,7 +88,7 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 def _picked(recording: Path) -> list[str]:
     """The line of what was clicked while it was recorded; a file of another program is no such thing."""
     try:
-        picked = PickSettings.model_validate_json((recording / PICK_FILE).read_bytes())
+        picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
     except (OSError, ValueError):
         return []
     return [_commented(f"    pick: {yaml_text(picked.model_dump(mode='json'))}", "clicked while recording")]

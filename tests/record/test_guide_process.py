@@ -7,6 +7,7 @@ import struct
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from written_frames import read
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
+from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import compare_poses
 from kinectbench.lab.simulate.simulate import simulate
@@ -103,10 +105,11 @@ def test_the_camera_is_followed_lost_and_found_again(source: Path, monkeypatch: 
         assert abs(np.linalg.norm(moved[last] - moved[first]) - walked_m) < 0.015
     assert guide.seen is not None and guide.seen.box.size_m[2] == pytest.approx(0.85, abs=0.06)
     assert 500 < len(guide.seen.mesh.faces) <= 900
-    dark = [later(each, 1 + k, covered=True) for k, each in enumerate(frames[-8:])]
-    assert guide.take(FRAMES, dark[0]).lost
+    # So long that the last frame before is old, and is what the next ones are compared with.
+    dark = [later(each, 1 + k, covered=True) for k, each in enumerate(frames[-20:])]
+    assert all(guide.take(FRAMES + k, each).lost for k, each in enumerate(dark))
     # Elsewhere on the way a segment begins, which the next graph of the keyframes joins.
-    again = [guide.take(FRAMES + 1 + k, later(frames[20 + k], 60)) for k in range(4)]
+    again = [guide.take(FRAMES + 20 + k, later(frames[20 + k], 60)) for k in range(4)]
     assert again[0].lost and not again[-1].lost
     assert np.linalg.norm(guide.tracker.poses()[1][-1, :3, 3] - moved[23]) < 0.01
 
@@ -133,6 +136,24 @@ def test_the_keyframes_are_placed_as_a_build_places_them(source: Path, tmp_path:
     assert correction is not None and not built.depth_calibration.is_none
     theirs = built.depth_calibration.correction_per_m(320, 240)
     assert np.corrcoef(correction.ravel(), theirs.ravel())[0, 1] > 0.8
+
+
+def test_what_was_seen_stays_where_it_is_when_the_world_moves(source: Path) -> None:
+    """A look that saw too little moves the poses; the last look moves with them, or ends with its world."""
+    setup, frames = replayed(source)
+    guide = Guide(setup, beside=False)
+    for number, each in enumerate(frames):
+        guide.take(number, each)
+    assert guide.seen is not None
+    before = guide.seen.T_floor_world @ guide.tracker.poses()[1]
+    placed, T_moved = guide.tracker.so_far().graph(), rigid_from_twist(np.full(6, 0.5))
+    T_keyframes = guide.tracker.poses(guide.tracker.keyframes)[1]
+    guide._take_look(replace(placed, T_world=T_moved @ T_keyframes), None)
+    assert guide.seen is not None
+    after = guide.seen.T_floor_world @ guide.tracker.poses()[1]
+    assert np.allclose(after, before, rtol=0, atol=1e-6)
+    guide._take_look(replace(placed, joined=frozenset({1})), None)
+    assert guide.seen is None and guide.shown()["path"] == []
 
 
 def test_averaged_depth_is_corrected_once(source: Path) -> None:
@@ -186,15 +207,21 @@ def test_a_click_says_what_the_object_is(source: Path, tmp_path: Path) -> None:
         assert json.loads(fetched(guide.url + "state"))["picked"]
         for wrong in ({"picture": number + 5}, {"picture": number, "x": 1.5, "y": 0.5}, {"x": []}):
             assert told(guide, **wrong) == 422
+        assert told(guide, body=b"[" * 1000) == 422
         assert json.loads((tmp_path / "pick.json").read_text()) == picked
+        (tmp_path / "pick.json").unlink()
+        (tmp_path / "pick.json").mkdir()
+        assert told(guide, picture=number, x=0.5, y=0.5) == 422
     finally:
         guide.close()
 
 
-def told(guide: GuideProcess, **click: object) -> int:
+def told(guide: GuideProcess, body: bytes = b"", **click: object) -> int:
     """The status of a click that is told to the page."""
     origin = guide.url.rsplit("/", 2)[0]
-    request = urllib.request.Request(guide.url + "pick", json.dumps(click).encode(), {"Origin": origin})
+    request = urllib.request.Request(
+        guide.url + "pick", body or json.dumps(click).encode(), {"Origin": origin}
+    )
     try:
         with urllib.request.urlopen(request, timeout=20) as answer:
             return int(answer.status)

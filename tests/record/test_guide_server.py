@@ -78,6 +78,22 @@ def test_only_the_page_itself_may_post(server: PageServer) -> None:
     assert ask(server, "/x/pick", "POST", **own).status == 403
     assert ask(server, f"{base}state", "POST", **own).status == 404
     assert ask(server, f"{base}pick", "POST", **{**own, "body": "h" * 1001}).status == 404
+    for length in ("9" * 5000, "-1", "x"):
+        assert (
+            ask(server, f"{base}pick", "POST", Origin=own["Origin"], **{"Content-Length": length}).status
+            == 404
+        )
+
+
+def test_a_reader_that_goes_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    def gone() -> None:
+        raise ConnectionResetError
+
+    made = PageServer({"state": gone})
+    with pytest.raises(http.client.RemoteDisconnected):
+        ask(made, f"{urlsplit(made.url).path}state")
+    made.close()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_port_that_is_taken_is_one_line(server: PageServer) -> None:

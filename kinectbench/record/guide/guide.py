@@ -162,9 +162,11 @@ class Guide:
         self._look.set_result(_looked(*given))
 
     def _take_look(self, graph: KeyframeGraph, seen: ObjectLook | None) -> None:
-        self.tracker.go_on_from(graph)
-        if seen is None:
-            return  # too little was seen; the next look knows more
+        T_graph_before = self.tracker.go_on_from(graph)
+        if seen is None:  # too little was seen; the next look knows more
+            if self.seen is not None:
+                self.seen = self.seen.moved(T_graph_before)
+            return
         self.seen = seen
         self._looks += 1
         self.ring = Ring()

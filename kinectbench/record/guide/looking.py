@@ -4,13 +4,14 @@
 The frames are fewer and smaller, and the voxels larger.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import OrientedBox, TriangleMesh
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, invert_rigid
 from kinectbench.core.geometry.decimate import decimated
+from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -52,6 +53,12 @@ class ObjectLook:
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
+
+    def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
+        """The same in another world, in which the one before lies so (4, 4); None: it does not lie in it."""
+        if T_world_before is None:
+            return None
+        return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
 
 
 class _Depths:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinectbench.core.errors import CaptureError, SettingsError
+from kinectbench.core.errors import CaptureError, SettingsError, StorageError
 from kinectbench.core.storage import pretty_json, replaced_file
 from kinectbench.core.types import Float64
 from kinectbench.record.guide.guide import Guide, Snapshot, mesh_bytes
@@ -187,7 +187,7 @@ class _Shown:
         try:
             said = json.loads(body)
             number, across, down = int(said["picture"]), float(said["x"]), float(said["y"])
-        except (ValueError, TypeError, KeyError, OverflowError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return False
         frame, guide = self._asked.get(number), self._guide
         if frame is None or guide is None or not (0 <= across < 1 and 0 <= down < 1):
@@ -197,9 +197,12 @@ class _Shown:
         if not guide.pick(frame, pixel):
             return False
         if self._folder is not None:
-            with replaced_file(self._folder / PICK_FILE) as temporary:
-                picked = PickSettings(frame=number, pixel=pixel).model_dump(mode="json")
-                temporary.write_text(pretty_json(picked), encoding="utf-8")
+            picked = PickSettings(frame=number, pixel=pixel).model_dump(mode="json")
+            try:
+                with replaced_file(self._folder / PICK_FILE) as temporary:
+                    temporary.write_text(pretty_json(picked), encoding="utf-8")
+            except StorageError:
+                return False
         return True
 
     def picture(self) -> tuple[str, bytes] | None:

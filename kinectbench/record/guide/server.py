@@ -62,11 +62,10 @@ class PageServer:
         own = {"token": token, "answers": dict(answers), "posts": dict(posts or {})}
         handler = type("Handler", (_Handler,), own)
         try:
-            self._server = ThreadingHTTPServer((HOST, port), handler)
+            self._server = _Server((HOST, port), handler)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise SettingsError(f"--port {port}: cannot be used ({reason}); name another, or none") from error
-        self._server.daemon_threads = True
         self.url = f"http://{HOST}:{self._server.server_address[1]}/{token}/"
         threading.Thread(target=self._server.serve_forever, name="page", daemon=True).start()
 
@@ -74,6 +73,13 @@ class PageServer:
         """Stop it."""
         self._server.shutdown()
         self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Nothing is printed: a reader that has gone is no error, and the terminal has one line."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -109,7 +115,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True  # a body that is refused is not read
         if name is None or self.headers.get("Origin") is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
-        if name not in self.posts or not length.isdecimal() or int(length) > MOST_POSTED_BYTES:
+        if name not in self.posts or not _is_short(length):
             return self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"")
         used = self.posts[name](self.rfile.read(int(length)))
         return self._answer(
@@ -136,6 +142,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         """Nothing is printed: the terminal has one line."""
+
+
+def _is_short(length: str) -> bool:
+    """Whether a Content-Length is one of a body that is read."""
+    return length.isdecimal() and len(length) < 9 and int(length) <= MOST_POSTED_BYTES
 
 
 def _name_of(host: str) -> str:

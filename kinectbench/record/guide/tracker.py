@@ -18,10 +18,11 @@ from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
-from kinectbench.stages.track.odometry import FRAMES_BEFORE, Follower, Odometry
+from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_FRAMES, Follower, Odometry
 
-# Of these newest frames all is kept, of older ones only what the keyframes need.
-NEWEST = FRAMES_BEFORE + 2
+# Of so many newest frames the images are kept; of more, what frames are registered to: the odometry goes back
+# to the last frame before the camera was lost. Of older ones only the keyframes are kept.
+NEWEST, KEPT = FRAMES_BEFORE + 2, RECENT_FRAMES
 
 
 class LiveFrames:
@@ -101,8 +102,8 @@ class LiveTracker:
         self._frames.add(index, frame)
         follower.maps.sequence = self._sequence()
         follower.take(index)
-        if index >= NEWEST and index - NEWEST not in follower.keyframes:
-            follower.maps.forget(index - NEWEST)
+        if index >= KEPT and index - KEPT not in follower.keyframes:
+            follower.maps.forget(index - KEPT)
         taken = follower.frames[index]
         self.lost = taken is None or taken.segment != self._world
         return None if taken is None or self.lost else taken.T_segment_camera
@@ -134,22 +135,30 @@ class LiveTracker:
         odometry = self._follower.so_far()
         return KeyframesSoFar(self._follower.maps.copied(), odometry)
 
-    def go_on_from(self, graph: KeyframeGraph) -> None:
-        """Put the keyframes where a graph has them; what came since moves with the last of its segment."""
+    def go_on_from(self, graph: KeyframeGraph) -> Float64 | None:
+        """Put the keyframes where a graph has them; what came since moves with the last of its segment.
+
+        Returns:
+            The world so far (4, 4) in that of the graph; None: the graph did not join it.
+        """
         frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
         T_moved: dict[int, Float64] = {}  # by keyframe
         T_last: dict[int, Float64] = {}  # by segment
-        self._world = min(graph.joined)
+        before, self._world = self._world, min(graph.joined)
+        T_graph_before: Float64 | None = None
         for index, each in enumerate(frames):
             if each is None or each.segment not in graph.joined:
                 continue
             if each.keyframe == index:
                 if index in placed:
                     T_last[each.segment] = placed[index] @ invert_rigid(each.T_segment_camera)
+                    if each.segment == before and T_graph_before is None:
+                        T_graph_before = T_last[before]
                 T_moved[index] = T_last[each.segment]
             T_world_camera = on_so3(T_moved[each.keyframe] @ each.T_segment_camera)
             frames[index] = replace(each, segment=self._world, T_segment_camera=T_world_camera)
         self._follower.calibrate(graph.calibration)
+        return T_graph_before
 
     def _sequence(self) -> Sequence:
         setup, stamps_ns = self._setup, np.array(self._stamps_ns, np.int64)

@@ -30,7 +30,8 @@ MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
-RECENT_SEGMENTS = 3
+# A frame is registered to that many segments, and to none that ended this many frames before (chosen here).
+RECENT_SEGMENTS, RECENT_FRAMES = 3, 200
 # A keyframe's depth is averaged with this many frames before it, and with all frames up to the next keyframe.
 FRAMES_BEFORE = 5
 NO_DEPTH = "too little depth to register"
@@ -225,7 +226,7 @@ class Follower:
         """Frames to register a frame to: the last keyframe and the last frame of each recent segment."""
         references: list[int] = []
         segments: list[int] = []
-        for back in range(index - 1, max(-1, index - 200), -1):
+        for back in range(index - 1, max(-1, index - RECENT_FRAMES), -1):
             frame = self.frames[back]
             if frame is None or frame.segment in segments:
                 continue

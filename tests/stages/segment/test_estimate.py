@@ -133,6 +133,10 @@ def test_of_a_solid_that_is_known(sigma_m: float, median_m: float) -> None:
     assert found.low == pytest.approx(iou_of_known(most_of(missing)))
     assert found.high == pytest.approx(iou_of_known(least_of(missing)))
     check(found)
+    # What is unknown beside it changes nothing of what is known.
+    for each in (found, estimate_iou(partly_known(0.9, 0.3), sigma_m, PoseError(median_m), ())):
+        known = (each.known_low, each.known, each.known_high)
+        assert known == pytest.approx((found.low, found.value, found.high))
 
 
 def test_of_a_solid_that_is_unknown_in_part() -> None:

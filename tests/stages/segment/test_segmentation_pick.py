@@ -1,5 +1,6 @@
 """A pixel that a person picked says what the object is, where the cameras look at something else."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -67,9 +68,15 @@ def test_init_writes_what_was_clicked(command: Callable[..., Run], tmp_path: Pat
     assert command(tmp_path, "init", "recordings", "--force").status == 0
     assert "pick: {frame: 4, pixel: [160, 120]}" in (tmp_path / "recordings/benchmark.yaml").read_text()
     assert any("160" in line for line in stage_lines(tmp_path / "recordings"))
-    (tmp_path / "recordings/chair/pick.json").write_text('{"frame": -4}')
+    file = tmp_path / "recordings/chair/pick.json"
+    far, padded = '{"frame": 0, "pixel": [1000000000000000000000, 0]}', "{" + " " * 10_000 + '"frame": 4, '
+    for wrong in ('{"frame": -4}', far, padded + '"pixel": [1, 1]}', '{"frame": ' + "9" * 5000 + "}"):
+        file.write_text(wrong)
+        assert command(tmp_path, "init", "recordings", "--force").status == 0
+        assert "    pick:" not in (tmp_path / "recordings/benchmark.yaml").read_text()
+    file.unlink()
+    os.mkfifo(file)  # nobody writes to it
     assert command(tmp_path, "init", "recordings", "--force").status == 0
-    assert "    pick:" not in (tmp_path / "recordings/benchmark.yaml").read_text()
 
 
 def stage_lines(root: Path) -> list[str]:

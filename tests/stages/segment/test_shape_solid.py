@@ -260,6 +260,11 @@ def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept():
     alone = solidify(observation(body_m), np.zeros(SHAPE, bool), Rules(LAYERS))
     assert near.sum() > 100 and np.array_equal(shape.solid, alone.solid)
     assert np.array_equal(shape.labels, alone.labels)
+    # What was measured beside a neighbour is the neighbour's.
+    half = np.zeros(SHAPE, bool)
+    half[: SHAPE[0] // 2] = True
+    cut, measured = solidify(observation(body_m), half, Rules(LAYERS)), alone.labels == Label.SURFACE
+    assert (alone.solid & measured & half).any() and not (cut.solid & measured & half).any()
 
 
 def test_never_seen_is_unknown():
