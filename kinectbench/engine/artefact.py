@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 12,
     "track": 10,
     "fuse": 6,
-    "segment": 35,
+    "segment": 36,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

@@ -80,6 +80,7 @@ def test_what_speaks_against_a_recording_is_looked_at(
     [
         ({"frontiers": [FRONTIER | {"volume_m3": 0.006}]}, "behind has 60% of the solid's volume"),
         ({"unseen_side": {"gap_deg": 150, "towards_deg": 0, "share": 0.3}}, "from a side of 150°"),
+        ({"unknown_share": 0.45}, "45% of the solid is unknown"),
     ],
 )
 def test_what_nobody_saw_is_stated_and_decides_nothing(

@@ -27,8 +27,8 @@ END_OF_WARNING = ";"
 LEAST_KNOWN = 0.8
 # Shares beyond which a person should look. docs/evidence/releases.md has the recordings they were chosen by.
 MOST_MOVING, MOST_BEYOND = 0.1, 0.02
-# What lies behind openings is much if it has half of the solid's volume.
-MOST_BEHIND = 0.5
+# What lies behind openings is much if it has half of the solid's volume, unknown voxels if they are a third.
+MOST_BEHIND, MOST_UNKNOWN = 0.5, 0.33
 # Of all directions around the object, that no camera looked from: beyond a third of the way a whole side of
 # a box is seen from nowhere.
 MOST_UNSEEN_RAD = 2.1
@@ -164,6 +164,8 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
             f"nobody looked into {len(quality.frontiers)} opening{'s' * (len(quality.frontiers) > 1)}: what "
             f"lies behind has {behind_m3 / quality.volume_m3:.0%} of the solid's volume"
         )
+    if (unknown := quality.unknown_share or 0.0) > MOST_UNKNOWN:
+        yield f"{unknown:.0%} of the solid is unknown"
     if (side := quality.unseen_side) is not None and side.gap_rad > MOST_UNSEEN_RAD:
         yield f"no camera looked at it from a side of {degrees(side.gap_rad):.0f}°"
 

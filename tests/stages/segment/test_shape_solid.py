@@ -220,7 +220,7 @@ def test_specks_are_dropped():
     distance_m = np.minimum(box_distance(*BOX), speck)
     shape = solid_of(observation(distance_m))
     assert not shape.solid[speck < 0].any()
-    assert (shape.labels[speck < 0] == Label.OTHER).all()
+    assert (shape.labels[speck < 0] == Label.UNKNOWN).all()  # measured, and in no solid
     assert_is(shape, box_distance(*BOX))
 
 

@@ -126,12 +126,15 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
 
 
 def _label(observation: Observation, evidence: VoxelEvidence, solid: Bools, below: int) -> NDArray[np.uint8]:
-    """One label per voxel, by its evidence."""
+    """One label per voxel, by its evidence.
+
+    What lies behind a measured surface and was smoothed away is unknown: it is no air that anybody saw.
+    """
     near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
     measured = evidence.observed & near & ~evidence.free
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.free] = Label.FREE
-    labels[~solid & (evidence.near_surface | evidence.excluded)] = Label.OTHER
+    labels[~solid & evidence.excluded] = Label.OTHER
     labels[solid & evidence.closed] = Label.INTERIOR
     labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
     labels[:, :, :below] = Label.OTHER
