@@ -10,14 +10,17 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.storage import name_problem
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import lies_below, listed_paths, printable
+from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
+from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
-from kinectbench.scoring.prediction_file import load_hashed
+from kinectbench.scoring.prediction_file import load_hashed, load_prediction
 from kinectbench.scoring.suspicious import MOST_OUTSIDE
-from kinectbench.scoring.truth import read_voxel_size
+from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Unsupported mesh formats: such a file in the place of a prediction was meant as one.
@@ -265,7 +268,17 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
+    if not problems and (line := axes_problem(_looked_at(release, predictions))):
+        problems.append(line)
     return problems + stray_lines(predictions.stray, predictions.missing)
+
+
+def _looked_at(release: Release, predictions: FoundPredictions) -> Iterator[tuple[Prediction, Bools]]:
+    """Some grids, each with the partial of its view."""
+    grids = [target for target, path in predictions.files.items() if path.suffix not in MESHES]
+    for target in sorted(grids)[:MOST_LOOKED_AT]:
+        (partial,) = read_parts(release.pair_path(target), target.sha256, ("partial",))
+        yield load_prediction(predictions.files[target]), unpack(partial)
 
 
 def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
