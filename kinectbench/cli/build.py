@@ -231,7 +231,7 @@ def build_jobs(
     rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
         # Warn even if all is up to date: whoever has just drawn a mask expects it to be used.
-        unused = _unused_masks(job) if upto in ("sample-views", "pairs") else ()
+        unused = _unused(job, upto)
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
         rows.append(row)
@@ -268,19 +268,23 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose:
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """The figures of a run's new and current results, and a warning of unused masks."""
+    """The figures of a run's new and current results, and warnings of what is not used."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
     return figures.model_copy(update={"warnings": (*figures.warnings, *unused)})
 
 
-def _unused_masks(job: "Job") -> tuple[str, ...]:
-    """A warning if masks exist that benchmark.yaml does not name."""
-    if job.unused_masks is None:
-        return ()
-    name = job.recording.id
-    return (f"{job.unused_masks}: not used; add `masks: masks/{name}` to {name} in benchmark.yaml to use it",)
+def _unused(job: "Job", upto: str) -> tuple[str, ...]:
+    """Warnings of masks that benchmark.yaml does not name, and of a `pick` beside `segment_by`."""
+    own, views = job.recording, upto in ("sample-views", "pairs")
+    name, lines = own.id, list[str]()
+    if own.pick and own.segment_by and (views or upto == "segment"):
+        lines.append(f"pick: not used with `segment_by: {own.segment_by}`; remove one of them")
+    if views and job.unused_masks is not None:
+        to_do = f"add `masks: masks/{name}` to {name} in benchmark.yaml to use it"
+        lines.append(f"{job.unused_masks}: not used; {to_do}")
+    return tuple(lines)
 
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:

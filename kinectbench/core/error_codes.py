@@ -89,7 +89,7 @@ ERROR_CODES: Mapping[str, str] = {
     "tracking.too-few-masks": "Too few frames have a mask; draw more.",
     "tracking.too-few-poses": "Too few frames have a pose; record more slowly, or ignore the given poses.",
     "segmentation.bad-mask": "A mask cannot be read, or two are of one image; save it again, or remove one.",
-    "segmentation.bad-pick": "The picked pixel shows nothing; name one on the object.",
+    "segmentation.bad-pick": "The picked pixel does not show the object; pick one on it, or remove `pick`.",
     "segmentation.bad-plane": "The given plane cannot be the floor; correct it.",
     "segmentation.box-moved": "The box was drawn on another reconstruction; choose it again.",
     "segmentation.empty-box": "The box holds nothing; correct it.",

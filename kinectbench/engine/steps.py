@@ -16,7 +16,7 @@ from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import GivenTrajectory, Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Progress
 from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
 from kinectbench.doctor.still import turntable_warning
@@ -43,7 +43,7 @@ from kinectbench.stages.sample_views.views import read_masks, read_views, sample
 from kinectbench.stages.segment.find.box_anchor import reanchored
 from kinectbench.stages.segment.find.candidates import find_candidates, write_candidates
 from kinectbench.stages.segment.find.gravity import floor_hint
-from kinectbench.stages.segment.find.picked import picked_point
+from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
 from kinectbench.stages.segment.object_model import read_object, write_object
 from kinectbench.stages.segment.reference.truth import reference_as_truth
 from kinectbench.stages.segment.segment import segment
@@ -122,16 +122,17 @@ def _suggest(work: Work[SuggestSettings]) -> None:
     if settings.segment_by is not None:
         raise SegmentationError(NOTHING_TO_CHOOSE, what="no-candidates")
     sequence, trajectory = _tracked(work.stages)
-    hint = floor_hint(sequence, trajectory, settings.floor, _picked(sequence, trajectory, settings))
+    picked = _picked(sequence, trajectory, settings)
+    hint = floor_hint(sequence, trajectory, settings.floor, picked and picked.point_world)
     candidates = find_candidates(_scene(work.stages), trajectory, settings.segmentation, hint)
     write_candidates(candidates, sequence, trajectory, work.folder)
 
 
 def _picked(
     sequence: Sequence, trajectory: Trajectory, settings: SuggestSettings | SegmentSettings
-) -> Float64 | None:
-    """The point (3,) on the object that `pick` names, world frame; None: nothing is named."""
-    if settings.pick is None:
+) -> PickedPoint | None:
+    """The point on the object that `pick` names; None: none, or all that is fused is the object."""
+    if settings.pick is None or settings.segment_by is not None:
         return None
     return picked_point(sequence, trajectory, settings.pick.frame, settings.pick.pixel)
 
@@ -152,7 +153,7 @@ def _segment(work: Work[SegmentSettings]) -> None:
         floor,
         underside=settings.underside,
         limits=settings.segmentation.limits(),
-        picked_world=_picked(sequence, trajectory, settings),
+        picked=_picked(sequence, trajectory, settings),
     )
     if REFERENCE in work.sources:
         model = reference_as_truth(model, work.sources[REFERENCE].path)

@@ -211,6 +211,14 @@ def test_a_persons_masks_of_frames_and_what_is_wrong_with_them(
     assert "the recording brings none: put one PNG per frame" in without.err.replace("\n", " ")
     (tmp_path / "benchmark.yaml").write_text(yaml + "    masks: drawn\n")
     assert command(tmp_path, "track", "hand").status == 0
+    # What was picked is not asked for where masks choose the object: not even a frame that is not there.
+    (tmp_path / "benchmark.yaml").write_text(
+        yaml + "    masks: drawn\n    pick: {frame: 99, pixel: [1, 1]}\n"
+    )
+    picked = command(tmp_path, "segment", "hand")
+    assert picked.status == 0
+    line = "pick: not used with `segment_by: masks`; remove one of them"
+    assert line in picked.err.replace("\n", " ")
     # Another mask makes the track again.
     shutil.copy(tmp_path / "drawn" / "000001.png", tmp_path / "drawn" / "000000.png")
     assert not _current(tmp_path)

@@ -132,6 +132,14 @@ def test_a_sentence_stays_for_five_seconds() -> None:
     assert len(changes) > 5 and (np.diff(changes) >= STAYS_S).all()
 
 
+def test_a_lost_camera_is_said_at_once() -> None:
+    """Lost from the second frame on, and found again: each is said once it has held for half a second."""
+    speaker, begin, lost = Speaker(), advice(Situation()), advice(Situation(lost=True))
+    heard = [begin] + [lost] * 30 + [begin] * 30
+    said = [speaker.hear(each, index / 30).kind for index, each in enumerate(heard)]
+    assert [said.index("lost"), said.index("begin", 20)] == pytest.approx([16, 46], abs=1)
+
+
 def test_it_is_said_how_far_to_go_to_an_opening() -> None:
     """A quarter around, and a little on; up to where it is seen into; what is left is kept up to date."""
     opening = frontier((0, -1, 0.3))

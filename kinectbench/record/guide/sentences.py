@@ -2,7 +2,7 @@
 
 The first of these that holds is said: the camera is lost; it moves too fast; it is too near, or too far away;
 a side of the ring is unseen; an opening is unseen; openings are left, and a height of the ring is unseen;
-enough. A sentence stays for at least five seconds.
+enough. A sentence stays for at least five seconds, but for that of a lost camera.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,8 @@ STEEP_RAD = np.radians(60.0)
 # A camera is held no lower than this over the floor. An underside that it would see at a flatter angle than
 # this is left alone: its rays would graze it (chosen by hand).
 LOWEST_M, LOOKS_UP_RAD = 0.2, np.radians(5.0)
-# A sentence stays so long at least, and another one must have held for so long before it is said.
+# A sentence stays so long at least, and another one must have held for so long before it is said. Whether
+# the camera is lost is said at once then: no other sentence helps whoever is lost.
 STAYS_S, HOLDS_S = 5.0, 0.5
 
 
@@ -264,7 +265,7 @@ def _wrapped(angle_rad: Float64 | float) -> Float64:
 
 
 class Speaker:
-    """Says one sentence at a time; another one at most every five seconds."""
+    """Says one sentence at a time; another one at most every five seconds, unless the camera is lost."""
 
     def __init__(self) -> None:
         """Nothing was said."""
@@ -280,6 +281,10 @@ class Speaker:
             self.said, self._other = heard, None  # how far it is may have changed
         elif self._other is None or self._other[0] != heard.sentence:
             self._other = heard.sentence, now_s
-        elif now_s - self._other[1] >= HOLDS_S and now_s - self._since_s >= STAYS_S:
+        elif now_s - self._other[1] >= HOLDS_S and now_s - self._since_s >= self._stays_s(heard):
             self.said, self._since_s, self._other = heard, now_s, None
         return self.said
+
+    def _stays_s(self, heard: Advice) -> float:
+        """How long the sentence that is said stays before another one."""
+        return 0.0 if self.said is not None and "lost" in (self.said.kind, heard.kind) else STAYS_S

@@ -9,7 +9,7 @@ from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float64, Progress, Underside
+from kinectbench.core.types import Progress, Underside
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
 from kinectbench.stages.fuse import observe
@@ -18,6 +18,7 @@ from kinectbench.stages.segment.find.distance_scale import enlarged_transform
 from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
 from kinectbench.stages.segment.find.masked_scene import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
+from kinectbench.stages.segment.find.picked import PickedPoint, check_picked
 from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
 from kinectbench.stages.segment.judge.estimate import pose_error_of
@@ -49,7 +50,7 @@ def segment(
     floor: Vector4 | None = None,
     underside: Underside = "unseen",
     limits: SensorLimits = DEFAULT_LIMITS,
-    picked_world: Float64 | None = None,
+    picked: PickedPoint | None = None,
 ) -> ObjectModel:
     """Find the object in the fused scene, make it a solid, and judge the solid.
 
@@ -64,18 +65,20 @@ def segment(
         floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
         underside: a person's statement on the underside.
         limits: of the sensor.
-        picked_world: (3,) a point on the object that a person picked; None: the cameras look at it.
+        picked: a point on the object that a person picked; None: the cameras look at it.
 
     Raises:
-        SegmentationError: no floor, no object, or a box with nothing in it.
+        SegmentationError: no floor, no object, a box with nothing in it, or a point beside the object.
         ShapeError: no solid can be made.
     """
     # Find the object, and choose the grid around it.
-    hint = floor_hint(sequence, trajectory, floor, picked_world)
+    hint = floor_hint(sequence, trajectory, floor, picked and picked.point_world)
     if sequence.beside_m is None:
         chosen = find_floor_and_object(scene, trajectory, given_box, segmentation, hint)
     else:  # only the object's own depth was fused
         chosen = segment_masked_scene(scene, trajectory, given_box, hint)
+    if picked is not None and chosen.how == "automatic":
+        check_picked(picked, chosen)
     resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
     with chosen.floor.explained_in_errors():
         grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given_box is not None)
@@ -94,10 +97,8 @@ def segment(
     report = coverage_report(sequence, trajectory, scene, chosen, grid, max_depth_m, limits)
     box, pose_error = solid_box(solids.whole, chosen.floor), pose_error_of(trajectory)
     quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
-    labels = surround_labels(surround, support)
-    return ObjectModel(
-        chosen.floor, box, solids.whole, surround.grid, labels, solids.surface_sigma_m, quality
-    )
+    around = surround.grid, surround_labels(surround, support)
+    return ObjectModel(chosen.floor, box, solids.whole, *around, solids.surface_sigma_m, quality)
 
 
 def _with_warnings_of_frames(

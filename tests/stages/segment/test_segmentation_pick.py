@@ -2,11 +2,12 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from analytic_scenes import box, plane, ring, scene_of
+from analytic_scenes import box, plane, ring, scene_of, sequence_of
 from raising import raises
 from small_benchmark import Run
 from small_runs import make_small
@@ -20,9 +21,11 @@ from kinectbench.engine.stages import STAGES, SUGGEST, Job
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
+from kinectbench.stages.segment.find.candidates import find_candidates
 from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
-from kinectbench.stages.segment.find.picked import picked_point
+from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
+from kinectbench.stages.segment.segment import segment
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +33,13 @@ def beside() -> tuple[Sequence, Trajectory]:
     """A box where the cameras look, and a lower one 40 cm beside it."""
     things = [box((-0.15, -0.1, 0), (0.15, 0.1, 0.3)), box((0.3, -0.1, 0), (0.5, 0.1, 0.2))]
     return scene_of([*things, plane((0, 0, 1), 0.0)], ring(16, 1.2, (0, 0, 0.15), (0.4, 0.8)))
+
+
+@pytest.fixture(scope="module")
+def walled() -> tuple[Sequence, Trajectory]:
+    """A box, and a wall that cameras see behind it."""
+    things = [box((-0.15, -0.1, 0), (0.15, 0.1, 0.3)), plane((0, -1, 0), -1.4), plane((0, 0, 1), 0.0)]
+    return scene_of(things, ring(16, 1.2, (0, 0, 0.15), (0.4, 0.8)))
 
 
 def pixel_of(sequence: Sequence, T_world_camera: Float64, point: tuple[float, ...]) -> tuple[int, int]:
@@ -43,7 +53,7 @@ def test_what_was_picked_is_the_object(beside: tuple[Sequence, Trajectory]) -> N
     sequence, trajectory = beside
     mesh = fuse(sequence, trajectory, FusionSettings(max_depth_m=1.7)).mesh
     pixel = pixel_of(sequence, trajectory.T_world_camera[3], (0.4, 0, 0.2))
-    picked = picked_point(sequence, trajectory, 3, pixel)
+    picked = picked_point(sequence, trajectory, 3, pixel).point_world
     assert np.allclose(picked, (0.4, 0, 0.2), rtol=0, atol=0.01)
     for point, size_m in ((None, [0.3, 0.2, 0.3]), (picked, [0.2, 0.2, 0.2])):
         hint = floor_hint(sequence, trajectory, None, point)
@@ -53,10 +63,46 @@ def test_what_was_picked_is_the_object(beside: tuple[Sequence, Trajectory]) -> N
 
 def test_a_pixel_that_shows_nothing_is_one_line(beside: tuple[Sequence, Trajectory]) -> None:
     sequence, trajectory = beside
-    with raises(SegmentationError, "segmentation.bad-pick", "frame 16 has no pose"):
-        picked_point(sequence, trajectory, 16, (10, 10))
-    with raises(SegmentationError, "segmentation.bad-pick", "no depth within 20 pixels of"):
-        picked_point(sequence, trajectory, 0, (5000, 10))
+    lost = replace(trajectory, T_world_camera=trajectory.T_world_camera.copy())
+    lost.T_world_camera[2] = np.nan
+    dark = sequence_of([np.zeros((240, 320), np.float32)] * 16)
+    for shown, poses, frame, pixel, words in (
+        (sequence, trajectory, 16, (10, 10), "no frame 16: the recording has frames 0 to 15"),
+        (sequence, trajectory, 0, (320, 10), "no pixel 320, 10: its depth has 320 x 240 pixels"),
+        (sequence, trajectory, 0, (10, 240), "no pixel 10, 240"),
+        (sequence, lost, 2, (10, 10), "frame 2 has no pose; pick one of another frame, or remove `pick`"),
+        (dark, trajectory, 0, (10, 10), "no depth within 20 pixels of 10, 10"),
+    ):
+        with raises(SegmentationError, "segmentation.bad-pick", words):
+            picked_point(shown, poses, frame, pixel)
+
+
+@pytest.mark.parametrize("point", [(-0.3, 0, 0), (0, -0.9, 0), (0, 1.4, 0.3)], ids=str)
+def test_what_stands_beside_a_picked_pixel_is_not_taken(
+    walled: tuple[Sequence, Trajectory], point: tuple[float, ...]
+) -> None:
+    """The floor near the box, the floor far away, and a wall too far to be fused: one line says so."""
+    sequence, trajectory = walled
+    fusion = FusionSettings(max_depth_m=1.7)
+    mesh = fuse(sequence, trajectory, fusion).mesh
+    picked = pick_of(sequence, trajectory, point)
+    words = rf"pick: frame {picked.frame}, pixel [0-9, ]+ shows the floor .* beside .*, or remove `pick`"
+    with raises(SegmentationError, "segmentation.bad-pick", words):
+        segment(sequence, trajectory, mesh, None, SegmentationSettings(), fusion, picked=picked)
+    hint = floor_hint(sequence, trajectory, None, picked.point_world)
+    listed = find_candidates(mesh, trajectory, SegmentationSettings(), hint).candidates
+    assert listed and not any(each.automatic for each in listed)
+
+
+def pick_of(sequence: Sequence, trajectory: Trajectory, point: tuple[float, ...]) -> PickedPoint:
+    """The first pixel that shows a point."""
+    for frame, T_world_camera in enumerate(trajectory.T_world_camera):
+        u, v = pixel_of(sequence, T_world_camera, point)
+        if 0 <= u < 320 and 0 <= v < 240:
+            picked = picked_point(sequence, trajectory, frame, (u, v))
+            if np.allclose(picked.point_world, point, rtol=0, atol=0.02):
+                return picked
+    raise AssertionError(f"no frame shows {point}")
 
 
 def test_init_writes_what_was_clicked(command: Callable[..., Run], tmp_path: Path) -> None:

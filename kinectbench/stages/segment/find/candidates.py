@@ -20,6 +20,7 @@ from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M
 from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
+from kinectbench.stages.segment.find.picked import BESIDE_CELLS
 from kinectbench.stages.segment.find.select import CELL_M, fit_box, label_pieces, standing
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
@@ -105,7 +106,9 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
     except SegmentationError:
         return []
     points_floor = np.concatenate([scene.points_floor[result.chosen], vertices_floor[result.feet]])
-    return [_candidate(points_floor, scene, automatic=True)]
+    found = _candidate(points_floor, scene, automatic=True)
+    off = scene.picked and found.distance_m > BESIDE_CELLS * CELL_M * scene.scale
+    return [] if off else [found]
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:

@@ -54,6 +54,7 @@ class Scene:
         owner: (v,) int64, the point that each vertex of the mesh belongs to.
         focus_floor: (3,) where the cameras look.
         scale: factor of cells and gaps for near cameras (`cell_scale`).
+        picked: whether the focus is a point that a person picked.
     """
 
     floor: Floor
@@ -61,6 +62,7 @@ class Scene:
     owner: Int64
     focus_floor: Float64
     scale: float = 1.0
+    picked: bool = False
 
 
 def find_scene(
@@ -90,7 +92,7 @@ def find_scene(
         floor = level_floor(surface.points, T_world_camera, hint.up_world, near)
     points_floor = transform_points(floor.T_floor_world, surface.points)
     focus_floor = transform_points(floor.T_floor_world, focus_world)
-    return Scene(floor, points_floor, surface.owner, focus_floor, scale)
+    return Scene(floor, points_floor, surface.owner, focus_floor, scale, hint.picked_world is not None)
 
 
 def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
@@ -171,7 +173,8 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
     cut_m, low_m = (cut(scene.floor, settings) / scale for cut in (floor_cut_m, low_cut_m))
     chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
-    check_focus(box, focus_floor, scale)
+    if not scene.picked:
+        check_focus(box, focus_floor, scale)
     others = (points_floor[:, 2] > cut_m) & ~chosen
     specks = np.zeros(len(others), dtype=bool)
     specks[others] = low_pieces(points_floor[others], CELL_M)

@@ -1,5 +1,7 @@
 """The point on the object that a person picked, as a pixel of a frame."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from kinectbench.core.errors import SegmentationError
@@ -7,10 +9,28 @@ from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Float64
+from kinectbench.stages.segment.find.object import Segmentation
 
 # A hand does not click more exactly: ten pixels of a picture that is shown at 320 of 640 columns are twenty.
 NEAR_PX = 20
-PICK_AGAIN = "name a pixel on the object under `pick` in benchmark.yaml"
+PICK_AGAIN = "pick a pixel on the object, or remove `pick` from benchmark.yaml"
+# What was picked is the object's if it lies within so many cells (30 mm; less where cameras were near) of
+# the middle of one that holds its surface: a cell that touches it, and the noise of a pixel's depth.
+BESIDE_CELLS = 2
+
+
+class PickedPoint(NamedTuple):
+    """What a person picked.
+
+    Attributes:
+        frame: its number.
+        pixel: column and row.
+        point_world: (3,) what the pixel shows, metres.
+    """
+
+    frame: int
+    pixel: tuple[int, int]
+    point_world: Float64
 
 
 def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Float64 | None:
@@ -29,18 +49,47 @@ def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Flo
     return np.asarray(camera.rays_at(column, row) * float(depth_m[row, column]))
 
 
-def picked_point(sequence: Sequence, trajectory: Trajectory, frame: int, pixel: tuple[int, int]) -> Float64:
-    """The point (3,) that a pixel of a frame shows, world frame, metres.
+def picked_point(
+    sequence: Sequence, trajectory: Trajectory, frame: int, pixel: tuple[int, int]
+) -> PickedPoint:
+    """The point that a pixel of a frame shows.
 
     Raises:
-        SegmentationError: the frame has no pose, or no depth near the pixel.
+        SegmentationError: there is no such frame or pixel, the frame has no pose, or no depth near the pixel.
     """
-    if frame >= len(sequence) or not np.isfinite(trajectory.T_world_camera[frame]).all():
-        raise SegmentationError(f"pick: frame {frame} has no pose; {PICK_AGAIN}", what="bad-pick")
-    found = point_under(sequence.depth_m(frame), sequence.camera, pixel)
+    camera, count = sequence.camera, len(sequence)
+    if frame >= count:
+        raise _bad(f"there is no frame {frame}: the recording has frames 0 to {count - 1}")
+    if pixel[0] >= camera.width or pixel[1] >= camera.height:
+        size = f"{camera.width} x {camera.height}"
+        raise _bad(f"frame {frame} has no pixel {_text(pixel)}: its depth has {size} pixels")
+    if not np.isfinite(trajectory.T_world_camera[frame]).all():
+        raise _bad(f"frame {frame} has no pose", "pick one of another frame, or remove `pick`")
+    found = point_under(sequence.depth_m(frame), camera, pixel)
     if found is None:
-        raise SegmentationError(
-            f"pick: frame {frame} has no depth within {NEAR_PX} pixels of {list(pixel)}; {PICK_AGAIN}",
-            what="bad-pick",
+        raise _bad(f"frame {frame} has no depth within {NEAR_PX} pixels of {_text(pixel)}")
+    return PickedPoint(frame, pixel, transform_points(trajectory.T_world_camera[frame], found))
+
+
+def check_picked(picked: PickedPoint, chosen: Segmentation) -> None:
+    """Refuse an object that was chosen beside what was picked.
+
+    Raises:
+        SegmentationError: it was.
+    """
+    point_floor = transform_points(chosen.floor.T_floor_world, picked.point_world)
+    middles_floor = (chosen.object_cells + 0.5) * chosen.cell_m
+    beside_m = float(np.linalg.norm(middles_floor - point_floor, axis=1).min())
+    if beside_m > BESIDE_CELLS * chosen.cell_m:
+        raise _bad(
+            f"frame {picked.frame}, pixel {_text(picked.pixel)} shows the floor or something else, "
+            f"{beside_m:.2f} m beside the nearest thing that stands on the floor"
         )
-    return transform_points(trajectory.T_world_camera[frame], found)
+
+
+def _bad(what_is_wrong: str, to_do: str = PICK_AGAIN) -> SegmentationError:
+    return SegmentationError(f"pick: {what_is_wrong}; {to_do}", what="bad-pick")
+
+
+def _text(pixel: tuple[int, int]) -> str:
+    return f"{pixel[0]}, {pixel[1]}"
