@@ -1,5 +1,6 @@
 """The command `kinectbench build`, and builds on behalf of other commands."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
@@ -28,6 +29,8 @@ STILL_FAILS = (
 )
 
 
+# The command of what is built, where it has another name.
+COMMANDS = {"pairs": ("build",), "suggest": ("segment", "--suggest")}
 OPTIONS = (
     *("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "verbose", "as_json"),
 )
@@ -82,6 +85,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             limit_s=common.time_limit,
             executor=executor,
             verbose=common.verbose,
+            options=common.options,
             # With --json, or for more recordings, current artefacts are not read.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
@@ -173,7 +177,16 @@ def build_recordings(
     chosen = chosen_jobs(common, ids)
     if brief:
         _tell_changed_settings(chosen, upto)
-    return build_jobs(chosen, upto, common.workers, force, wait=common.wait, brief=brief)
+    return build_jobs(
+        chosen,
+        upto,
+        common.workers,
+        force,
+        wait=common.wait,
+        brief=brief,
+        verbose=common.verbose,
+        options=common.options,
+    )
 
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
@@ -206,11 +219,13 @@ def build_jobs(
     limit_s: float | None = None,
     executor: "Executor | None" = None,
     verbose: bool = False,
+    options: Sequence[str] = (),
     again: bool = False,
 ) -> "list[BuiltRecording]":
     """`build_recordings` for known jobs, on this many processes or by an executor.
 
-    With `again`, warnings of current artefacts are repeated.
+    With `again`, warnings of current artefacts are repeated. `options` choose the same settings on a command
+    line, for the one that shows all warnings.
     """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
@@ -239,7 +254,8 @@ def build_jobs(
         if row.error is not None and failed > console.MOST_LINES:
             continue
         own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
-        _tell_warnings(name, own, row.summary.first if len(own) > 1 else None, verbose=verbose)
+        first = row.summary.first if len(own) > 1 and not verbose else None
+        _tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
         code = f" ({outcome.code})" if verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if brief and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
@@ -249,11 +265,14 @@ def build_jobs(
     return rows
 
 
-def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose: bool) -> None:
-    """Print the most important warning of a recording, and how many more there are."""
+def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
+    """Print the most important warning of a recording, and how many more there are; without one, all.
+
+    The words `show_all` after `kinectbench` print all.
+    """
     from kinectbench.cli import console
 
-    if verbose or first is None or first not in own:
+    if first is None or first not in own:
         console.recording_lines(name, "warning", own, "yellow")
         return
     console.recording_lines(name, "do this first", [first], "yellow")
@@ -263,8 +282,8 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, *, verbose:
     more = len(own) - 1 - len(without_effect)
     if not more:
         return
-    more_line = f"{more} more warning{'s' * (more > 1)}: shown by `-v`, by the report and by --json"
-    console.recording_lines(name, "note", [more_line], "yellow")
+    shown = f"shown by `kinectbench {show_all}`, by the report and by --json"
+    console.recording_lines(name, "note", [f"{more} more warning{'s' * (more > 1)}: {shown}"], "yellow")
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":

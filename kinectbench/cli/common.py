@@ -111,6 +111,14 @@ class Common:
         return Path(name) if self.benchmark else self.root / name
 
     @property
+    def options(self) -> list[str]:
+        """What chooses the same settings on another command line."""
+        given = [word for override in self.overrides or () for word in ("--set", override)]
+        url = url_of(self.config)
+        place = str(self.config) if url is None else shown(url)
+        return given if self.config == DEFAULT_CONFIG else ["--config", place, *given]
+
+    @property
     def workers(self) -> int:
         """The number of processes: as requested, or one per core."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

@@ -27,6 +27,8 @@ LEGEND = (
     "F: of the surface that both saw; IoU: of the solids, where the truth is known; "
     "off by: the mean distance, both ways"
 )
+# What --json says of the mesh of this run, which a refusal leaves among the `others`.
+COMPARED = ("reference", "sha256", "refused")
 FORMS = {"f_score_5mm": ".3f", "f_score_10mm": ".3f", "iou": ".3f"}
 
 
@@ -60,7 +62,7 @@ def compare_truth_command(
                 failed += [f"{name}: {line}" for line in error.lines]
             progress(done, len(built))
     if common.as_json:
-        console.say_json({name: whole.json_value() for name, (_, whole) in found.items()})
+        console.say_json({name: _in_json(new, whole) for name, (new, whole) in found.items()})
     else:
         _say_table(found)
     refused = [_refusal(name, new) for name, (new, _) in found.items() if new.refused]
@@ -81,6 +83,11 @@ def compare_truth_command(
     if not refused and not failed:
         return status
     return SOME_FAILED if len(found) > len(refused) else CANNOT_BE_USED
+
+
+def _in_json(new: "ComparedMesh", whole: "ReferenceFile") -> dict[str, object]:
+    """The file of all meshes, and which one this run compared."""
+    return {**whole.json_value(), "compared": {key: getattr(new, key) for key in COMPARED}}
 
 
 def _refusal(name: str, of: "ComparedMesh") -> str:

@@ -21,9 +21,12 @@ EVIDENCE = {
     "copy": "a real recording whose licence lets it be copied",
     "writer": "nothing real, but files written by the format's own description",
 }
-# Folders of results that lie beside a benchmark.yaml, and the file that holds the truth of a simulation.
-OURS = frozenset({"build", "benchmark", "benchmark-private", "predictions", "scores", "masks"})
-TRUTH = "truth.json"
+# Folders of results that lie beside a benchmark.yaml.
+OURS = frozenset(
+    {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks", "triage", "evaluation"}
+)
+# Each marks a folder that is no recording: a simulation's truth, a benchmark, a release, an export, results.
+MARKS = ("truth.json", "benchmark.yaml", "benchmark.json", "export.json", "scores.json", "triage.json")
 # Of what `init` leaves out so many are named: three lines of a terminal.
 SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
@@ -73,7 +76,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
     """Folders, and files named like recordings, that no reader recognises, at any depth, without nested ones.
 
     Folders that hold results, the truth of a simulated recording or hidden files are no recordings; nor are
-    those of a program, beside its pyproject.toml.
+    another benchmark's, or those of a program, beside its pyproject.toml.
 
     Args:
         folder: where recordings were looked for.
@@ -93,7 +96,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
                 waiting.append(child)
             elif child.is_dir():
                 program = (parent / "pyproject.toml").is_file()
-                left += [] if program or (child / TRUTH).is_file() else [child]
+                left += [] if program or any((child / mark).is_file() for mark in MARKS) else [child]
             elif child.is_file() and child.name.lower().endswith(tuple(suffixes)):
                 left.append(child)
     return sorted(left)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from kinectbench.core.artefacts.object import CandidatesFile
 
 
-@takes("config", "overrides", "jobs", "force", "wait", "as_json")
+@takes("config", "overrides", "jobs", "force", "wait", "verbose", "as_json")
 def segment_command(
     common: Common,
     ids: Ids = None,

@@ -56,7 +56,7 @@ class _Compared:
         return {"recording": self.recording, **self.comparison.row(), **what}
 
 
-@takes("config", "overrides", "jobs", "force", "wait", "as_json")
+@takes("config", "overrides", "jobs", "force", "wait", "verbose", "as_json")
 def track_command(
     common: Common,
     ids: Ids = None,

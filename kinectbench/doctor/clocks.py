@@ -39,12 +39,24 @@ def check_clock(probe: Probe) -> Iterator[Finding]:
             probe.where,
         )
         return
+    yield from _few(probe)
     streams = zip(("depth", "colour"), recording.recorded_stamps_ns, strict=True)
     for stream, stamps_ns in streams:
         if len(stamps_ns) > 2:
             yield from _stream(probe, stream, stamps_ns)
     yield from _doubled(probe)
     yield from check_partners(probe)
+
+
+def _few(probe: Probe) -> Iterator[Finding]:
+    """A warning where a build, too, will warn that the frames are few."""
+    from kinectbench.stages.segment.judge.coverage_report import MIN_FRAMES as ENOUGH_FRAMES
+
+    frames = len(probe.recording)
+    if frames < ENOUGH_FRAMES:
+        what = f"{frames} frames only: too few to show an object from its sides, and to average the noise"
+        advice = f"record {ENOUGH_FRAMES} frames at least, better some hundred, all around the object"
+        yield Finding("few_frames", "warning", what, probe.where, advice)
 
 
 def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:

@@ -40,8 +40,10 @@ def test_right_meshes_of_a_folder_are_compared(command: Command, root: Path) -> 
     found = json.loads(run.out)
     assert set(found) == {"chair", "table"}
     for name, each in found.items():
+        compared = each.pop("compared")
+        assert compared == {key: each[key] for key in ("reference", "sha256", "refused")}
         assert json.loads((root / "build" / name / "reference.json").read_text()) == each
-        assert each["refused"] is None and each["reference"] == f"{name}.ply"
+        assert each["refused"] is None and each["reference"] == f"meshes/{name}.ply"
         assert each["f_score_10mm"] > 0.8 and abs(each["scale"] - 1) < 0.02
     # Voxels of 15 mm and 24 frames of 160 x 120 pixels make a chair too thick.
     assert found["chair"]["iou"] > 0.6
@@ -53,7 +55,9 @@ def test_a_truth_beside_itself_is_said_to_be_so(command: Command, root: Path) ->
     (folder / "reference.json").unlink(missing_ok=True)
     run = command(root, "compare-truth", "chair", "--reference", "build/chair/object/mesh.ply")
     assert run.status == 0, run.err
-    assert "note: chair: mesh.ply is this very truth: it is compared with itself" in run.err
+    assert (
+        "note: chair: build/chair/object/mesh.ply is this very truth: it is compared with itself" in run.err
+    )
     found = ReferenceFile.read(folder)
     assert found.itself and found.f_score_10mm == 1.0 and found.info.json_value()["itself"] is True
     other = command(root, "compare-truth", "chair", "--reference", "meshes/chair.ply", "--json")
@@ -61,7 +65,8 @@ def test_a_truth_beside_itself_is_said_to_be_so(command: Command, root: Path) ->
     assert "itself" not in ReferenceFile.read(folder).info.json_value()
     command(root, "compare-truth", "chair", "--reference", "build/chair/object/mesh.ply")
     found = ReferenceFile.read(folder)
-    assert [each.reference for each in found.all] == ["chair.ply", "mesh.ply"] and not found.itself
+    assert [Path(each.reference).name for each in found.all] == ["chair.ply", "mesh.ply"]
+    assert not found.itself
 
 
 def _table_decision(command: Command, root: Path) -> tuple[str, str]:
@@ -74,9 +79,9 @@ def _table_decision(command: Command, root: Path) -> tuple[str, str]:
 def test_a_wrong_mesh_is_refused_and_triage_says_look(command: Command, root: Path) -> None:
     run = command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
     assert run.status == 1
-    assert "error: table: chair.ply is refused: " in run.err and "Traceback" not in run.err
+    assert "error: table: meshes/chair.ply is refused: " in run.err and "Traceback" not in run.err
     decision, reasons = _table_decision(command, root)
-    assert decision == "look" and "its reference chair.ply does not fit: " in reasons
+    assert decision == "look" and "its reference meshes/chair.ply does not fit: " in reasons
 
 
 def test_a_refusal_keeps_the_mesh_that_fits(command: Command, root: Path) -> None:
@@ -87,21 +92,40 @@ def test_a_refusal_keeps_the_mesh_that_fits(command: Command, root: Path) -> Non
     assert "others" not in good
     # A file of before this rule is read, and its mesh is kept.
     run = command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
-    assert run.status == 1 and "table.ply" in run.out and "F: of the surface" in run.out
-    assert "error: table: chair.ply is refused: " in run.err
+    assert run.status == 1 and "meshes/table.ply" in run.out and "F: of the surface" in run.out
+    assert "error: table: meshes/chair.ply is refused: " in run.err
     whole = json.loads(file.read_text())
     (other,) = whole.pop("others")
-    assert whole == good and other["reference"] == "chair.ply" and other["refused"]
+    assert whole == good and other["reference"] == "meshes/chair.ply" and other["refused"]
     decision, reasons = _table_decision(command, root)
-    assert decision == "look" and "its reference chair.ply does not fit: " in reasons
+    assert decision == "look" and "its reference meshes/chair.ply does not fit: " in reasons
     # Once more the good one: each stands there once, and the refusal is told.
     run = command(root, "compare-truth", "table", "--reference", "meshes/table.ply")
-    assert run.status == 0 and "note: table: chair.ply is refused: " in run.err
-    assert [each.reference for each in ReferenceFile.read(file.parent).all] == ["table.ply", "chair.ply"]
+    assert run.status == 0 and "note: table: meshes/chair.ply is refused: " in run.err
+    both = ["meshes/table.ply", "meshes/chair.ply"]
+    assert [each.reference for each in ReferenceFile.read(file.parent).all] == both
     # Of an object that was built before nothing is kept.
     file.write_text(json.dumps({**good, "object_fingerprint": "older"}))
     command(root, "compare-truth", "table", "--reference", "meshes/chair.ply")
-    assert [each.reference for each in ReferenceFile.read(file.parent).all] == ["chair.ply"]
+    assert [each.reference for each in ReferenceFile.read(file.parent).all] == ["meshes/chair.ply"]
+
+
+def test_meshes_of_one_name_are_told_apart(command: Command, root: Path) -> None:
+    """As those of simulated recordings are, which are all called object.ply; a release has the name alone."""
+    for name in ("chair", "table"):
+        (root / f"{name}.truth").mkdir()
+        copy(root / f"meshes/{name}.ply", root / f"{name}.truth/object.ply")
+    (root / "build/table/reference.json").unlink(missing_ok=True)
+    good = str(root / "table.truth/object.ply")
+    assert command(root, "compare-truth", "table", "--reference", good).status == 0
+    text = command(root, "compare-truth", "table", "--reference", "chair.truth/object.ply")
+    assert "error: table: chair.truth/object.ply is refused: " in text.err
+    assert "table.truth/object.ply" in text.out and str(root) not in text.out
+    again = command(root, "compare-truth", "table", "--reference", "chair.truth/object.ply", "--json")
+    found = json.loads(again.out)["table"]
+    assert found["reference"] == "table.truth/object.ply" and found["refused"] is None
+    assert found["compared"]["reference"] == "chair.truth/object.ply" and found["compared"]["refused"]
+    assert ReferenceFile.read(root / "build/table").info.reference == "object.ply"
 
 
 def test_some_refused_is_another_status_than_all(command: Command, root: Path) -> None:
@@ -109,7 +133,7 @@ def test_some_refused_is_another_status_than_all(command: Command, root: Path) -
     for name in ("chair", "table"):
         copy(root / "meshes/chair.ply", root / f"mixed/{name}.ply")
     run = command(root, "compare-truth", "--references", "mixed", "--json")
-    assert run.status == 3 and "error: table: table.ply is refused: " in run.err
+    assert run.status == 3 and "error: table: mixed/table.ply is refused: " in run.err
 
 
 def test_recordings_without_a_mesh_are_named(command: Command, root: Path) -> None:

@@ -1,6 +1,7 @@
 """Of several warnings of a recording the one to see to first is shown; the rest on demand."""
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,11 +27,37 @@ def test_the_first_of_several_warnings_and_how_many_more(
     short = command(root, "build", "table", *changed, "--force").err.splitlines()
     assert short[0] == f"table: do this first: {said['first']}"
     more = len(said["warnings"]) - 1
-    assert short[1].startswith(f"table: note: {more} more warnings: shown by `-v`")
+    line = "kinectbench build table --set views.seed=3 -v"
+    assert short[1].startswith(f"table: note: {more} more warnings: shown by `{line}`")
     # What is to be done stays to be done: a run that finds all up to date says so, too.
     assert command(root, "build", "table", *changed).err.splitlines()[:2] == short[:2]
     whole = command(root, "build", "table", *changed, "--force", "-v").err.splitlines()
     assert [f"table: warning: {line}" for line in said["warnings"]] == whole[: more + 1]
+
+
+@pytest.mark.parametrize("words", [("segment",), ("segment", "--suggest"), ("track",), ("ingest",)])
+def test_the_note_names_a_command_that_shows_all(
+    command: Command, small: Path, tmp_path: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from kinectbench.engine import summary
+
+    def figures(*_: object) -> summary.RecordingSummary:
+        return summary.RecordingSummary.model_construct(
+            recording="table", warnings=("one", "two"), first="one", error=None, made=()
+        )
+
+    root = copied(small, tmp_path / "b")
+    (root / "benchmark.yaml").rename(root / "other one.yaml")
+    monkeypatch.setattr(summary, "summary", figures)
+    monkeypatch.setattr("kinectbench.cli.console.summary_table", lambda *_: "")
+    monkeypatch.setattr("kinectbench.cli.console.object_lines", lambda *_, **__: None)
+    given = ("table", "--config", "other one.yaml", "--force", "--jobs", "1")
+    err = command(root, words[0], *given, *words[1:]).err
+    assert "table: note: 1 more warning: shown by `kinectbench " in err
+    line = shlex.split(err.split("`kinectbench ")[1].split("`")[0])
+    assert line == [*words, "table", "--config", "other one.yaml", "-v"]
+    shown = command(root, *line).err
+    assert "table: warning: one\ntable: warning: two" in shown and "No such option" not in shown
 
 
 def test_what_makes_the_rest_wrong_comes_first() -> None:

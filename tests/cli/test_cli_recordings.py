@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from small_benchmark import Run
+from small_benchmark import Run, copied
 
 from kinectbench.cli.recordings import _without_recording
-from kinectbench.stages.ingest.readers import FORMATS
+from kinectbench.stages.ingest.readers import FORMATS, find_recordings
+
+NAMES = ("chair", "table")
 
 
 def test_formats(command: Callable[..., Run], tmp_path: Path) -> None:
@@ -74,6 +76,32 @@ def test_init_does_not_name_the_folders_of_a_program(command: Callable[..., Run]
         (tmp_path / name).mkdir()
     run = command(tmp_path, "init", ".")
     assert run.status == 0 and "left out, as no recording of a known format: recordings/lost;" in run.err
+
+
+def test_what_was_built_is_no_recording(command: Callable[..., Run], small: Path, tmp_path: Path) -> None:
+    """Nor in a benchmark farther down, nor where a build was renamed; nor is it called left out."""
+    root = copied(small, tmp_path / "top")
+    for below in ("nested", "elsewhere/results"):
+        copied(small, root / below)
+    (root / "elsewhere/results/build").rename(root / "elsewhere/old")
+    for ours in ("triage", "evaluation"):
+        (root / ours).mkdir()
+    (root / "mine").mkdir()
+    (root / "mine/export.json").write_text("{}")
+    assert find_recordings(root / "build") == []
+    run = command(root, "init", ".", "--force")
+    assert run.status == 0
+    paths = [
+        line.split()[1] for line in (root / "benchmark.yaml").read_text().splitlines() if " path: " in line
+    ]
+    each = [
+        ("", "nested/", "elsewhere/results/")[n] + f"recordings/{name}" for n in range(3) for name in NAMES
+    ]
+    assert sorted(paths) == sorted(each)
+    assert not any(name in run.err for name in ("triage", "evaluation", "mine", "nested"))
+    # A manifest of another program says nothing.
+    (root / "recordings/chair/manifest.json").write_text('{"name": "app", "version": 3}')
+    assert root / "recordings/chair" in [path for path, _ in find_recordings(root / "recordings")]
 
 
 def test_init_without_any_recording_says_where_to_look(command: Callable[..., Run], tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from raising import raises
 from slow import slow
 from small_benchmark import Run, small_spec
-from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of
+from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of, shortened
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Finding, inspect
@@ -128,6 +128,16 @@ def test_the_gravest_comes_first_and_decides() -> None:
     assert Diagnosis({}, gravest_first(found)).verdict == "not usable as it is: c"
     assert Diagnosis({}, tuple(found[:2])).verdict == "usable with care: b"
     assert Diagnosis({}, tuple(found[:1])).verdict == "usable"
+
+
+@pytest.mark.parametrize(("frames", "few"), [(3, True), (9, True), (10, False)])
+def test_few_frames_are_told(frames: int, few: bool, tmp_path: Path) -> None:
+    """So few that a build would warn of them, too."""
+    shortened(CHAIR, tmp_path / "short", frames)
+    diagnosis, _ = inspect(tmp_path / "short")
+    found = [each for each in diagnosis.findings if each.name == "few_frames"]
+    assert len(found) == few and ("few_frames" in diagnosis.verdict) == few and not diagnosis.stops
+    assert all(each.severity == "warning" and f"{frames} frames only" in each.what for each in found)
 
 
 def test_the_command(small_chair: Path, command: Callable[..., Run], tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """reference.json beside an object: how it compares with a mesh that somebody else measured or drew."""
 
 from collections.abc import Sequence
+from pathlib import PurePosixPath
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
@@ -8,7 +9,8 @@ from pydantic import Field
 from kinectbench.core.artefacts.object import Triple
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart
 
-MESH = "the mesh's file"
+MESH = "name of the mesh's file"
+MESH_PATH = "the mesh's file, by the path that was given; of an absolute one the last folder and the name"
 REFUSED = "why the mesh is taken for that of another object; null: it fits"
 F_5MM = "F-score at 5 mm of the surface that both saw"
 F_10MM = "F-score at 10 mm of the surface that both saw"
@@ -56,7 +58,7 @@ class ReferenceInfo(StoredPart):
 class ComparedMesh(StoredPart):
     """A mesh beside an object."""
 
-    reference: str = Field(description=MESH)
+    reference: str = Field(description=MESH_PATH)
     sha256: str = Field(description="of its bytes")
     refused: str | None = Field(description=REFUSED)
     itself: Literal[True] | None = Field(None, description=ITSELF)
@@ -89,7 +91,9 @@ class ComparedMesh(StoredPart):
     def info(self) -> ReferenceInfo:
         """What a release says of it."""
         keys = [key for key in ReferenceInfo.model_fields if key != "itself" or self.itself]
-        return ReferenceInfo(**{key: getattr(self, key) for key in keys})
+        values = {key: getattr(self, key) for key in keys}
+        # A release does not say where its maker keeps the mesh.
+        return ReferenceInfo(**(values | {"reference": PurePosixPath(self.reference).name}))
 
 
 class ReferenceFile(Stored, ComparedMesh):

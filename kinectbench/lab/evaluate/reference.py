@@ -84,7 +84,7 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
     model = read_object(folder / "object")
     found = reference_figures(model, register_reference(model, reference.mesh), reference.closed).model_copy(
         update={
-            "reference": path.name,
+            "reference": named_mesh(path),
             "sha256": reference.sha256,
             **({"itself": True} if reference.sha256 in _truths(folder / "object") else {}),
         }
@@ -101,6 +101,14 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
     with replaced_file(folder / whole.FILE) as temporary:
         temporary.write_text(whole.text(), encoding="utf-8")
     return found, whole
+
+
+def named_mesh(path: Path) -> str:
+    """What a mesh is called: its relative path; of an absolute one the last folder and the name.
+
+    Simulated meshes are all called object.ply. Where a machine keeps its files is nobody's business.
+    """
+    return Path(*path.parts[-2:]).as_posix() if path.is_absolute() else path.as_posix()
 
 
 def _truths(folder: Path) -> Iterator[str]:

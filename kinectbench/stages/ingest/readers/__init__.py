@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.errors import IntrinsicsError, RecordingError, StorageError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
@@ -155,8 +156,8 @@ def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[P
 def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str]]:
     """Every recording in a folder and below, as (path, format), sorted; none lies inside another.
 
-    A folder that cannot be read, that begins with a dot, or that holds the truth of a simulated recording is
-    passed over.
+    A folder that cannot be read, that begins with a dot, that a build made, or that holds the truth of a
+    simulated recording is passed over, with what lies below it.
 
     Args:
         folder: where they are looked for.
@@ -170,7 +171,7 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
     if next(numbers, None) is None:
         return
     try:
-        if (folder / TRUTH).is_file():
+        if (folder / TRUTH).is_file() or _is_built(folder):
             return
         name = format_of(folder)
         if name is not None:
@@ -182,6 +183,14 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
     for child in children:
         if not child.name.startswith("."):
             yield from _recordings_below(child, numbers)
+
+
+def _is_built(folder: Path) -> bool:
+    """Whether a stage made the folder; a manifest.json of another program does not say so."""
+    try:
+        return Manifest.read_if_there(folder) is not None
+    except StorageError:
+        return False
 
 
 def _check_scale(path: Path, scale: float) -> None:

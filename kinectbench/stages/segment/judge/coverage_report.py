@@ -26,6 +26,7 @@ MOVING_SHARE = 0.02
 THICK_PX = 3
 # A Kinect measures surfaces up to about this slant: a camera sees an upright side from so far around.
 SEEN_WITHIN_RAD = np.radians(75.0)
+# Fewer good frames leave most of the noise in the surface, and sides unseen. Chosen by hand.
 MIN_FRAMES = 10
 # Real floors scatter by up to 6 mm; a surface that scatters by 20 mm is not taken for a plane.
 MAX_FLOOR_NOISE_M = 0.010
