@@ -151,7 +151,7 @@ def test_the_command(small_chair: Path, command: Callable[..., Run], tmp_path: P
     assert wrong.status == 1 and said["verdict"].startswith("not usable") and said["depth_scale"] == 500
     assert said["findings"][0]["name"] == "depth_scale" and "5000" in said["findings"][0]["advice"]
     unknown = command(tmp_path, "inspect", str(small_chair), "--set", "fz=1")
-    assert unknown.status == 2 and "fz: unknown" in unknown.err
+    assert unknown.status == 2 and "in --set fz=1: unknown" in unknown.err
 
 
 def test_a_recording_of_the_benchmark_is_inspected_by_its_id(

@@ -34,7 +34,8 @@ def job(**recording: Any) -> Job:
 def full() -> Job:
     """A recording whose sections are all given, so that their fields can be walked."""
     box = {"center_m": [0, 0, 0.5], "size_m": [1, 1, 1], "anchor_frame": 3}
-    return job(camera={"fx": 500.0}, box={**box, "anchor_pose": [0, 0, 1, 0, 0, 0, 1]})
+    pose = {"anchor_pose": [0, 0, 1, 0, 0, 0, 1]}
+    return job(camera={"fx": 500.0}, box=box | pose, pick={"frame": 3, "pixel": [80, 60]})
 
 
 def leaves(value: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -53,7 +54,7 @@ def others(value: Any) -> tuple[Any, ...]:
     if isinstance(value, int | float):
         return (value + 1, value - 1, value + 0.01, value - 0.01)
     if isinstance(value, list):
-        return ([number + 0.1 for number in value],)
+        return tuple([number + step for number in value] for step in (0.1, 1))
     words = ("majority", "view", "coverage", "refine", "closed", "x")
     return words if isinstance(value, str) else FILLED
 
@@ -116,7 +117,7 @@ def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPat
     settings = BenchmarkSettings.model_validate({"name": "small", "recordings": [own], **said})
     needs = STAGES[3].needs(Job(settings, settings.recordings[0], Path("root")))
     STEPS["segment"](Work(needs, {}, {}, Path("object"), lambda *_: None))
-    assert given == {"underside": "closed", "limits": SensorLimits(line_width_m=0.02)}
+    assert given == {"underside": "closed", "limits": SensorLimits(line_width_m=0.02), "picked": None}
 
 
 def test_no_way_leads_from_the_work_to_the_job() -> None:

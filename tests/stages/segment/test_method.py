@@ -29,6 +29,7 @@ ASIDE = {
     "masked_scene": "what is chosen, not how it is made solid: `selection` in quality.json says how",
     "object": "what is chosen, as above",
     "mesh": "which references are read",
+    "picked": "what is chosen, as above: `pick` stands in the settings",
     "obstacles": "words of advice and of a warning",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
