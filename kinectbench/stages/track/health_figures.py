@@ -26,8 +26,8 @@ ACCEPTED_WEIGHT = 0.5
 MIN_WEIGHT = 0.1
 # A correction is averaged over a grid of this many points across and down the image.
 GRID = 5
-# A step is a jump if it is so long, and so many times as fast as 95 % of the steps: of 70 simulated scans
-# tracked within 30 mm none has one, of five whose poses are off by 0.7 m and more three do.
+# A step is a jump if it is so long, and so many times as fast as 95 % of the steps: of 65 simulated scans
+# tracked within 65 mm none has one, of seven whose poses are off by 0.7 m and more four do.
 JUMP_M, JUMP_TIMES = 0.5, 2.0
 # For frames without any depth.
 TYPICAL_DEPTH_M = 1.5
