@@ -297,12 +297,15 @@ class _Builder:
 
     def _refuse_contradictions(self) -> None:
         """Refuse loops within a group that break the drift bound."""
-        for each in list(self.constraints):
+        kept: list[Constraint] = []
+        for each in self.constraints:
             a, b = self._ends(each)
             within = each.kind == "loop" and self.group[a] == self.group[b]
             if within and self._breaks_drift_bound(a, b, each.T_a_b):
-                self.constraints.remove(each)
                 self.refused.append(replace(each, weight=0.0))
+            else:
+                kept.append(each)
+        self.constraints = kept
 
     def _follows(self, each: Constraint) -> bool:
         """Whether its frames are consecutive keyframes, and the camera was never lost between them."""
