@@ -171,6 +171,9 @@ class TrajectoryHealth(ScaledPart, Stored):
     open_path_m: float | None = Field(
         None, alias="open_path_m", description="of this, what lies outside every believed loop, m"
     )
+    open_gap_s: float | None = Field(
+        None, description="the longest time the camera was lost that no believed loop spans, seconds"
+    )
     arc_rad: DegreesInFile | None = Field(
         None, description="walked around what is looked at, degrees; null if nothing is"
     )

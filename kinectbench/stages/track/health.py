@@ -82,6 +82,7 @@ def health(
         sensor_noise_m=known(median(tracked.noise_m[case.held_out])),
         path_length_m=round(float(steps_m.sum()), 3),
         open_path_m=round(float(steps_m[~closed].sum()), 3),
+        open_gap_s=_open_gap_s(case, closed),
         arc_rad=_arc_rad(case),
         ties=ConstraintCounts(**kinds, refused=len(tracked.refused)),
         loop_correction_m=_rms_m(each.shift_m for each in case.loops if each.accepted),
@@ -232,6 +233,22 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
             first, last = sorted((each.constraint.a, each.constraint.b))
             closed |= (frames[:-1] >= first) & (frames[1:] <= last)
     return steps_m, closed
+
+
+def _open_gap_s(case: _Case, closed: Bools) -> float | None:
+    """The longest time between two poses with lost frames between them that no loop spans; None without one.
+
+    The pose after such a gap comes from one registration across it, and nothing checks that.
+
+    Args:
+        case: the inputs.
+        closed: (steps,) whether an accepted loop spans the step to the next pose.
+    """
+    frames = np.flatnonzero(case.posed)
+    lost_before = np.concatenate([[0], np.cumsum(case.lost)])
+    open_gaps = (lost_before[frames[1:]] > lost_before[frames[:-1]]) & ~closed
+    elapsed_s = np.diff(case.sequence.stamps_ns[frames]) / 1e9
+    return round(float(elapsed_s[open_gaps].max()), 3) if open_gaps.any() else None
 
 
 def _arc_rad(case: _Case) -> float | None:

@@ -139,12 +139,24 @@ def test_sharpness_of_colour_that_is_missing_or_damaged(circle: np.ndarray) -> N
 # --- the figures
 
 
+def test_a_gap_is_open_where_no_loop_spans_it(circle: np.ndarray, orbit: Sequence) -> None:
+    lost = circle.copy()
+    lost[7:10] = lost[15] = lost[:2] = lost[22:] = np.nan
+    elapsed_s = np.diff(orbit.stamps_ns[[6, 10, 14, 16]]) / 1e9
+    for loops, open_s in (((), elapsed_s[0]), (((4, 12),), elapsed_s[2]), (((4, 18),), None)):
+        tracked = tracked_of(lost)
+        kept = [each for each in tracked.constraints if not {each.a, each.b} & {0, 8, 22}]
+        spans = [constraint(circle, a, b, "loop") for a, b in loops]
+        found = figures_of(orbit, "tracked", replace(tracked, constraints=(*kept, *spans)), [])
+        assert found["open_gap_s"] == (open_s and pytest.approx(open_s, abs=1e-3))
+
+
 def test_figures_of_a_closed_circle(circle: np.ndarray, orbit: Sequence) -> None:
     figures = figures_of(orbit, "tracked", closed(circle), ["careful"])
     chord_m = 2 * DISTANCE_M * np.cos(0.4) * np.sin(np.pi / 24)
     assert figures["path_length_m"] == pytest.approx(23 * chord_m, abs=6e-4)
     assert figures["open_path_m"] == pytest.approx(chord_m, abs=6e-4)  # from frame 22, the last loop, to 23
-    assert figures["arc_deg"] == pytest.approx(345, abs=0.01)
+    assert figures["arc_deg"] == pytest.approx(345, abs=0.01) and figures["open_gap_s"] is None
     assert (figures["frames"], figures["tracked"], figures["lost"], figures["rejected"]) == (24, 24, [], [])
     assert figures["keyframes"] == list(range(0, 24, 2))
     assert figures["ties"] == {"odometry": 11, "covisible": 0, "loop": 1, "refused": 0}
