@@ -33,7 +33,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 12,
     "track": 11,
     "fuse": 6,
-    "segment": 36,
+    "segment": 37,
     "sample-views": 3,
     "pairs": 3,
     "suggest": 7,

@@ -133,10 +133,34 @@ def test_of_a_solid_that_is_known(sigma_m: float, median_m: float) -> None:
     assert found.low == pytest.approx(iou_of_known(most_of(missing)))
     assert found.high == pytest.approx(iou_of_known(least_of(missing)))
     check(found)
-    # What is unknown beside it changes nothing of what is known.
-    for each in (found, estimate_iou(partly_known(0.9, 0.3), sigma_m, PoseError(median_m), ())):
-        known = (each.known_low, each.known, each.known_high)
-        assert known == pytest.approx((found.low, found.value, found.high))
+    known = (found.known_low, found.known, found.known_high)
+    assert known == pytest.approx((found.low, found.value, found.high))
+
+
+def known_skin() -> SolidShape:
+    """A block of 6 x 6 x 6 voxels in free space, of which nothing but the outer layer was measured."""
+    solid = np.zeros((8, 8, 8), bool)
+    solid[1:-1, 1:-1, 1:-1] = True
+    labels = np.where(solid, Label.SURFACE, Label.FREE).astype(np.uint8)
+    labels[2:-2, 2:-2, 2:-2] = Label.UNKNOWN
+    return shape_of(solid, labels=labels, mesh=CUBE, voxel_m=VOXEL_M)
+
+
+@pytest.mark.parametrize(
+    ("shape", "of_known"),
+    [
+        # Two of four faces have known voxels on both sides, and six of eight voxels are known.
+        (partly_known(0.9, 0.3), (2 / 4) / (6 / 8)),
+        # A thin skin: all of its faces are known, and 6^3 - 4^3 of 6^3 voxels.
+        (known_skin(), 6**3 / (6**3 - 4**3)),
+    ],
+)
+def test_the_error_of_known_voxels_is_that_of_their_faces(shape: SolidShape, of_known: float) -> None:
+    found = estimate_iou(shape, 0.001, PoseError(0.001), ())
+    missing = of_known * missing_of(0.001, 0.001)
+    assert found.known == pytest.approx(1 - missing)
+    assert found.known_low == pytest.approx(1 - most_of(missing))
+    assert found.known_high == pytest.approx(1 - least_of(missing))
 
 
 def test_of_a_solid_that_is_unknown_in_part() -> None:

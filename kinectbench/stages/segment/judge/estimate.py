@@ -131,16 +131,30 @@ def estimate_iou(
     value = expected.iou(missing)
     spread = COIN_SIGMAS * _regions_sigma(shape, expected)
     guessed = _Volumes(expected.known, 1 - expected.known, 0.0)
+    # Over known voxels alone the same error acts on the known surface, and counts by the known volume.
+    of_known = _known_surface_share(shape) / max(expected.known, 1e-9)
     return IouEstimate(
         value,
         max(0.0, expected.iou(most) - spread),
         min(guessed.iou(least), expected.iou(least) + spread),
         guessed.iou(most),
-        max(0.0, 1 - missing),
-        max(0.0, 1 - most),
-        1 - least,
+        max(0.0, 1 - missing * of_known),
+        max(0.0, 1 - (most - MISSED_LEAST) * of_known - MISSED_LEAST),
+        min(1.0, 1 - missing * of_known * (1 - MISSED_LESS) + MISSED_LEAST),
         _reasons(frontiers, per_mm, shifted, pose_error.checked),
     )
+
+
+def _known_surface_share(shape: SolidShape) -> float:
+    """The share of the solid's voxel faces that have known voxels on both sides."""
+    solid, known = shape.solid, shape.labels != Label.UNKNOWN
+    faces = of_known = 0
+    for axis in range(3):
+        pairs = [np.moveaxis(grid, axis, 0) for grid in (solid, known)]
+        crossed = pairs[0][:-1] != pairs[0][1:]
+        faces += int(crossed.sum())
+        of_known += int((crossed & pairs[1][:-1] & pairs[1][1:]).sum())
+    return of_known / max(faces, 1)
 
 
 def _expected(shape: SolidShape) -> _Volumes:
