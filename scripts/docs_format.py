@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.artefacts.benchmark import PublishStamp, ReleaseInfo
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.method import MethodFile, TrainingFile
 from kinectbench.core.artefacts.object import CandidatesFile, FloorFile, QualityFile
@@ -24,7 +24,7 @@ from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetric
 from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
-from kinectbench.core.artefacts.targets import ALL_COLUMNS, TARGETS_CSV, Splits
+from kinectbench.core.artefacts.targets import ALL_COLUMNS, SPLITS, TARGETS_CSV, Splits
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
 from kinectbench.core.artefacts.triage import TriageFile
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
@@ -32,17 +32,21 @@ from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 PAGE = Path(__file__).parents[1] / "docs" / "keys.md"
 HEAD = """# Keys
 
-Every key of every file. `scripts/docs_format.py` makes this page of the models that read and write them.
+The keys of each JSON file, made by `scripts/docs_format.py` of the models that read and write them.
 [Files](format.md) says what the files are for.
 
 - An indented key belongs to the object above it, to each object of a list, or to each object `by name`.
 - Units are those of the key's name. Grids and frames: [Conventions](conventions.md).
-- A key without a kind is a number, or the object of the keys below it. JSON schemas name the integers.
-- A plural is a list: `texts`, `numbers`.
+- A key without a kind is a number, or the object of the keys below it. A plural is a list: `texts`.
 - N in a meaning is the number in the key's name.
 - A key with `?` is null or missing where its value is unknown or does not apply, and in files older than
   the key.
-- `format_version` is the version of the file's format. It is listed where it says more.
+- `split`, like every split, is `train`, `validation` or `test`.
+- Everywhere the same: `format_version` of the file (listed where it says more), `package_version` of the
+  kinectbench that wrote it, `recording` (its id), `object` (the thing recorded), `category` (such as chair),
+  `view` (zero-padded index), `frame` (index in the recording, from 0), `stamp_ns` (of the frame's depth),
+  `sha256` (of the file's bytes), `warnings` (what people should know, one line each), and the camera's
+  `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels of the depth images.
 """
 MODELS: tuple[type[Stored], ...] = (
     Manifest,
@@ -58,7 +62,6 @@ MODELS: tuple[type[Stored], ...] = (
     Failed,
     TriageFile,
     ReferenceFile,
-    PublishStamp,
     ReleaseInfo,
     Splits,
     Lineage,
@@ -69,8 +72,14 @@ MODELS: tuple[type[Stored], ...] = (
     ScoreTable,
 )
 WORDS = {"string": "text", "integer": "number", "": "any"}
-# What a key's name or its kind says already is left out of its meaning.
-UNITS = {"_m": "metres|m", "_mm": "mm|millimetres", "_m2": "square metres", "_m3": "cubic metres"}
+# What a key's name, its kind or its `?` says already is left out of its meaning.
+UNITS = {
+    "_m": "metres|m",
+    "_per_s": "m/s|rad/s",
+    "_mm": "mm|millimetres",
+    "_m2": "square metres",
+    "_m3": "cubic metres",
+}
 UNITS |= {
     "_rad": "radians",
     "_deg": "degrees",
@@ -80,10 +89,19 @@ UNITS |= {
     "_px": "pixels",
 }
 NOTHING = re.compile(
-    r"; (?:null|absent|missing)(?: if none|: none|: nothing|:? (?:if )?not known| without one)$"
+    r"; (?:null|absent|missing)(?: or missing)?(?:: [^;]*| if none| (?:if )?not known| without one)$"
 )
 EMPTY = set(
-    re.findall(r"\w+", "a an the id of its it in by that this is name number each file whether keys and or")
+    re.findall(
+        r"\w+", "a an the id of its it in by that this is name number each file whether keys and or how many"
+    )
+)
+# The head of the page says what they mean, but for a meaning with a further clause.
+COMMON = frozenset(
+    [
+        *("package_version", "recording", "object", "category", "split", "view", "frame", "stamp_ns"),
+        *("sha256", "warnings", "width", "height", "fx", "fy", "cx", "cy"),
+    ]
 )
 # Parts of which a list of their own says what they hold.
 ELSEWHERE = {QualityFile.__name__: QualityFile.FILE}
@@ -91,10 +109,10 @@ ELSEWHERE = {QualityFile.__name__: QualityFile.FILE}
 DESCRIBED = {
     "SolidMethod": "described in `schemas/quality.schema.json` of a release",
     "ScoreSettings": "described in [scores.schema.json](scores.schema.json)",
-    "Alignment": "[how it was registered](scoring-in-space.md#registration)",
+    "Alignment": "[its keys](scoring-in-space.md#registration)",
     "Calibration": "[its keys](scoring-in-space.md#several-hypotheses)",
-    "Ceiling": "[for some metrics](scoring-in-space.md#ceiling)",
-    "AsPapers": "[other papers' figures](scoring-in-space.md#as-other-papers)",
+    "Ceiling": "[its keys](scoring-in-space.md#ceiling)",
+    "AsPapers": "[its keys](scoring-in-space.md#as-other-papers)",
 }
 # Keys of metrics, and where they are defined.
 METRICS = tuple(field.name for of in (VoxelMetrics, SurfaceMetrics) for field in dataclasses.fields(of))
@@ -117,6 +135,7 @@ class _Listed:
         self.file = ""
         self.objects: dict[str, tuple[str, str]] = {}
         self.rows: dict[Row, tuple[str, str]] = {}
+        self.metrics = ""  # the key whose objects list every metric
 
     def place(self, where: tuple[str, str]) -> str:
         """A place as a reader of the current file finds it."""
@@ -124,7 +143,7 @@ class _Listed:
         if file == DEFINED:
             return f"[Metrics]({DEFINED})"
         link = "" if file == self.file else f"[{file}](#{re.sub(r'[^a-z_]', '', file)})"
-        return " of ".join(part for part in (f"`{key}`" if key else "", link) if part)
+        return " of ".join(part for part in (f"`{key}`" if key else "", link) if part) or "above"
 
 
 def tables() -> dict[str, str]:
@@ -140,7 +159,8 @@ def tables() -> dict[str, str]:
             listed.rows |= dict.fromkeys(said, (DEFINED, ""))
         made[model.FILE] = "".join(_rows(schema, schema, "", listed))
     return made | {
-        TARGETS_CSV: "".join(_line(0, f"`{name}`", "", text) for name, text in ALL_COLUMNS.items())
+        TARGETS_CSV: _line(0, ", ".join(f"`{name}`" for name in ALL_COLUMNS if name in COMMON), "", "")
+        + "".join(_line(0, f"`{name}`", "", text) for name, text in ALL_COLUMNS.items() if name not in COMMON)
     }
 
 
@@ -151,7 +171,9 @@ def page() -> str:
 
 def _line(depth: int, names: str, kind: str, meaning: str) -> str:
     """An item of the list, wrapped."""
-    head = " ".join(filter(None, [f"- {names}", "" if kind == "number" else _plain(kind)]))
+    head = " ".join(
+        filter(None, [f"- {names}", "" if kind == "number" or names == f"`{kind}`" else _plain(kind)])
+    )
     indent = "    " * depth
     lines = textwrap.wrap(
         f"{head}: {_plain(meaning)}" if meaning else head,
@@ -212,7 +234,12 @@ def _rows(part: Schema, root: Schema, above: str, listed: _Listed) -> Iterator[s
                 listed.objects[title] = (listed.file, key)
                 yield from _rows(inner, root, key, listed)
     for where, same in shared.items():
-        yield _line(depth, ", ".join(map(_named, same)), "", f"as in {listed.place(where)}")
+        names = ", ".join(map(_named, same))
+        if where[0] == DEFINED and listed.metrics:
+            yield _line(depth, "all metrics?", "", f"as in `{listed.metrics}`")
+            continue
+        yield _line(depth, names, "", f"as {'in ' * (where != (listed.file, ''))}{listed.place(where)}")
+        listed.metrics = listed.metrics or (above if where[0] == DEFINED else "")
 
 
 def _said_by_head(row: Row) -> bool:
@@ -240,6 +267,7 @@ def _said(name: str, schema: Schema, part: Schema, root: Schema) -> Row:
             meaning = re.sub(rf"[,;] (?:{unit})(?=$|[,;])", "", meaning)
     words = set(re.findall(r"[a-z]\w*", meaning.lower())) - EMPTY
     said = words <= {*name.lower().split("_"), *re.findall(r"\w+", kind)}
+    said |= name in COMMON and ";" not in meaning
     return name, always, kind, "" if said else meaning
 
 
@@ -271,6 +299,8 @@ def _kind(schema: Schema, root: Schema) -> str:
         return " or ".join(dict.fromkeys(_kind(choice, root) for choice in schema["anyOf"]))
     if "const" in schema:
         return f"`{schema['const']}`"
+    if schema.get("enum") == list(SPLITS):
+        return "split"
     if "enum" in schema:
         return ", ".join(f"`{value}`" for value in schema["enum"])
     if schema.get("type") == "array":
@@ -300,7 +330,7 @@ def _list_kind(schema: Schema, root: Schema) -> str:
 
 def _several(kind: str) -> str:
     """The plural of a kind, where it is a word."""
-    return f"{kind}s" if kind in ("number", "text") else kind
+    return f"{kind}s" if kind in ("number", "text", "split") else kind
 
 
 def main() -> None:

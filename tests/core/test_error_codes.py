@@ -93,3 +93,12 @@ def test_another_code_is_not_taken_for_it() -> None:
 def test_any_error_has_a_code() -> None:
     codes = [error_code(error) for error in (SettingsError("a"), MemoryError(), KeyError("a"))]
     assert codes == ["settings.wrong-value", "run.no-memory", "run.internal-error"]
+
+
+def test_a_meaning_that_its_code_says_is_left_out() -> None:
+    from docs_errors import page
+
+    text = page()
+    assert "- `segmentation.no-floor`, `segmentation.no-masks`, `segmentation.no-object`\n" in text
+    assert "- `storage.no-room`: There is not enough free space.\n" in text
+    assert [code for code in ERROR_CODES if f"`{code}`" not in text] == []

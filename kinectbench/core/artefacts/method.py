@@ -76,7 +76,7 @@ class MethodFile(Stored):
 
     name: str = Field(description="of the method")
     version: str | None = Field(None, description="of the method or of what ran it")
-    benchmark_sha256: str | None = Field(None, description="of the release that was predicted")
+    benchmark_sha256: str | None = Field(None, description="of the release")
     frame: Literal["grid", "camera"] = Field(
         "grid", description="axes of the predictions; grid: those of `full`"
     )
@@ -98,27 +98,21 @@ class MethodFile(Stored):
     scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
     hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions of each pair")
     threshold: float | None = Field(
-        None, ge=0, le=1, description="its own, for categories without validation pairs: 0.1, 0.15, … or 0.9"
+        None, ge=0, le=1, description="for categories without validation pairs: 0.1, 0.15, … or 0.9"
     )
     inputs: tuple[str, ...] = Field((), description="what was looked at: depth, color, mask, …")
     parameter_count: int | None = Field(None, ge=0, description="values that were learnt and run")
     settings: dict[str, Any] | None = Field(None, description="of the method")
-    training: dict[str, Any] | None = Field(None, description="what it was trained on, and for how long")
+    training: dict[str, Any] | None = Field(None, description="data and time")
     hardware: str | None = Field(None, description="that it ran on")
-    seconds_per_view: float | None = Field(
-        None, ge=0, description="mean time of one prediction, without reading"
-    )
-    peak_memory_mb: float | None = Field(
-        None, ge=0, description="most memory of the process, or of the GPU, 10^6 bytes"
-    )
+    seconds_per_view: float | None = Field(None, ge=0, description="mean, without reading")
+    peak_memory_mb: float | None = Field(None, ge=0, description="of the process, or of the GPU, 10^6 bytes")
     run_sha256: str | None = Field(
         None,
         pattern=SHA256,
-        description="of all that decides the bytes: the run of `predict` that wrote them",
+        description="names the run of `predict`: of all that decides the bytes",
     )
-    files: dict[str, Blake3] | None = Field(
-        None, description="every file that the run wrote -> blake3:<hex> of its bytes"
-    )
+    files: dict[str, Blake3] | None = Field(None, description="file that the run wrote -> blake3:<hex>")
 
     @field_validator("frame", "form", "unit", "axes", "scale", mode="before")
     @classmethod
@@ -194,12 +188,12 @@ class PredictedFile(StoredPart):
 class TrainingRow(StoredPart):
     """Values at a validation; losses are means since the row before."""
 
-    step: int = Field(description="steps that were done")
-    epoch: float = Field(description="how often every pair was seen")
+    step: int = Field(description="done")
+    epoch: float = Field(description="passes over all pairs")
     loss: float = Field(description="that the network minimises")
-    reconstruction: float | None = Field(None, description="3d-recgan++: the part that the truth teaches")
+    reconstruction: float | None = Field(None, description="3d-recgan++: of the loss, by the truth")
     discriminator: float | None = Field(None, description="3d-recgan++: what the discriminator minimises")
-    validation_iou: float | None = Field(None, description="mean over validation pairs, protocol known")
+    validation_iou: float | None = Field(None, description="mean over pairs, protocol known")
     threshold: float | None = Field(None, description="at which it is highest, of 0.1, 0.15, … 0.9")
 
     def line(self) -> str:
@@ -216,21 +210,19 @@ class TrainingFile(Stored):
 
     format_version: Literal[1] = Field(1, description="of this file's format")
     name: str = Field(description="of the method")
-    config_sha256: str = Field(
-        pattern=SHA256, description="of those of config.yaml's values that are not the defaults"
-    )
-    parameter_count: int = Field(description="values that are learnt, those of a discriminator as well")
-    benchmark_sha256: str | None = Field(None, description="of the release that was learnt from")
-    further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases beside it")
-    framings: tuple[str, ...] = Field((), description="of the pairs that were learnt from")
-    objects: tuple[str, ...] = Field((), description="that were learnt from")
-    pairs: int | None = Field(None, description="that were learnt from")
-    steps: int | None = Field(None, description="that were done")
+    config_sha256: str = Field(pattern=SHA256, description="of config.yaml's values that are no defaults")
+    parameter_count: int = Field(description="learnt values, a discriminator's as well")
+    benchmark_sha256: str | None = Field(None, description="of the release")
+    further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases")
+    framings: tuple[str, ...] = Field((), description="learnt from")
+    objects: tuple[str, ...] = Field((), description="learnt from")
+    pairs: int | None = Field(None, description="learnt from")
+    steps: int | None = Field(None, description="done")
     steps_in_all: int | None = Field(None, description="of the whole training")
-    weights_step: int | None = Field(None, description="the weights are those after this step")
+    weights_step: int | None = Field(None, description="step that the weights are from")
     seconds: float | None = Field(None, description="of training, without validation")
     hardware: str | None = Field(None, description="that it ran on last")
-    source: str | None = Field(None, description="of converted weights: what they were made of")
+    source: str | None = Field(None, description="what converted weights were made of")
     rows: tuple[TrainingRow, ...] = Field((), description="the course")
 
     @property

@@ -72,13 +72,9 @@ class FloorCandidate(StoredPart):
 class AnchoredBoxPart(BoxPart):
     """A box that can be chosen, with the floor frame that it is in."""
 
-    anchor_frame: int = Field(description="a frame of the sequence, by which the floor frame is known again")
-    anchor_pose: Pose = Field(
-        description="of its camera in that floor frame: x, y, z in metres, quaternion x, y, z, w"
-    )
-    anchor_depth_sha256: str | None = Field(
-        None, description="the first 16 digits of the hash of its depth; null in earlier files"
-    )
+    anchor_frame: int = Field(description="frame by which the floor frame is known again")
+    anchor_pose: Pose = Field(description="its camera in the floor frame: x, y, z, quaternion x, y, z, w")
+    anchor_depth_sha256: str | None = Field(None, description="first 16 digits, of its depth")
 
     @classmethod
     def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
@@ -315,10 +311,10 @@ class CandidateRow(StoredPart):
     """A candidate box for the object."""
 
     number: int = Field(description="from 1 on, as in the pictures")
-    automatic: bool = Field(description="it is what is chosen without a box")
+    automatic: bool = Field(description="chosen without a box")
     box: AnchoredBoxPart = Field(description="around it, floor frame")
-    distance_m: float = Field(description="from where the cameras look to its nearest point, metres")
-    picture: str = Field(description="file beside this one")
+    distance_m: float = Field(description="from where the cameras look, metres")
+    picture: str = Field(description="file")
 
 
 class CandidatesFile(Stored):
@@ -328,12 +324,10 @@ class CandidatesFile(Stored):
     ADVICE = "`kinectbench segment --suggest --force` makes it again"
 
     format_version: Literal[1] = Field(1, description="of this file's format")
-    floor_found: bool = Field(
-        description="false: no floor was found, and the boxes stand on the lowest surface"
-    )
+    floor_found: bool = Field(description="false: the boxes stand on the lowest surface")
     T_floor_world: Matrix4 | None = Field(
         None,
-        description="(4, 4), metres: from the trajectory's world to the floor frame, where the boxes are",
+        description="(4, 4), metres: from the world to the frame of the boxes",
     )
-    plan: str = Field(description="file beside this one: the scene from above")
+    plan: str = Field(description="file: the scene from above")
     candidates: tuple[CandidateRow, ...] = Field(description="the automatic choice first, then by distance")

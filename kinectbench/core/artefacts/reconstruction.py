@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.stored import Stored, StoredPart
 class DepthRangePart(StoredPart):
     """The largest depth that is fused into the scene, the reason, and the share of depth beyond it."""
 
-    max_depth_m: float = Field(description="farther depth makes no surface of the scene, metres")
+    max_depth_m: float = Field(description="farther depth makes no surface, metres")
     chosen_by: Literal["recording", "setting"] = Field(
         description="setting: benchmark.yaml has fusion.max_depth_m"
     )

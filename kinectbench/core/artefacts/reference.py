@@ -62,12 +62,12 @@ class ComparedMesh(StoredPart):
     sha256: str = Field(description="of its bytes")
     refused: str | None = Field(description=REFUSED)
     itself: Literal[True] | None = Field(None, description=ITSELF)
-    closed: bool = Field(description="whether every edge of the mesh has two faces")
+    closed: bool = Field(description="every edge has two faces")
     T_world_reference: Matrix4 | None = Field(
         None, description="(4, 4), metres: from the reference to the trajectory's world; null: not searched"
     )
     residual_m: float | None = Field(
-        None, description="mean distance both ways of what both saw, each 5 % of the diagonal at most; metres"
+        None, description="mean distance both ways of what both saw, each cut at 5 % of the diagonal; metres"
     )
     scale: float | None = Field(None, description="by what the mesh would be multiplied to fit best")
     mirrored_m: float | None = Field(None, description="`residual_m` of its mirror image")
@@ -76,7 +76,7 @@ class ComparedMesh(StoredPart):
         description="true: nothing that was measured tells the mesh from its mirror image; missing: it does",
     )
     runner_up: RunnerUpPart | None = Field(
-        None, description="the next best pose; null: none has less than three times the residual"
+        None, description="the next best pose, of less than three times the residual"
     )
     symmetric_axis_floor: Triple | None = Field(
         None, description="of its rotational symmetry, unit vector, floor frame; null: it has none"
@@ -84,7 +84,7 @@ class ComparedMesh(StoredPart):
     f_score_5mm: float | None = Field(None, description=F_5MM)
     f_score_10mm: float | None = Field(None, description=F_10MM)
     iou: float | None = Field(None, description=IOU)
-    whole_iou: float | None = Field(None, description="IoU of the solids, what is not known included")
+    whole_iou: float | None = Field(None, description="the same with what is not known")
     directions: DirectionsPart | None = Field(None, description="distances of the measured surface")
 
     @property
@@ -109,7 +109,7 @@ class ReferenceFile(Stored, ComparedMesh):
     object_fingerprint: str = Field(description="of the object that they were compared with")
     others: tuple[ComparedMesh, ...] = Field(
         (),
-        description="other meshes compared with this object: accepted ones first, then the last one first",
+        description="other meshes compared with this object: accepted first, then the last first",
     )
 
     @property

@@ -146,11 +146,11 @@ class Resolution:
 
     cells: int = Field(
         default=256,
-        description="side of the prediction as it was submitted; 0 if it is missing and scored as empty",
+        description="side of the prediction; 0: missing, scored as empty",
         json_schema_extra={"minimum": 0, "maximum": 512},
     )
     ceiling_iou: UnitRange = Field(
-        default=1.0, description="IoU of the truth itself, reduced to that side and brought back"
+        default=1.0, description="IoU of the truth, reduced to that side and brought back"
     )
 
 
@@ -158,9 +158,7 @@ class Resolution:
 class Unknown:
     """The unknown share of a pair's truth, independent of the protocol."""
 
-    unknown_share: OptionalUnitRange = Field(
-        default=None, description="of the true shape's voxels, those that are not known"
-    )
+    unknown_share: OptionalUnitRange = Field(default=None, description="of the true shape, not known")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -245,39 +243,33 @@ class Calibration:
 class InSpace:
     """Values that only rows of the protocols `camera` and `aligned` have."""
 
-    part: ShapePart | None = Field(
-        default=None, description="which part of the shape; null under the other protocols"
-    )
+    part: ShapePart | None = Field(default=None, description="under `camera` and `aligned`")
     alignment: Alignment | None = Field(default=None, description="under `aligned`")
     hypotheses: Hypotheses | None = Field(
-        default=None, description="of several predictions of the view; null: of the first or only one"
+        default=None, description="several predictions in one row; null: the first or only one"
     )
-    solid: bool | None = Field(
-        default=None, description="whether it has an inside: a closed mesh, voxels or distances, by itself"
-    )
+    solid: bool | None = Field(default=None, description="has an inside: closed mesh, voxels or distances")
     predicted_unknown_share: OptionalUnitRange = Field(
-        default=None, description="of the predicted surface, what lies in unknown space and is left out"
+        default=None, description="of the predicted surface, left out in unknown space"
     )
     surface_unknown_share: OptionalUnitRange = Field(
-        default=None, description="of the true surface of the part, what is unknown and left out"
+        default=None, description="of the part's true surface, left out as unknown"
     )
     cut: OptionalUnitRange = Field(
-        default=None, description="of the true known shape, what lies outside the method's own volume"
+        default=None, description="of the true known shape, outside the method's volume"
     )
     silhouette: OptionalUnitRange = Field(
-        default=None, description="of the predicted surface, what projects outside the mask of its view"
+        default=None, description="of the predicted surface, outside the view's mask"
     )
     ceiling: Ceiling | None = Field(
-        default=None, description="best figures that the truth's surface_sigma_m allows; null where it is 0"
+        default=None, description="best figures that surface_sigma_m allows; null where it is 0"
     )
     as_papers: AsPapers | None = Field(default=None, description="of the whole under `camera`")
     closed: Closing = Field(
         default=None,
-        description="how an open mesh or points were made solid, by `--close`; null: they were not",
+        description="how it was made solid (`--close`); null: it was not",
     )
-    calibration: Calibration | None = Field(
-        default=None, description="of the votes of several solids, in the rows of their mean"
-    )
+    calibration: Calibration | None = Field(default=None, description="of votes, in the rows of their mean")
 
 
 @dataclass(frozen=True, config=FINITE)

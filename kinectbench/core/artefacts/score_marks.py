@@ -54,9 +54,7 @@ class Verified(StoredPart):
         description="when, in UTC", json_schema_extra={"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}
     )
     package_version: str = Field(description="of the kinectbench that rechecked")
-    table_sha256: Sha256 = Field(
-        description="of all that was found equal: rows, settings, thresholds, hashes of truth and predictions"
-    )
+    table_sha256: Sha256 = Field(description="of all that was found equal")
     predictions_sha256: Sha256 = Field(description="of the names and hashes of the predictions' files")
 
     @property

@@ -39,9 +39,7 @@ OVERALL = "overall"
 BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to every table
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
-Intervals = Annotated[
-    dict[str, Interval | None], Field(description="metric -> ends of the 95 % interval over objects, or null")
-]
+Intervals = Annotated[dict[str, Interval | None], Field(description="metric -> ends of the 95 % interval")]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
 ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
 LOW = "mean of the lower ends of the objects' intervals; null if not known"
@@ -54,11 +52,9 @@ REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not kno
 class CategoryAverages(Averages):
     """The averages of one category under one protocol, over objects; under `paper` over pairs."""
 
-    pairs: Count = Field(default=None, description="how many pairs they stand on")
-    objects: Count = Field(default=None, description="how many objects they stand on")
-    base_rate_source: str | None = Field(
-        default=None, description="the split that the base rate was taken from"
-    )
+    pairs: Count = Field(default=None, description="that they stand on")
+    objects: Count = Field(default=None, description="that they stand on")
+    base_rate_source: str | None = Field(default=None, description="of the base rate")
     intervals: Intervals = Field(default_factory=dict)
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
     truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
@@ -78,7 +74,7 @@ class OverallAverages(Averages):
     truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
     pairs: Count = Field(default=None, description="sum over the categories")
     objects: Count = Field(default=None, description="sum over the categories")
-    categories: Count = Field(default=None, description="how many categories there are")
+    categories: Count = Field(default=None, description="how many")
     intervals: Intervals = Field(default_factory=dict)
 
 
@@ -120,7 +116,7 @@ class ScoreSettings(StoredPart):
 class BaseRate(StoredPart):
     """The base rate of one category."""
 
-    value: UnitRange = Field(description="mean share of occupied voxels")
+    value: UnitRange = Field(description="share of occupied voxels")
     source: str = Field(
         description="the split whose truth it was taken from",
         json_schema_extra={"enum": ["validation", "train", "test (oracle)"]},
@@ -156,7 +152,7 @@ class Hashes(StoredPart):
 
     truth: Sha256 = Field(description="SHA-256 of the pair file")
     prediction: str | None = Field(
-        description="blake3:<hex> of the prediction's file (in older tables its SHA-256), or null",
+        description="blake3:<hex> (in older tables SHA-256)",
         json_schema_extra={"pattern": "^(blake3:)?[0-9a-f]{64}$"},
     )
 
@@ -192,15 +188,11 @@ class ScoreTable(Stored):
     MAX_VALUES: ClassVar[int] = 3_000_000
 
     method: str = Field(description="its name")
-    benchmark_sha256: Sha256 = Field("", description="SHA-256 of the release it was scored against")
+    benchmark_sha256: Sha256 = Field("", description="of the release")
     package_version: str = Field("", description="of kinectbench")
-    run_sha256: Sha256 | None = Field(
-        None, description="which run of `predict` made the predictions, by their method.json; null: not known"
-    )
+    run_sha256: Sha256 | None = Field(None, description="as in method.json; null: not known")
     settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
-    complete: bool = Field(
-        False, description="whether every test pair was scored; if not, there are no averages"
-    )
+    complete: bool = Field(False, description="every test pair was scored; else there are no averages")
     thresholds: Annotated[dict[str, float], BeforeValidator(_without_nulls)] = Field(
         {}, description="category -> threshold, k / 20 with k from 2 to 18"
     )
@@ -209,23 +201,17 @@ class ScoreTable(Stored):
         description="validation, pooled (of other categories), method (its own), fixed or file:<sha256>",
         json_schema_extra={"pattern": "^(validation|pooled|method|fixed|file:[0-9a-f]{64})$"},
     )
-    threshold_source_by_category: dict[str, str] = Field(
-        {}, description="category -> where its threshold is from, in the words of threshold_source"
-    )
+    threshold_source_by_category: dict[str, str] = Field({}, description="category -> likewise")
     threshold_objects: Lines | None = Field(
         None,
         description="objects that the thresholds were found on; null where nobody can tell: their file does "
         "not name them, or some are the method's own",
     )
-    validation: ValidationUse | None = Field(
-        None, description="how much of the validation split was predicted; null if it chose no threshold"
-    )
-    missing_as_empty: Lines = Field(
-        (), description="pairs without a prediction that were scored as empty grids"
-    )
+    validation: ValidationUse | None = Field(None, description="null if it chose no threshold")
+    missing_as_empty: Lines = Field((), description="pairs scored as empty grids")
     marks: tuple[Mark, ...] = Field((), description="what to know before the numbers are believed")
     base_rate: dict[str, BaseRate] = Field(
-        {}, description="category -> the constant that CE is compared with, and where it is from"
+        {}, description="category -> the constant that CE is compared with"
     )
     rows: tuple[ScoreRow, ...] = Field((), description="one for each protocol and test pair")
     rows_file: RowsFile | None = Field(
@@ -236,30 +222,26 @@ class ScoreTable(Stored):
         None, description="protocol -> category -> averages; null if not complete"
     )
     overall: Annotated[dict[str, OverallAverages], BeforeValidator(_without_nulls)] | None = Field(
-        None, description="protocol -> mean over the categories; null if not complete"
+        None, description="protocol -> mean over the categories"
     )
     truth_quality: dict[str, QualityFile] = Field(
         {}, description="recording -> what the release says of its truth"
     )
-    truth_unknown_share: dict[str, UnitRange] = Field(
-        {}, description="object -> share of its true shape that is not known: the mean over its pairs"
-    )
+    truth_unknown_share: dict[str, UnitRange] = Field({}, description="object -> mean over its pairs")
     all_unknown_pairs: dict[str, Lines] = Field(
-        {}, description="protocol -> pairs that it leaves out, because nothing of their true shape is known"
+        {}, description="protocol -> pairs left out: nothing of their true shape is known"
     )
-    failures: tuple[Failure, ...] = Field((), description="predictions that could not be scored")
+    failures: tuple[Failure, ...] = Field((), description="predictions that were not scored")
     warnings: Lines = Field((), description="one line each")
-    notes: Lines = Field((), description="what to know of the numbers, one line each")
-    extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
+    notes: Lines = Field((), description="one line each")
+    extremes: dict[str, Extremes] = Field({}, description="protocol -> pairs by IoU")
     iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
         None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
     )
-    hashes: dict[str, Hashes] = Field({}, description="pair -> hashes of its truth and of its prediction")
-    baseline: bool = Field(
-        False, description="whether kinectbench made the predictions itself, to stand beside a method's"
-    )
+    hashes: dict[str, Hashes] = Field({}, description="by pair")
+    baseline: bool = Field(False, description="made by kinectbench, to stand beside a method's")
     verified: Verified | None = Field(
-        None, description="that the predictions were scored again with the same rows; null: reported only"
+        None, description="scored again with the same rows; null: reported only"
     )
 
     @property

@@ -20,9 +20,7 @@ class CameraFile(Stored):
     FORMAT_VERSION: ClassVar[int] = 2
     READABLE_VERSIONS: ClassVar[tuple[int, ...]] = (1, 2)
 
-    format_version: int = Field(
-        description="Version of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd)."
-    )
+    format_version: int = Field(description="of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd).")
     width: int = Field(description="Of the depth images, pixels.")
     height: int = Field(description="Of the depth images, pixels.")
     fx: float = Field(description="Focal length of the depth images, pixels.")
@@ -33,18 +31,16 @@ class CameraFile(Stored):
     color_registered: bool = Field(description="Whether colour pixels lie on depth pixels.")
     registered_by: Literal["recording", "calibration"] | None = Field(
         default=None,
-        description="What put colour onto depth: the recording itself, or ingest by a given calibration.",
+        description="recording: by itself; calibration: ingest, by a given one.",
     )
-    source_format: str = Field(default="", description="Name of the format that the recording is in.")
+    source_format: str = Field(default="", description="Name of the recording's format.")
     frames: int | None = Field(default=None, description="Number of frames.")
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
     doubts: tuple[str, ...] = Field(
         default=(),
-        description="Evidence against depth_scale and intrinsics; in `warnings`, too; absent: nothing.",
+        description="Evidence against depth_scale and intrinsics; absent: nothing.",
     )
-    trajectory_error: str = Field(
-        default="", description='Why the trajectory that came with the recording is not used, or "".'
-    )
+    trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     up_world: tuple[float, float, float] | None = Field(
         default=None,
         description="Unit vector: up by gravity, in the frame of the given trajectory; absent: not known.",

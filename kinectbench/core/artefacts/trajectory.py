@@ -32,10 +32,8 @@ class LostStretch(StoredPart):
 
     first_frame: int = Field(description="its first frame")
     last_frame: int = Field(description="its last frame")
-    from_s: float | None = Field(
-        None, description="when it begins, seconds from the recording's first frame on"
-    )
-    to_s: float | None = Field(None, description="when it ends, seconds")
+    from_s: float | None = Field(None, description="seconds from the first frame to its begin")
+    to_s: float | None = Field(None, description="to its end, seconds")
     reason: str = Field("", description="the most frequent reason")
 
 
@@ -53,12 +51,10 @@ class RejectedFrame(ScaledPart):
 
     frame: int = Field(description="its index")
     stamp_ns: int | None = Field(None, description="its depth stamp, nanoseconds")
-    residual_m: Millimetres = Field(None, description="median absolute residual as given, mm")
-    shift_m: Millimetres = Field(
-        None, description="how far its points would move to agree with other frames, mm"
-    )
-    turn_rad: DegreesInFile | None = Field(None, description="by how much its camera would turn, degrees")
-    reason: str = Field("", description="why it is left out, in words")
+    residual_m: Millimetres = Field(None, description="median absolute, as given, mm")
+    shift_m: Millimetres = Field(None, description="of its points, to agree with other frames, mm")
+    turn_rad: DegreesInFile | None = Field(None, description="of its camera, to agree, degrees")
+    reason: str = Field("", description="in words")
 
 
 class ConstraintCounts(StoredPart):
@@ -66,40 +62,36 @@ class ConstraintCounts(StoredPart):
 
     odometry: int = Field(0, description="between consecutive keyframes")
     covisible: int = Field(0, description="between keyframes near in time")
-    loop: int = Field(0, description="loop closures: a place seen again")
+    loop: int = Field(0, description="a place seen again")
     refused: int = Field(0, description="tried and refused, not in the graph")
 
 
 class LoopClosure(ScaledPart):
     """Two keyframes that saw the same place, registered to each other."""
 
-    a: int = Field(description="the one keyframe, index of its frame")
-    b: int = Field(description="the other one")
-    residual_m: Millimetres = Field(None, description="root mean square point-to-plane residual, mm")
-    overlap: float | None = Field(None, description="share of b's points that can be compared with a")
-    inlier_share: float | None = Field(None, description="share of these that agree")
-    correction_m: Millimetres = Field(None, description="by how much the final poses disagree with it, mm")
-    correction_rad: DegreesInFile | None = Field(None, description="by what angle they do, degrees")
-    weight: float | None = Field(None, description="0 to 1, what the robust kernel left of it")
-    believed: bool = Field(description="whether that is at least a half")
+    a: int = Field(description="frame of the one keyframe")
+    b: int = Field(description="of the other")
+    residual_m: Millimetres = Field(None, description="point to plane, rms, mm")
+    overlap: float | None = Field(None, description="of b's points, that can be compared with a")
+    inlier_share: float | None = Field(None, description="of these, that agree")
+    correction_m: Millimetres = Field(None, description="disagreement of the final poses, mm")
+    correction_rad: DegreesInFile | None = Field(None, description="likewise, degrees")
+    weight: float | None = Field(None, description="0 to 1, what the robust kernel left")
+    believed: bool = Field(description="its weight is at least a half")
 
 
 class GivenFigures(ScaledPart):
     """How a given trajectory agrees with the depth."""
 
-    disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with their given pose")
-    median_shift_m: Millimetres = Field(
-        None, description="by how much frames disagree with those near them, mm"
-    )
-    distant_shift_m: Millimetres = Field(None, description="by how much distant frames do, median, mm")
+    disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with it")
+    median_shift_m: Millimetres = Field(None, description="disagreement with near frames, mm")
+    distant_shift_m: Millimetres = Field(None, description="with distant frames, median, mm")
     distant_unmatched: float | None = Field(
-        None, description="share of such frames that ought to see the same place and fit nowhere near"
+        None, description="share of these that ought to see one place and fit nowhere near"
     )
-    largest_jump_m: Millimetres = Field(None, description="largest jump, mm; 0 if there is none")
-    refined_apart_m: Millimetres = Field(
-        None, description="how far refined poses are from the given ones, rms, mm"
-    )
-    distant_residual_m: Millimetres = Field(None, description="residual between distant frames as given, mm")
+    largest_jump_m: Millimetres = Field(None, description="0: none; mm")
+    refined_apart_m: Millimetres = Field(None, description="from the given poses, rms, mm")
+    distant_residual_m: Millimetres = Field(None, description="as given, mm")
     refined_distant_residual_m: Millimetres = Field(None, description="the same with refined poses, mm")
 
 
@@ -107,21 +99,17 @@ class Covisibility(StoredPart):
     """Which points keyframes share."""
 
     keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")
-    share: list[list[float]] = Field(
-        [], description="[i][j]: the share of the points of keyframe i that keyframe j sees"
-    )
+    share: list[list[float]] = Field([], description="[i][j]: share of the points of keyframe i that j sees")
 
 
 class FrameHealth(ScaledPart):
     """One frame; unknown values are null."""
 
     frame: int = Field(description="its index")
-    state: FrameState = Field("tracked", description="whether it has a pose; if not, why")
+    state: FrameState = Field("tracked", description="of its pose")
     residual_m: Millimetres = Field(None, description="residual to other frames, mm")
-    shift_m: Millimetres = Field(
-        None, description="by how much its pose may be off, as its depth would move it, mm"
-    )
-    inlier_share: float | None = Field(None, description="share of its points that agree with other frames")
+    shift_m: Millimetres = Field(None, description="what its pose may be off by, mm")
+    inlier_share: float | None = Field(None, description="of its points, that agree with other frames")
     speed_m_per_s: float | None = Field(None, description="of the camera since the frame before, m/s")
     turn_rad_per_s: float | None = Field(None, description="its rate of turn, rad/s")
     blur: float | None = Field(None, description="of the colour: median sharpness over the frame's own")
@@ -134,55 +122,45 @@ class TrajectoryHealth(ScaledPart, Stored):
 
     format_version: int = Field(1, description="of this file")
     source: Source = Field(description="trust: the given poses; refine: these, corrected; tracked: found")
-    verdict: str = Field(description="what ground truth the poses are good for, and why, in one sentence")
+    verdict: str = Field(description="what the poses are good for, and why, in a sentence")
     grade: Annotated[Grade, BeforeValidator(lambda grade: OLDER_GRADES.get(grade, grade))] = Field(
-        description="the same in a word or two; no bound of any error"
+        description="the same in short; no bound of any error"
     )
     recommended: Recommendation | None = Field(
         None, description="what to do with a given trajectory; null without one"
     )
     warnings: tuple[str, ...] = Field((), description="what people should know, one line each")
     frames: int = Field(description="frames of the recording")
-    tracked: int = Field(description="of these, frames with a pose")
-    lost: tuple[int, ...] = Field((), description="frames without one, but for the rejected")
+    tracked: int = Field(description="of these, with a pose")
+    lost: tuple[int, ...] = Field((), description="without a pose, but for the rejected")
     lost_stretches: tuple[LostStretch, ...] = Field((), description="runs of lost frames")
-    jumps: tuple[Jump, ...] = Field((), description="steps that are faster by far than the others")
-    relocalised: tuple[int, ...] = Field((), description="frames whose pose was found again after a gap")
+    jumps: tuple[Jump, ...] = Field((), description="steps far faster than the others")
+    relocalised: tuple[int, ...] = Field((), description="found again after a gap")
     rejected: tuple[RejectedFrame, ...] = Field(
-        (), description="frames left out because their depth disagrees with their given pose"
+        (), description="left out: depth disagrees with the given pose"
     )
     degenerate: tuple[int, ...] = Field((), description="frames whose depth alone leaves a motion open")
     unchecked: int | None = Field(
-        None, description="frames with a pose that overlap too little with others to tell"
+        None, description="frames whose pose overlaps too little with others to tell"
     )
-    keyframes: tuple[int, ...] = Field((), description="frames that the others are compared with")
-    median_shift_m: Millimetres = Field(None, description="by how much poses may be off, median, mm")
+    keyframes: tuple[int, ...] = Field((), description="that others are compared with")
+    median_shift_m: Millimetres = Field(None, description="what poses may be off by, median, mm")
     max_shift_m: Millimetres = Field(None, description="the largest of these, mm")
-    median_residual_m: Millimetres = Field(None, description="residual of the frames with a pose, median, mm")
-    held_out_residual_m: Millimetres = Field(
-        None, description="the same of the frames that are no keyframes, mm"
-    )
-    sensor_noise_m: Millimetres = Field(
-        None, description="what the sensor's noise alone would make of that, mm"
-    )
-    path_length_m: float | None = Field(
-        None, alias="path_length_m", description="length of the camera's path, m"
-    )
+    median_residual_m: Millimetres = Field(None, description="of the frames with a pose, mm")
+    held_out_residual_m: Millimetres = Field(None, description="of frames that are no keyframes, mm")
+    sensor_noise_m: Millimetres = Field(None, description="what noise alone would make of that, mm")
+    path_length_m: float | None = Field(None, alias="path_length_m", description="of the camera, m")
     open_path_m: float | None = Field(
-        None, alias="open_path_m", description="of this, what lies outside every believed loop, m"
+        None, alias="open_path_m", description="of this, outside every believed loop, m"
     )
     open_gap_s: float | None = Field(
-        None, description="the longest time the camera was lost that no believed loop spans, seconds"
+        None, description="longest time without a pose that no believed loop spans, seconds"
     )
-    arc_rad: DegreesInFile | None = Field(
-        None, description="walked around what is looked at, degrees; null if nothing is"
-    )
+    arc_rad: DegreesInFile | None = Field(None, description="walked around what is looked at, degrees")
     ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
-    loop_correction_m: Millimetres = Field(
-        None, description="how far believed loops disagree with the poses, rms mm"
-    )
-    loops: tuple[LoopClosure, ...] = Field((), description="loop closures in the pose graph")
-    refused_loops: tuple[LoopClosure, ...] = Field((), description="loop closures tried and not believed")
+    loop_correction_m: Millimetres = Field(None, description="of believed loops with the poses, rms mm")
+    loops: tuple[LoopClosure, ...] = Field((), description="closures in the pose graph")
+    refused_loops: tuple[LoopClosure, ...] = Field((), description="tried and not believed")
     given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")
     readout_s: MillisecondsInFile | None = Field(
         None,
@@ -192,7 +170,7 @@ class TrajectoryHealth(ScaledPart, Stored):
     color_delay_s: MillisecondsInFile | None = Field(
         None,
         alias="color_delay_ms",
-        description="by how much colour was found to be later than depth, which is undone, ms; null: none",
+        description="by how much colour was later than depth, which is undone, ms; null: none",
     )
     covisibility: Covisibility = Field(Covisibility(), description="what keyframes see of each other")
     per_frame: tuple[FrameHealth, ...] = Field((), description="a row for each frame")

@@ -28,9 +28,9 @@ class TriageRow(StoredPart):
     estimated_iou_low: float | None = Field(None, description="of quality.json")
     estimated_known_iou: float | None = Field(None, description="of quality.json")
     incomplete: tuple[str, ...] = Field(
-        (), description="what nobody saw, if it is much, one line each: scores leave it out"
+        (), description="much that nobody saw, one line each: scores leave it out"
     )
-    built: bool = Field(description="whether it has everything up to the pairs")
+    built: bool = Field(description="up to the pairs")
 
 
 class SameObject(StoredPart):
@@ -38,10 +38,10 @@ class SameObject(StoredPart):
 
     recordings: tuple[str, str] = Field(description="their ids")
     agreement: float = Field(
-        description="of what was measured of each, the share that lies near the other's surface; the lesser"
+        description="lesser share of what was measured of one that lies near the other's surface"
     )
     splits: tuple[Split, Split] = Field(description="those that they stand in")
-    write: str = Field(description="what to write to the second in benchmark.yaml, if they are one object")
+    write: str = Field(description="what to write in benchmark.yaml at the second, if they are one")
 
     @property
     def line(self) -> str:
@@ -63,9 +63,7 @@ class TriageFile(Stored):
 
     format_version: Literal[1] = Field(1, description="of this file's format")
     rows: tuple[TriageRow, ...] = Field(description="the most severe reason first")
-    same_object: tuple[SameObject, ...] = Field(
-        (), description="recordings that may show one object, and do not say so"
-    )
+    same_object: tuple[SameObject, ...] = Field((), description="recordings that may show one object")
 
     @property
     def counts(self) -> dict[Decision, int]:
