@@ -7,7 +7,7 @@ beside what one view gives. TRUTH gives the scores, and the poses of the bound t
 """
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -245,7 +245,7 @@ def attacked(name: str, views: Sequence[View], release: Release, truth: Release)
 def measured(public: Path, private: Path, most: int) -> Iterator[Figure]:
     """The figures of every held-back object."""
     release, truth = open_release(public), open_release(private)
-    objects: Mapping[str, list[Target]] = {}
+    objects: dict[str, list[Target]] = {}
     for target in release.targets:
         if release.metadata.hides(target.recording):
             objects.setdefault(target.object, []).append(target)

@@ -115,9 +115,12 @@ class Case:
 def read_case(pair_file: Path, prediction: Path) -> Case:
     """Read both with plain numpy."""
     with np.load(pair_file) as pair:
-        grids = [np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known", "seen")]
-        lengths = [float(pair[name]) for name in ("voxel_size_m", "surface_sigma_m")]
-    return Case(_zoomed(np.load(prediction).astype(np.float64), 256), *grids, *lengths)
+        full, known, seen = (
+            np.unpackbits(pair[name], axis=-1).astype(bool) for name in ("full", "known", "seen")
+        )
+        voxel_m, sigma_m = float(pair["voxel_size_m"]), float(pair["surface_sigma_m"])
+    y = _zoomed(np.load(prediction).astype(np.float64), 256)
+    return Case(y, full, known, seen, voxel_m, sigma_m)
 
 
 def reference(case: Case, threshold: float, protocol: str) -> Figures:

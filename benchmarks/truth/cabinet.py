@@ -15,7 +15,6 @@ import resource
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 from builds import built, read_json, run_on_build, stage_seconds
 from faces import Face, measure_faces
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.images import read_gray
 from kinectbench.core.trajectory.stamps import parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import text_rows
 from kinectbench.engine.stages import Job
@@ -155,7 +155,7 @@ def wrap(folder: Path, bag_file: Path) -> None:
     with BagWriter(bag_file, "LZ4", chunk_bytes=1 << 20) as bag:
         for _, row in text_rows(folder / "depth.txt"):
             stamp, name = row.split()
-            depth = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+            depth = read_gray(folder / name)
             stamp_ns = parse_stamp_ns(stamp, name)
             bag.image("/camera/depth_registered/image_raw", stamp_ns, depth, "16UC1")
             bag.info("/camera/depth_registered/camera_info", stamp_ns, camera)

@@ -91,7 +91,7 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
     truth = read_truth(truth_folder(recording))
     registration = register_build(read_build(build), truth)
     in_truth = replace(grid, T_world_grid=registration.T_truth_built @ grid.T_world_grid)
-    cells = np.stack(np.indices(grid.shape), axis=-1).reshape(-1, 3)
+    cells = np.moveaxis(np.indices(grid.shape), 0, -1).reshape(-1, 3)
     middles = transform_points(in_truth.T_world_grid, (cells + 0.5) * grid.voxel_size_m)
     distance_m = ReferenceSurface(truth.mesh_world).distance_m(middles).astype(np.float32)
     return Observed(

@@ -130,12 +130,12 @@ def measure_row(task: Task) -> Row | NotBuilt:
         return NotBuilt(task.name, task.family, "no solid was built")
     solid, quality = found.solid, build.model.quality
     frontiers = getattr(quality, "frontiers", None)
-    error = found.trajectory.error if found.trajectory else None
+    of_poses = found.trajectory.error if found.trajectory else None
     return Row(
         name=task.name,
         family=task.family,
         path=task.path,
-        ate_m=error.ate_m.rmse if error else None,
+        ate_m=of_poses.ate_m.rmse if of_poses else None,
         iou=solid.fine.iou,
         known_iou=solid.fine.known_iou,
         known_gross=solid.known_gross_share,

@@ -7,7 +7,7 @@ one family, whose objects differ least; those of other sizes are not compared, a
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 
@@ -49,7 +49,7 @@ def size_m(subject: Subject) -> Float64:
     return np.array([max(x, y), min(x, y), z])
 
 
-def measure(options: argparse.Namespace) -> Sequence[Figure]:
+def measure(options: argparse.Namespace) -> Iterator[Figure]:
     same, others, skipped = list[float](), list[float](), 0
     alike = list[tuple[float, str]]()
     for family in options.families or families():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_lines import ONE, Command, check_line
 from ingest_writers import write_tum
+from read_pictures import read_picture
 from slow import slow
 from small_benchmark import STAGE_FOLDERS, copied, hashes, leftovers, run, small_spec
 
@@ -28,9 +29,7 @@ def depth_files(recording: Path) -> list[Path]:
 
 
 def read(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    return image
+    return read_picture(path, cv2.IMREAD_UNCHANGED)
 
 
 def write(path: Path, image: np.ndarray) -> None:

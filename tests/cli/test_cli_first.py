@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from small_benchmark import Run, copied
+from typed import model_of
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.sequence import CameraFile
@@ -42,8 +43,13 @@ def test_the_note_names_a_command_that_shows_all(
     from kinectbench.engine import summary
 
     def figures(*_: object) -> summary.RecordingSummary:
-        return summary.RecordingSummary.model_construct(
-            recording="table", warnings=("one", "two"), first="one", error=None, made=()
+        return model_of(
+            summary.RecordingSummary,
+            recording="table",
+            warnings=("one", "two"),
+            first="one",
+            error=None,
+            made=(),
         )
 
     root = copied(small, tmp_path / "b")
@@ -62,18 +68,19 @@ def test_the_note_names_a_command_that_shows_all(
 
 def test_what_makes_the_rest_wrong_comes_first() -> None:
     """Lengths before poses, poses before the floor, that before what nobody saw."""
-    sequence = CameraFile.model_construct(doubts=("lengths",), warnings=("gaps",))
-    health = TrajectoryHealth.model_construct(grade="not good", verdict="not good: 12 mm", warnings=())
-    quality = QualityFile.model_construct(
+    sequence = model_of(CameraFile, doubts=("lengths",), warnings=("gaps",))
+    health = model_of(TrajectoryHealth, grade="not good", verdict="not good: 12 mm", warnings=())
+    quality = model_of(
+        QualityFile,
         doubts=("another floor",),
         frontiers=(),
         warnings=("another floor", "the trajectory is not good: 12 mm"),
     )
     assert _to_do_first(sequence, health, quality, None) == "lengths"
-    plain = CameraFile.model_construct(doubts=(), warnings=("gaps",))
+    plain = model_of(CameraFile, doubts=(), warnings=("gaps",))
     assert _to_do_first(plain, health, quality, None) == "the trajectory is not good: 12 mm"
-    good = TrajectoryHealth.model_construct(grade="10 mm", verdict="good", warnings=())
+    good = model_of(TrajectoryHealth, grade="good", verdict="good", warnings=())
     assert _to_do_first(plain, good, quality, None) == "another floor"
-    nothing = QualityFile.model_construct(doubts=(), frontiers=(), warnings=())
+    nothing = model_of(QualityFile, doubts=(), frontiers=(), warnings=())
     assert _to_do_first(plain, good, nothing, None) == "gaps"
     assert _to_do_first(None, None, None, None) is None

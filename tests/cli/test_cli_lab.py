@@ -4,8 +4,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import pytest
+from read_pictures import read_picture
 from small_benchmark import Run, copied
 
 from kinectbench.lab.simulate.objects import families
@@ -54,7 +54,7 @@ def test_simulate_lists_presets_and_draws_contact_sheets(
     sheets = json.loads(command(tmp_path, "simulate", "--contact-sheets", "sheets", "--json").out)
     assert sheets == ["sheets/bench.png", "sheets/table.png"]
     for sheet in sheets:
-        image = cv2.imread(str(tmp_path / sheet))
+        image = read_picture(tmp_path / sheet)
         assert image.shape[1] > 1000
         assert image.std() > 20
 

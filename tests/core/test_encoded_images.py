@@ -42,7 +42,7 @@ def test_depth_of_a_release_is_a_png_of_16_bits_or_nothing_is_decoded(data: byte
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_what_a_head_says(dtype: type) -> None:
+def test_what_a_head_says(dtype: type[np.uint8 | np.uint16]) -> None:
     image = np.zeros((3, 5), dtype)
     data = cv2.imencode(".png", image)[1].tobytes()
     head = image_head(data)

@@ -39,7 +39,7 @@ def codes(trees: list[ast.Module]) -> set[str]:
     for call in (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)):
         name = ast.unparse(call.func)
         what = next((word.value for word in call.keywords if word.arg == "what"), None)
-        if name in of_class and isinstance(what, ast.Constant):
+        if name in of_class and isinstance(what, ast.Constant) and isinstance(what.value, str):
             made.add(f"{of_class[name][0]}.{what.value}")
     return made
 

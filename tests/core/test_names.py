@@ -35,13 +35,15 @@ def test_what_means_are_called_is_no_category() -> None:
 
 @pytest.mark.parametrize("kind", [Name, Category])
 @pytest.mark.parametrize("name", ["publish.json", "Scores.CSV", "baselines"])
-def test_files_of_ours_name_nothing(kind: object, name: str) -> None:
+def test_files_of_ours_name_nothing(kind: type[str], name: str) -> None:
     with pytest.raises(ValidationError, match="files and folders of kinectbench have such names"):
         TypeAdapter(kind).validate_python(name)
 
 
 @pytest.mark.parametrize(("first", "second", "said"), CLASHES)
-def test_clashes_are_refused_wherever_names_are_read(first, second, said) -> None:
+def test_clashes_are_refused_wherever_names_are_read(
+    first: tuple[str, str, str], second: tuple[str, str, str], said: str
+) -> None:
     between = ("c", "c", "sofa")
     clash = first_clash(Named(*row) for row in (between, first, first, second))
     assert clash is not None and clash.problem.startswith(said)

@@ -22,7 +22,7 @@ def pattern(shift: int = 0) -> np.ndarray:
 
 
 def judged(depths: list[Float32], grays: list[np.ndarray] | None = None) -> Watched:
-    found = watch(depths, grays or [None] * len(depths))
+    found = watch(depths, [*grays] if grays else [None] * len(depths))
     assert found is not None
     return found
 

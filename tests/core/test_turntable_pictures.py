@@ -11,7 +11,7 @@ from kinectbench.core.turntable import ELEVATION_DEG, FILLED, FRAME_PX, FRAMES, 
 
 
 def box(size_m: tuple[float, float, float]) -> TriangleMesh:
-    return box_mesh(OrientedBox(np.zeros(3), np.array(size_m), 0.0))
+    return box_mesh(OrientedBox((0.0, 0.0, 0.0), size_m, 0.0))
 
 
 def widths_and_heights(mesh: TriangleMesh) -> np.ndarray:

@@ -1,5 +1,6 @@
 """A rolling shutter that was found is stored, and undone in what the later stages see."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ class Bent:
         x = (np.arange(160) - CAMERA.cx) / CAMERA.fx
         since_s = READOUT_S * (np.arange(120) / 119 - 0.5)
         yaw = RATE[1] * since_s
-        return x[None, :] < np.tan(np.arctan(EDGE) - yaw)[:, None]
+        near: np.ndarray = x[None, :] < np.tan(np.arctan(EDGE) - yaw)[:, None]
+        return near
 
     def depth_native(self, index: int) -> np.ndarray:
         return np.where(self._near(), np.uint16(1000), np.uint16(3000))
@@ -45,7 +47,8 @@ class Bent:
 
 def edges(near: np.ndarray) -> np.ndarray:
     """In which column the near part ends, of the rows but for the border."""
-    return near[5:-5, 5:-5].sum(axis=1)
+    edges: np.ndarray = near[5:-5, 5:-5].sum(axis=1)
+    return edges
 
 
 def trajectory(readout_s: float | None) -> Trajectory:
@@ -67,17 +70,18 @@ def test_what_is_found_is_stored_in_milliseconds(tmp_path: Path) -> None:
 @pytest.mark.parametrize("of", ["depth", "color", "mask", "own pixels"])
 def test_an_upright_edge_is_straight_again(of: str) -> None:
     frames = Bent()
-    sequence = Sequence(CAMERA, 1000.0, STAMPS_NS, True, None, frames, masks=frames.mask)  # type: ignore[arg-type]
+    sequence = Sequence(CAMERA, 1000.0, STAMPS_NS, True, None, frames, masks=frames.mask)
     assert np.ptp(edges(frames.mask(2))) >= 5
     seen = upright(sequence, trajectory(READOUT_S).shutter)
     if of == "own pixels":
         assert seen.masks is not None
         seen = by_own_pixels(seen, seen.masks)
-    near = {
+    near_pixels: dict[str, Callable[[], np.ndarray | None]] = {
         "depth": lambda: seen.depth_m(2) < 2,
         "color": lambda: seen.color_rgb(2)[..., 0] > 100,  # type: ignore[index]
         "mask": lambda: seen.masks(2),  # type: ignore[misc]
         "own pixels": lambda: (seen.depth_m(2) < 2) & (seen.depth_m(2) > 0),
-    }[of]()
+    }
+    near = near_pixels[of]()
     assert near is not None and np.ptp(edges(np.asarray(near))) <= 2
     assert upright(sequence, None) is sequence

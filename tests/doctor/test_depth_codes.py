@@ -11,6 +11,7 @@ import yaml
 from ingest_writers import png
 from kinectbench_plugins.formats.scene_folders import rotated
 from numpy.typing import NDArray
+from read_pictures import read_picture
 
 from kinectbench.doctor import inspect
 from kinectbench.doctor.during_build import likely_cause
@@ -132,7 +133,7 @@ def test_poses_of_another_recording_offer_nothing(base: Path, tmp_path: Path) ->
     np.random.default_rng(0).shuffle(rows)
     (folder / "poses.txt").write_text("\n".join(rows) + "\n")
     assert not [f for f in inspect(folder)[0].findings if f.name in ("depth_scale", "depth_code")]
-    assert cv2.imread(str(folder / "depth/000000.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+    assert read_picture(folder / "depth/000000.png", cv2.IMREAD_UNCHANGED).dtype == np.uint16
 
 
 def test_a_build_that_fails_names_the_code(base: Path, tmp_path: Path) -> None:
@@ -166,7 +167,7 @@ def test_of_floats_no_scale_of_what_they_became_is_offered(base: Path, tmp_path:
     """In centimetres they are a hundred a metre, which inspect does not try; it must not name another."""
     folder = recoded(base, tmp_path / "r", mm)
     for image in sorted((folder / "depth").iterdir()):
-        depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+        depth = read_picture(image, cv2.IMREAD_UNCHANGED)
         np.save(image.with_suffix(".npy"), (depth / 10).astype(np.float32))
         image.unlink()
     said = [found.advice for found in inspect(folder)[0].findings if "poses fit if depth is" in found.what]

@@ -11,6 +11,7 @@ import pytest
 from ingest_writers import BagWriter
 from numpy.typing import NDArray
 from raising import raises
+from read_pictures import read_picture
 from slow import slow
 from small_benchmark import Run, small_spec
 from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of, shortened
@@ -40,7 +41,8 @@ def heights_m() -> NDArray[np.float64]:
     """Of the chair's cameras over the floor, by the truth."""
     rows = np.array([[float(word) for word in row] for row in rows_of(CHAIR, "groundtruth")])
     plane = np.array(json.loads((RECORDINGS / "chair_01.truth/floor.json").read_text())["plane_world"])
-    return rows[:, 1:4] @ plane[:3] + plane[3]
+    heights_m: NDArray[np.float64] = rows[:, 1:4] @ plane[:3] + plane[3]
+    return heights_m
 
 
 @pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
@@ -80,7 +82,7 @@ def write_bag(path: Path, cameras: tuple[str, ...], info: bool) -> Path:
     with BagWriter(path) as bag:
         for index, (stamp, file) in enumerate(rows_of(CHAIR, "depth")[:12]):
             stamp_ns = int(stamp.replace(".", "")) * 1000
-            depth = cv2.imread(str(CHAIR / file), cv2.IMREAD_UNCHANGED) // 5
+            depth = read_picture(CHAIR / file, cv2.IMREAD_UNCHANGED) // 5
             for place, name in enumerate(cameras):
                 if index < 12 - place:
                     bag.image(f"/{name}/depth/image_raw", stamp_ns, depth, "16UC1", frame_id=name)

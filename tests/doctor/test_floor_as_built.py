@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from read_pictures import read_picture
 from slow import slow
 
 from kinectbench.core.errors import SegmentationError
@@ -59,7 +60,7 @@ def upside_down(recording: Path, folder: Path) -> Path:
     """The same as if the camera had been held upside down."""
     shutil.copytree(recording, folder)
     for image in [*folder.glob("depth/*"), *folder.glob("rgb/*")]:
-        cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+        cv2.imwrite(str(image), read_picture(image, cv2.IMREAD_UNCHANGED)[::-1, ::-1])
     rows = np.loadtxt(folder / "groundtruth.txt")
     turned = rotation_from_quaternion_xyzw(rows[:, 4:]) @ np.diag([-1.0, -1.0, 1.0])
     rows[:, 4:] = [quaternion_xyzw_from_rotation(rotation) for rotation in turned]

@@ -1,6 +1,7 @@
 """Units that nobody says: `inspect` fails where a build does, and in its words."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,14 @@ from kinectbench.settings.models import TrackingSettings
 FIRST_S = 1.4e9
 
 
+def in_units(unit: float, t: float) -> float:
+    return round((t - FIRST_S) * unit, 6)
+
+
 def from_zero(folder: Path, frames_unit: float, poses_unit: float) -> None:
     """Stamps that begin at 0, in so many units a second."""
     for name, unit in (("depth", frames_unit), ("rgb", frames_unit), ("groundtruth", poses_unit)):
-        stamps(name, lambda t, unit=unit: round((t - FIRST_S) * unit, 6))(folder)
+        stamps(name, partial(in_units, unit))(folder)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,16 @@ from kinectbench.core.errors import ClusterError, KinectBenchError, ReleaseError
 from kinectbench.engine import cluster as module
 from kinectbench.engine import cluster_run
 from kinectbench.engine.cluster import Cluster, cluster
-from kinectbench.engine.executor import SendMessage, SerialExecutor, WorkerLost
+from kinectbench.engine.executor import (
+    Listener,
+    Outcomes,
+    Result,
+    SendMessage,
+    SerialExecutor,
+    Task,
+    WorkerLost,
+)
+from kinectbench.engine.on_worker import package_versions
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.release.release import Release, open_release
@@ -162,7 +171,7 @@ def test_a_result_that_is_lost_with_its_worker_is_waited_for(
 ) -> None:
     """A task that has ended is begun again if its worker dies before the result is here."""
     _, where = threads
-    plain, lost = Future.result, []
+    plain, lost = Future.result, list[str]()
 
     def slow(future: Any, timeout: Any = None) -> Any:
         if len(lost) < 3:
@@ -231,7 +240,7 @@ def test_a_worker_of_another_version_is_refused(
     threads: tuple[LocalCluster, Cluster], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, where = threads
-    wanted = dict(cluster_run.package_versions()) | {"kinectbench": "9.9.9"}
+    wanted = dict(package_versions()) | {"kinectbench": "9.9.9"}
     monkeypatch.setattr(cluster_run, "package_versions", lambda: wanted)
     with raises(ClusterError, "cluster.other-versions", match=r"9\.9\.9") as told:
         list(where.outcomes(doubled, [1], Heard()))
@@ -339,11 +348,25 @@ def test_scores_are_those_of_one_process(
 
 
 class Elsewhere(SerialExecutor):
-    """An executor whose processes started in another folder."""
+    """An executor whose processes started in another folder, or are killed."""
 
-    def outcomes(self, function: Any, tasks: Any, audience: Any, *_: Any, **__: Any) -> Iterator[Any]:  # type: ignore[override]
+    def __init__(self, killed: bool = False) -> None:
+        self.killed = killed
+
+    def outcomes(
+        self,
+        function: Callable[[Task, SendMessage], Result],
+        tasks: Sequence[Task],
+        listener: Listener,
+        memory_gb: Callable[[Task], float] | None = None,
+        *,
+        slowest_twice: bool = False,
+    ) -> Outcomes[Task, Result]:
+        if self.killed:
+            yield from ((task, WorkerLost("killed on {id}")) for task in tasks)
+            return
         with contextlib.chdir("/"):
-            found = list(super().outcomes(function, tasks, audience))
+            found = list(super().outcomes(function, tasks, listener))
         yield from found
 
 
@@ -363,17 +386,7 @@ def test_relative_paths_are_those_of_whoever_asks(
     assert table.complete
 
 
-class Killer:
-    """An executor whose tasks are all lost."""
-
-    def slots(self) -> int:
-        return 1
-
-    def outcomes(self, function: Any, tasks: Any, *_: Any, **__: Any) -> Iterator[tuple[Any, WorkerLost]]:
-        yield from ((task, WorkerLost("killed on {id}")) for task in tasks)
-
-
 def test_a_score_whose_worker_is_killed_is_told(release: Release, tmp_path: Path) -> None:
     write_baselines(release, tmp_path / "predictions", ["partial"])
     with raises(KinectBenchError, "run.process-killed"):
-        score_methods(release, tmp_path / "predictions", tmp_path, jobs=Killer())
+        score_methods(release, tmp_path / "predictions", tmp_path, jobs=Elsewhere(killed=True))

@@ -93,7 +93,7 @@ def test_a_dashboard_is_told_where_it_answers(monkeypatch: pytest.MonkeyPatch) -
     with HTTPServer(("127.0.0.1", 0), Page) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         link = f"http://127.0.0.1:{server.server_port}/status"
-        where = Cluster(SimpleNamespace(dashboard_link=link), "tcp://here")  # type: ignore[arg-type]
+        where = Cluster(SimpleNamespace(dashboard_link=link), "tcp://here")
         assert where.dashboard == link
         monkeypatch.setattr(Page, "text", b"<p>Dask needs bokeh>=3.1.0 for the dashboard.</p>")
         assert where.dashboard == ""

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from raising import raises
+from read_pictures import read_picture
 from small_benchmark import YAML, Run, copied
 
 from kinectbench.core.artefacts.manifest import Manifest
@@ -264,7 +265,7 @@ def pixels(root: Path) -> dict[int, int]:
     views = root / "build" / "chair" / "views"
     found = {}
     for row in ViewsFile.read(views).views:
-        mask = cv2.imread(str(views / f"{row.view}.mask.png"), cv2.IMREAD_GRAYSCALE)
+        mask = read_picture(views / f"{row.view}.mask.png", cv2.IMREAD_GRAYSCALE)
         assert row.pixels == int((np.asarray(mask) > 0).sum())
         found[int(row.frame or 0)] = row.pixels
     return found

@@ -24,7 +24,7 @@ from kinectbench.engine.stages import Job
 from kinectbench.settings.models import BenchmarkSettings
 
 REASON = "frame 7: too dark; record again"
-OTHERS = {
+OTHERS: dict[str, dict[str, dict[str, Any]]] = {
     "ingest": {"recordings": {"camera": {"fx": 500.0}}},
     "track": {"tracking": {"check_stride_px": 3}},
     "fuse": {"fusion": {"min_depth_m": 0.35}},
@@ -113,7 +113,7 @@ def test_each_stage_that_failed_waits_for_a_change(
     assert tried.of == []
     kept = json.loads((root / "build" / "chair" / "failed.json").read_text())
     assert (kept["error"], kept["code"]) == (REASON, again.code) and again.code == first.code is not None
-    changed = built(root, **OTHERS[stage])
+    changed = built(root, "pairs", (), **OTHERS[stage])
     assert (changed.error, changed.repeated, tried.of[-1]) == (REASON, False, stage)
     tried.of.clear()
     assert built(root, force=(stage,)).error == REASON and tried.of[-1] == stage

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from fault_proxy import FaultProxy, for_a_while
+from fault_proxy import Fault, FaultProxy, for_a_while
 from raising import raises
 from s3_server import S3Server
 from slow import slow
@@ -222,9 +222,9 @@ def test_a_bad_store_changes_nothing(
     monkeypatch.setenv(PATIENCE_VARIABLE, "30")  # a request may meet several faults, one after the other
     put_benchmark(small, s3, BEFORE)
     at_first = for_a_while(1.0)
+    later: dict[int, Fault] = {1: "cut", 3: "lose", 5: "503"}
     proxied.choose = lambda number, method, path: (
-        at_first(number, method, path)
-        or ({1: "cut", 3: "lose", 5: "503"}.get(number % 7, "") if "benchmark.yaml" not in path else "")
+        at_first(number, method, path) or (later.get(number % 7, "") if "benchmark.yaml" not in path else "")
     )
     result = command(tmp_path, "build", "chair", "--jobs", "1", *config(s3))
     assert result.status == 0, result.err

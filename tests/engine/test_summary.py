@@ -3,6 +3,7 @@
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -39,7 +40,7 @@ ESTIMATE = {
 }
 
 
-def row(root: Path, quality: dict, made: tuple[str, ...] = ()) -> RecordingSummary:
+def row(root: Path, quality: dict[str, Any], made: tuple[str, ...] = ()) -> RecordingSummary:
     """The summary of a recording whose object has this quality.json."""
     folder = root / "build" / "bin" / "object"
     folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +89,7 @@ def test_the_json_holds_them(tmp_path: Path) -> None:
     ("quality", "words"),
     [(ESTIMATE, "0.74 (0.35 to 0.80)"), ({"estimated_iou": 0.93}, "0.930"), ({}, " - ")],
 )
-def test_the_table_shows_the_interval(tmp_path: Path, quality: dict, words: str) -> None:
+def test_the_table_shows_the_interval(tmp_path: Path, quality: dict[str, Any], words: str) -> None:
     shown = Console(width=160, record=True, file=io.StringIO())
     shown.print(console.summary_table([row(tmp_path, quality)], ("segment",)))
     assert words in shown.export_text()

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from read_pictures import read_picture
 from slow import slow
 from small_benchmark import Run
 
@@ -137,8 +138,8 @@ def test_what_moves_before_a_still_camera_comes_to_pairs(
 def test_a_turntable_before_nothing(recorded: Recorded, tmp_path: Path) -> None:
     recording = recorded(tmp_path, "turntable")
     for file in sorted((recording / "depth").iterdir()):
-        depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        mask = cv2.imread(str(truth_folder(recording) / "masks" / file.name), cv2.IMREAD_GRAYSCALE)
+        depth = read_picture(file, cv2.IMREAD_UNCHANGED)
+        mask = read_picture(truth_folder(recording) / "masks" / file.name, cv2.IMREAD_GRAYSCALE)
         cv2.imwrite(str(file), np.where(np.asarray(mask) > 0, depth, 0).astype(np.uint16))
     assert build_recording(job(tmp_path, "turntable", "turntable"), upto="segment").error is None
     build, truth = tmp_path / "build" / "turntable", read_truth(truth_folder(recording))

@@ -18,6 +18,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks import convert as conversion
 from kinectbench.networks.convert import convert_recgan, fitting_config, mapping
 from kinectbench.networks.recgan import RecGAN
+from kinectbench.networks.registry import make_network
 from kinectbench.networks.tensor_bundle import open_bundle
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.validate import completed
@@ -30,7 +31,7 @@ def test_the_released_index_holds_the_networks_of_the_paper() -> None:
     assert (config.network.channel_divisor, config.network.axes) == (1, "recgan")
     shapes = {
         name: tuple(values.shape)
-        for name, values in conversion.make_network(config.network, device="meta").state_dict().items()
+        for name, values in make_network(config.network, device="meta").state_dict().items()
     }
     assert sorted(to.name for to in names.values()) == sorted(shapes)
     wanted = {name: to.stored_shape(shapes[to.name]) for name, to in names.items()}
@@ -57,10 +58,9 @@ def test_the_index_without_its_values_says_what_is_missing(tmp_path: Path) -> No
 def converted(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Float32], Path]:
     root = tmp_path_factory.mktemp("converted")
     tensors = narrow_recgan()
-    more = {f"{name}/Adam": np.zeros_like(values) for name, values in tensors.items()}
-    write_bundle(
-        root / "theirs", tensors | more | {"beta1_power": np.float32(0.5), "global_step": np.zeros(3)}
-    )
+    more: dict[str, np.ndarray] = {f"{name}/Adam": np.zeros_like(values) for name, values in tensors.items()}
+    more |= {"beta1_power": np.array(0.5, np.float32), "global_step": np.zeros(3)}
+    write_bundle(root / "theirs", tensors | more)
     made = convert_recgan(root / "theirs", root / "ours")
     assert (made.tensors, made.optimiser) == (36, 37)
     assert made.left_out == ("global_step (3,)",)

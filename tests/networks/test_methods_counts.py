@@ -58,7 +58,7 @@ def test_epn_normalises_and_begins_as_its_source() -> None:
     assert all(
         norm.weight.min() >= 0 and norm.weight.max() <= 1 and norm.weight.std() > 0.1 for norm in norms
     )
-    last = network.up[-1]  # type: ignore[index]
+    last = network.up[-1]
     bound = (last.in_channels * 4**3) ** -0.5
     assert 0.9 * bound < last.weight.abs().max() <= bound and 0 < last.bias.abs().max() <= bound
 

@@ -108,7 +108,7 @@ def test_the_penalty_is_on_the_gradient_by_the_shape(penalty_on: str) -> None:
     assert found.item() == pytest.approx(10 * (slopes.norm().item() - 1) ** 2, rel=1e-4)
 
 
-class Squares(nn.Module):
+class Squares(nn.Module):  # type: ignore[misc]  # torch is not looked into
     """Two features of a shape: the sum of its squares, and twice that; its gradient is known."""
 
     def forward(self, partial: Tensor, shape: Tensor) -> Tensor:
@@ -123,7 +123,7 @@ def test_the_discriminators_loss_by_hand(epsilon: str, weight: float) -> None:
     """Mean of fake less mean of real, and the penalty at mixtures real + e (fake - real)."""
     real, fake = np.zeros((2, 1, 1, 1, 2)), np.zeros((2, 1, 1, 1, 2))
     real[:, 0, 0, 0] = [[1, 2], [0, 1]]
-    fake[:, 0, 0, 0] = [[3, 1], [2, 0.5]]
+    fake[:, 0, 0, 0] = [[3.0, 1.0], [2.0, 0.5]]
     # Sums of squares: 10 and 4.25 of the fake, 5 and 1 of the real; a feature's mean is 1.5 of them.
     apart = 1.5 * ((10 + 4.25) - (5 + 1)) / 2
     shape = (2, 1, 1, 1, 2) if epsilon == "voxel" else (2,)
@@ -134,10 +134,10 @@ def test_the_discriminators_loss_by_hand(epsilon: str, weight: float) -> None:
     settings = AdversarialSettings.model_validate(
         {"beta": 0.2, "gradient_penalty": weight, "epsilon": epsilon}
     )
-    grids = (torch.from_numpy(grid) for grid in (fake, real))
+    completed, given = torch.from_numpy(fake), torch.from_numpy(real)
     chance = torch.Generator().manual_seed(7)
     module: nn.Module = Squares()
-    found = discriminator_loss(module, torch.zeros(2), *grids, settings, chance)  # type: ignore[arg-type]
+    found = discriminator_loss(module, torch.zeros(2), completed, given, settings, chance)
     assert found.item() == pytest.approx(wanted, rel=1e-5)
 
 
@@ -157,7 +157,7 @@ def test_the_generator_learns_to_raise_what_the_discriminator_says() -> None:
 
     def said() -> float:
         with torch.inference_mode():
-            return network.discriminator(partial, network.completed(partial)).mean().item()
+            return float(network.discriminator(partial, network.completed(partial)).mean().item())
 
     before = said()
     Learner(network, config, "cpu", (0, 1)).step(Batch(partial, truth_of(None)), 0, 0)

@@ -53,8 +53,8 @@ def test_two_processes_learn_what_one_learns(
     join = partial(distributed.init_process_group, timeout=timedelta(seconds=240))
     monkeypatch.setattr(distributed, "init_process_group", join)
     monkeypatch.setenv("RANK", "1")
-    arguments = [sys.executable, "-W", "ignore", "-c", PROGRAM, config, learning.folder, tmp_path / "two"]
-    other = subprocess.Popen(arguments)
+    arguments = [sys.executable, "-W", "ignore", "-c", PROGRAM]
+    other = subprocess.Popen([*arguments, config, learning.folder, tmp_path / "two"])
     monkeypatch.setenv("RANK", "0")
     train(read_config(config), [learning], tmp_path / "two", device="cpu")
     assert other.wait(timeout=240) == 0

@@ -20,6 +20,7 @@ from kinectbench.networks.data import pairs_of_step, steps_in_all, validation_pa
 from kinectbench.networks.network import Network
 from kinectbench.networks.predict import method_of, run_of
 from kinectbench.networks.trained import open_trained
+from kinectbench.networks.validate import validation_iou
 from kinectbench.networks.weights import arrays_of_network, write_weights
 from kinectbench.release.release import Release, open_release
 
@@ -116,7 +117,7 @@ def test_the_best_weights_are_kept(
 ) -> None:
     """Those of the second of three looks, whatever comes afterwards, also where it was stopped between."""
     ious = {2: 0.2, 4: 0.6, 5: 0.4}
-    arrays: dict[int, dict[str, np.ndarray]] = {}  # type: ignore[type-arg]
+    arrays: dict[int, dict[str, np.ndarray]] = {}
     looks: list[int] = []
 
     def look(network: Network, *_: object) -> tuple[float, float]:
@@ -298,7 +299,7 @@ def test_a_look_that_failed_is_taken_again(
     whole: Path, learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
     """At whatever step it fails, the course is the same afterwards; the last step's is no exception."""
-    looked, calls = training.validation_iou, iter(range(1, 100))
+    looked, calls = validation_iou, iter(range(1, 100))
 
     def fails(*arguments: object) -> tuple[float, float]:
         if next(calls) == failing:

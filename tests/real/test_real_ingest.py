@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from ingest_writers import BagWriter
+from read_pictures import read_picture
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
@@ -69,7 +70,7 @@ def wrap_cabinet(bag_file: Path) -> None:
     with BagWriter(bag_file, "LZ4", chunk_bytes=1 << 20) as bag:
         for _, row in text_rows(folder / "depth.txt"):
             stamp, name = row.split()
-            depth = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+            depth = read_picture(folder / name, cv2.IMREAD_UNCHANGED)
             stamp_ns = parse_stamp_ns(stamp, name)
             bag.image("/camera/depth_registered/image_raw", stamp_ns, depth, "16UC1")
             bag.info("/camera/depth_registered/camera_info", stamp_ns, camera)

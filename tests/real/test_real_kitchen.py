@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.object_model import ObjectModel, read_object
 
 # The chair at the table's left, floor frame.
-BOX = {"center_m": [-1.03, 1.64, 0.48], "size_m": [0.56, 0.54, 0.96], "yaw_rad": -0.5}
+BOX: dict[str, Any] = {"center_m": [-1.03, 1.64, 0.48], "size_m": [0.56, 0.54, 0.96], "yaw_rad": -0.5}
 TABLE_HEIGHT_M = 0.72
 VIEWS = 5
 

@@ -46,6 +46,7 @@ def test_the_floor_is_below_the_boards_and_level_by_gravity(suggested: Job) -> N
     listed = CandidatesFile.read(suggested.build / SUGGEST.folder)
     assert listed.floor_found and listed.candidates
     # ARKit's world has y up.
+    assert listed.T_floor_world is not None
     assert listed.T_floor_world[2, :3] == pytest.approx([0, 1, 0], abs=0.02)
     for each in listed.candidates:
         assert abs(each.box.center_m[2] - each.box.size_m[2] / 2) < 0.03

@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def test_the_keyframes_are_placed_as_a_build_places_them(source: Path, tmp_path:
     first, last = (compare_poses(some, built.T_world_camera).ate_m.rmse for some in (before, after))
     assert last < min(first, 0.001), (first, last)  # measured: .97 and .81 mm
     steps = [invert_rigid(some[-2]) @ some[-1] for some in (before, after)]
-    assert np.allclose(*steps, rtol=0, atol=1e-9)
+    assert np.allclose(steps[0], steps[1], rtol=0, atol=1e-9)
     correction = known.maps.correction_per_m
     assert correction is not None and not built.depth_calibration.is_none
     theirs = built.depth_calibration.correction_per_m(320, 240)
@@ -205,7 +206,12 @@ def test_a_click_says_what_the_object_is(source: Path, tmp_path: Path) -> None:
         picked = {"frame": number, "pixel": [160, 120]}
         assert json.loads((tmp_path / "pick.json").read_text()) == picked
         assert json.loads(fetched(guide.url + "state"))["picked"]
-        for wrong in ({"picture": number + 5}, {"picture": number, "x": 1.5, "y": 0.5}, {"x": []}):
+        pictures: tuple[dict[str, Any], ...] = (
+            {"picture": number + 5},
+            {"picture": number, "x": 1.5, "y": 0.5},
+            {"x": []},
+        )
+        for wrong in pictures:
             assert told(guide, **wrong) == 422
         assert told(guide, body=b"[" * 1000) == 422
         assert json.loads((tmp_path / "pick.json").read_text()) == picked
@@ -256,6 +262,7 @@ def test_the_page_draws_the_object_and_obeys_its_policy(
 
 
 def test_a_guide_that_dies_costs_no_frame(guide: GuideProcess, source: Path, tmp_path: Path) -> None:
+    assert guide.pid is not None
     os.kill(guide.pid, signal.SIGKILL)
     done = record(Replay(source), tmp_path / "out", observers=[guide])
     assert (done.frames, done.missed, done.dropped, done.failure) == (FRAMES, 0, 0, "")

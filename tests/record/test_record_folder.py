@@ -1,6 +1,7 @@
 """What a recording holds while it is written, and after whatever ends it."""
 
 import errno
+import os
 import threading
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ from kinectbench.record import folder as writing
 from kinectbench.record.folder import FolderWriter
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.recorder import record
+from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.readers import open_recording
 
 SETUP = Setup(DEPTH, 1000.0, True)
@@ -118,7 +120,7 @@ def test_a_full_disk_leaves_what_was_recorded(
     def no_room() -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    plain_bytes, plain_write = Path.write_bytes, writing.os.write
+    plain_bytes, plain_write = Path.write_bytes, os.write
 
     def write_bytes(path: Path, data: bytes) -> int:
         if path.as_posix().endswith(full):
@@ -134,7 +136,7 @@ def test_a_full_disk_leaves_what_was_recorded(
         return plain_write(handle, data)
 
     monkeypatch.setattr(Path, "write_bytes", write_bytes)
-    monkeypatch.setattr(writing.os, "write", write)
+    monkeypatch.setattr(os, "write", write)
     done = record(DrawnCamera(500), tmp_path / "out")
     assert done.failure.startswith(f"{tmp_path / 'out'}: cannot be written any more (No space left")
     assert done.frames == 4
@@ -143,7 +145,7 @@ def test_a_full_disk_leaves_what_was_recorded(
 
 def test_an_image_that_cannot_be_encoded_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the codec raises: no frame is lost without a word."""
-    plain = writing.encode_png
+    plain = encode_png
 
     def broken(image: Any, *, fast: bool = False) -> bytes:
         if image.shape == drawn(0).depth.shape and np.array_equal(image, drawn(3).depth):
@@ -185,7 +187,7 @@ def test_of_two_recorders_at_once_one_is_refused(tmp_path: Path, monkeypatch: py
 def test_a_slow_disk_costs_frames_and_never_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With room for three frames that wait, `add` returns at once and says that a frame is dropped."""
     monkeypatch.setattr(writing, "BACKLOG_BYTES", 3 * drawn(0).nbytes)
-    plain, may_write = writing.encode_png, threading.Event()
+    plain, may_write = encode_png, threading.Event()
 
     def slow(image: Any, *, fast: bool = False) -> bytes:
         may_write.wait(60)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from made_once import made_once
 from small_runs import make_small
+from typed import noted
 
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -22,6 +23,7 @@ from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.track import track, tracker
+from kinectbench.stages.track.odometry import Follower
 from kinectbench.stages.track.partial_odometry import (
     PartialOdometry,
     partial_odometry_of,
@@ -68,8 +70,7 @@ def test_tracking_goes_on_with_the_same_result(
     count = FRAMES - (0 if whole else MAY_CHANGE)
     assert len(partial.digests) == len(partial.follower.frames) == count
     fresh: list[object] = []
-    made = tracker.Follower
-    monkeypatch.setattr(tracker, "Follower", lambda *given: fresh.append(given) or made(*given))
+    monkeypatch.setattr(tracker, "Follower", noted(Follower, fresh))
     with using_partial_odometry(lambda: partial):
         after = tracked(sequence)
     assert not fresh and len(partial.follower.frames) == FRAMES

@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import shutil
 import tarfile
 import time
 import zipfile
@@ -130,7 +131,7 @@ def test_a_full_disk_is_told_before_a_scan_comes(
     class Full:
         free = 1000
 
-    monkeypatch.setattr(recipes.shutil, "disk_usage", lambda path: Full)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Full)
     done = command(tmp_path, "fetch", "r", "--category", "table")
     assert done.status == 1 and "free some space, or use --stream" in " ".join(done.err.split())
     assert len(done.err.strip().splitlines()) == 1

@@ -61,7 +61,7 @@ def test_a_streamed_benchmark_has_the_same_pairs_and_no_scans(both: Path) -> Non
     for build in (both / "one" / "build").iterdir():
         assert is_slim(build / "sequence") and is_slim(build / "reconstruction")
         assert {path.suffix for path in (build / "sequence").rglob("*") if path.is_file()} == {".json"}
-        assert Manifest.read(build / "sequence").removed >= 2 * 72
+        assert (Manifest.read(build / "sequence").removed or 0) >= 2 * 72
 
 
 def test_what_was_streamed_is_current_and_published_with_its_licence(both: Path, tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from slow import first
 from small_benchmark import Run
 
 pytest.importorskip("h5py", reason="needs kinectbench[ycb]")
+from typing import Any
+
 from ycb_replica import MESH, make_thing, scanned
 
 from kinectbench.core.artefacts.reference import ReferenceFile
@@ -33,7 +35,7 @@ fusion: {{voxel_size_m: 0.004, scene_voxel_size_m: 0.03}}
 views: {{count: 2, min_pixels: 60}}
 """
 # 40 images of a turn, as small as keeps the bars.
-SIZE = {
+SIZE: dict[str, dict[str, Any]] = {
     "path": {"frames": 40, "moves": "turntable", "arc_rad": 6.2},
     "sensor": {"width": 320, "height": 240},
 }

@@ -19,6 +19,7 @@ from analytic_release import (
     true_mesh,
 )
 from raising import raises
+from read_pictures import read_picture
 
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry.camera import DepthRenderer
@@ -26,6 +27,7 @@ from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.bop_object import object_in_view
 from kinectbench.release.release import open_release
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers.bop import BopRecording
 
 HALF_BOX_MM = (np.array(BOX_HIGH) - np.array(BOX_LOW)) * 500
 SCENES = {"chair_01": "test/000001", "chair_02": "test/000002", "chair_03": "val/000003"}
@@ -49,12 +51,13 @@ class Scene:
         self.gt_info = json.loads((folder / "scene_gt_info.json").read_text())
 
     def depth_mm(self, image: str) -> np.ndarray:
-        raw = cv2.imread(str(self.folder / "depth" / f"{int(image):06d}.png"), cv2.IMREAD_UNCHANGED)
+        raw = read_picture(self.folder / "depth" / f"{int(image):06d}.png", cv2.IMREAD_UNCHANGED)
         assert raw.dtype == np.uint16
-        return raw * self.camera[image]["depth_scale"]
+        depth_mm: np.ndarray = raw * self.camera[image]["depth_scale"]
+        return depth_mm
 
     def mask(self, image: str, kind: str) -> np.ndarray:
-        return cv2.imread(str(self.folder / kind / f"{int(image):06d}_000000.png"), cv2.IMREAD_UNCHANGED) > 0
+        return read_picture(self.folder / kind / f"{int(image):06d}_000000.png", cv2.IMREAD_UNCHANGED) > 0
 
     def K(self, image: str) -> np.ndarray:
         return np.array(self.camera[image]["cam_K"]).reshape(3, 3)
@@ -85,11 +88,10 @@ def read_model(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def distance_mm(recording: str, points_mm: np.ndarray) -> np.ndarray:
     """Of points in the model's frame from the true surface: the model's origin is the middle of its box."""
     if recording.startswith("chair"):
-        return np.abs(np.linalg.norm(points_mm, axis=1) - RADIUS_M * 1000)
+        return np.asarray(np.abs(np.linalg.norm(points_mm, axis=1) - RADIUS_M * 1000))
     outside = np.abs(points_mm) - HALF_BOX_MM
-    return np.where(
-        (outside > 0).any(axis=1), np.linalg.norm(np.maximum(outside, 0), axis=1), -outside.max(axis=1)
-    )
+    beyond = np.linalg.norm(np.maximum(outside, 0), axis=1)
+    return np.asarray(np.where((outside > 0).any(axis=1), beyond, -outside.max(axis=1)))
 
 
 @pytest.mark.parametrize("recording", list(SCENES))
@@ -181,7 +183,7 @@ def test_our_own_reader(bop: Path) -> None:
     given = recording.given_trajectory
     assert given is not None
     np.testing.assert_allclose(given.T_world_camera[1], T_world_floor(0) @ T_floor_camera(1), atol=1e-9)
-    assert recording.places[0].mask is not None
+    assert isinstance(recording, BopRecording) and recording.places[0].mask is not None
 
 
 def test_masks_of_a_whole_view(bop: Path) -> None:
@@ -227,9 +229,9 @@ def test_what_is_hidden_missing_or_beyond_the_image() -> None:
     assert seen.px_count_visib == seen.mask_visib.sum()
     assert seen.visib_fract == seen.px_count_visib / seen.px_count_all
     ys, xs = np.nonzero(whole_m)
-    assert seen.bbox_obj == (xs.min() - 320, ys.min() - 240, np.ptp(xs), np.ptp(ys))
+    assert seen.bbox_obj == (xs.min() - 320, ys.min() - 240, int(np.ptp(xs)), int(np.ptp(ys)))
     ys, xs = np.nonzero(seen.mask_visib)
-    assert seen.bbox_visib == (xs.min(), ys.min(), np.ptp(xs), np.ptp(ys))
+    assert seen.bbox_visib == (xs.min(), ys.min(), int(np.ptp(xs)), int(np.ptp(ys)))
     gone = object_in_view(np.full_like(depth_mm, 200), camera, T_world_camera, mesh, renderer)
     assert gone.bbox_obj == gone.bbox_visib == (-1, -1, -1, -1) and gone.visib_fract == 0
 

@@ -9,6 +9,7 @@ import pytest
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.benchmark import PublishOptions, ReleaseInfo
+from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.publish import publish
@@ -24,7 +25,7 @@ FIGURES = {
 }
 
 
-def released(folder: Path, *hold_back: str) -> Path:
+def released(folder: Path, *hold_back: Split) -> Path:
     write_build(folder / "build")
     for name, (estimate, low, high, unknown, size) in FIGURES.items():
         quality = {

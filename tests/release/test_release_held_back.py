@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from kinectbench.release.check.verify import verify
 from kinectbench.release.exchange.recgan import export_recgan
 from kinectbench.release.publish.held_back import own_world, without_truth
 from kinectbench.release.publish.publish import PublishSummary, publish
-from kinectbench.release.release import open_release
+from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.baselines.predict import possible_baselines, write_baselines
 from kinectbench.scoring.predictions import check
 from kinectbench.scoring.score import score
@@ -55,7 +56,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> PublishSummary:
     )
 
 
-def test_the_parts_name_each_other(parts: PublishSummary, release) -> None:
+def test_the_parts_name_each_other(parts: PublishSummary, release: Release) -> None:
     public = json.loads((parts.folder / "benchmark.json").read_text())
     assert parts.private is not None
     private = json.loads((parts.private / "benchmark.json").read_text())
@@ -186,7 +187,7 @@ def test_inputs_can_be_used(parts: PublishSummary, tmp_path: Path) -> None:
     assert check(private, tmp_path / "public" / "partial") == []
 
 
-def test_scores_of_the_private_part(parts: PublishSummary, release, tmp_path: Path) -> None:
+def test_scores_of_the_private_part(parts: PublishSummary, release: Release, tmp_path: Path) -> None:
     assert parts.private is not None
     write_baselines(open_release(parts.folder), tmp_path, ["partial"])
     one = score(open_release(parts.private), tmp_path / "partial", method="partial", surface=False)
@@ -246,8 +247,9 @@ def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:
         "framing is 'view' where the benchmark has 'object'",
         f"only 0 of the {int(unpack(pair.partial_256).sum())} cells of 'partial_256' are 'seen'",
     ]
-    values = arrays(parts.folder / name)
-    np.savez(public / name, **{key: value for key, value in values.items() if key != "seen"})
+    values: dict[str, Any] = arrays(parts.folder / name)
+    del values["seen"]
+    np.savez(public / name, **values)
     resum(public, name)
     assert f"{name}: not a pair's input: the keys seen are missing" in verify(public)
 

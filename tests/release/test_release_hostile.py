@@ -252,8 +252,8 @@ def set_vertices(path: Path, value: float) -> None:
     write_ply(mesh, path)
 
 
-def set_cells(path: Path, **values: np.ndarray) -> None:
-    path.write_bytes(npz_bytes({**load_arrays(path), **values}))
+def set_cells(path: Path, **values: np.ndarray | np.generic) -> None:
+    path.write_bytes(npz_bytes(load_arrays(path) | {key: np.asarray(values[key]) for key in values}))
 
 
 ONES = np.ones((4, 5, 6))

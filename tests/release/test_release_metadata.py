@@ -13,6 +13,7 @@ import yaml
 from jsonschema import Draft202012Validator
 from pydantic import ValidationError
 from synthetic_release import RECORDINGS, resum, synthetic_settings, write_build, write_json
+from typed import model_of
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
@@ -123,7 +124,7 @@ def test_head_of_the_card(release: Release) -> None:
 
 def test_each_row_of_a_viewer_has_a_picture(build: Path, tmp_path: Path) -> None:
     """`file_name` names it, as ImageFolder asks; of a view with colour that is beside depth."""
-    sizes = {}
+    sizes: dict[str, list[tuple[int, ...]]] = {}
     for color in (False, True):
         settings = synthetic_settings(publish={"color": color})
         folder = publish(settings, build, tmp_path / f"{color}", NAMES).folder
@@ -191,7 +192,7 @@ def test_licence_and_source_of_each_recording(build: Path, tmp_path: Path) -> No
 
 def test_the_card_names_recordings_of_one_origin_together() -> None:
     infos = {
-        name: RecordingInfo.model_construct(license=license, source=source)
+        name: model_of(RecordingInfo, license=license, source=source)
         for name, license, source in (
             ("b", "CC0-1.0", "our lab"),
             ("c", "CC-BY-4.0", "a | b,\nsecond line"),

@@ -6,9 +6,9 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from read_pictures import decoded_picture
 from synthetic_release import synthetic_settings
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
@@ -65,7 +65,5 @@ def test_objects_have_colour_only_where_it_is_published(color: bool, analytic: P
     settings = synthetic_settings(publish={"color": color})
     page = (publish(settings, build, tmp_path / "b", ["chair_02"]).folder / "index.html").read_text()
     (strip,) = re.findall(r'class="turn".*?src="data:image/jpeg;base64,([^"]+)"', page)
-    blue, _, red_of = cv2.imdecode(
-        np.frombuffer(base64.b64decode(strip), np.uint8), cv2.IMREAD_COLOR
-    ).T.astype(int)
+    blue, _, red_of = decoded_picture(base64.b64decode(strip)).T.astype(int)
     assert (red_of - blue > 100).any() == color

@@ -4,12 +4,13 @@ import io
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
 from raising import raises
+from read_pictures import decoded_picture
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
 from kinectbench.core.artefacts.provenance import Removed, ThresholdsFile
@@ -32,7 +33,7 @@ def photo() -> bytes:
 
 
 def decoded(data: bytes) -> np.ndarray:
-    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+    return np.asarray(decoded_picture(data))
 
 
 def test_jpeg() -> None:
@@ -75,7 +76,7 @@ def test_keys_that_are_data_are_kept() -> None:
     """Categories are keys of thresholds.json: a phone is no phone number. Keys that no model has may be."""
     found: list[Removed] = []
     of = {"phone": 0.5, "desk_phone": 0.4, "user_chair": 0.3, "location_x": 0.2}
-    beside = {"gps": {"lat": 1.0}, "notes": {"user": "jo", "n": 1}}
+    beside: dict[str, Any] = {"gps": {"lat": 1.0}, "notes": {"user": "jo", "n": 1}}
     clean = scrubbed_file(ThresholdsFile(thresholds=of, **beside), "thresholds.json", found)
     assert clean.thresholds == of
     assert clean.model_extra == {"notes": {"n": 1}}

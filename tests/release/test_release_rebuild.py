@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def compare(analytic: Path, sources: dict[str, LocalRecording], build: Path) -> 
         return list(differences(contents, plan, build))
 
 
-def change(path: Path, **values: object) -> None:
+def change(path: Path, **values: np.ndarray) -> None:
     path.write_bytes(packed_npz_bytes({**load_arrays(path), **values}))
 
 
@@ -103,7 +104,8 @@ def test_a_recording_that_failed_and_other_packing(
 ) -> None:
     shutil.rmtree(again / "table_01" / "pairs")
     path = again / "table_02" / "pairs" / "000.npz"
-    np.savez(path, **load_arrays(path))
+    arrays: dict[str, Any] = load_arrays(path)
+    np.savez(path, **arrays)
     assert compare(analytic, sources, again) == [
         "table_01: could not be built again, so none of its 1 pairs was compared",
         "pairs/table_02/000.npz: differs when made again: the same values, but packed otherwise",

@@ -27,12 +27,12 @@ KEPT = {"partial", "partial_256", "full", "shell", "T_world_grid", "T_world_came
 
 
 @pytest.fixture(scope="module")
-def release(tmp_path_factory) -> Path:
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return publish_synthetic(tmp_path_factory.mktemp("published")).folder
 
 
 @pytest.fixture(scope="module")
-def exported(release, tmp_path_factory) -> Path:
+def exported(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("exported") / "theirs"
     assert export_recgan(open_release(release), out) == 7
     return out
@@ -45,7 +45,7 @@ def corner() -> np.ndarray:
     return cells
 
 
-def test_axes_of_one_file(tmp_path: Path):
+def test_axes_of_one_file(tmp_path: Path) -> None:
     """A cell at our (i, j, k) lies at their (255 - i, 255 - j, k): x to the left, y up, z forward."""
     path = tmp_path / "m_0_0_0.npz"
     path.write_bytes(recgan_file_bytes(corner()))
@@ -58,7 +58,7 @@ def test_axes_of_one_file(tmp_path: Path):
 
 
 @pytest.mark.parametrize("size", [(170, 110, 60), (171, 111, 61), (258, 256, 258)])
-def test_other_sizes_are_centred_as_their_readers_do(tmp_path: Path, size):
+def test_other_sizes_are_centred_as_their_readers_do(tmp_path: Path, size: tuple[int, int, int]) -> None:
     cells = np.random.default_rng(0).random(size) < 0.01
     path = tmp_path / "m_0_0_0.npz"
     path.write_bytes(npz_bytes({"arr_0": cells[..., None].astype(np.int8)}))
@@ -73,7 +73,7 @@ def test_other_sizes_are_centred_as_their_readers_do(tmp_path: Path, size):
     np.testing.assert_array_equal(read_recgan_file(path), expected)
 
 
-def test_round_trip_is_exact(release: Path, exported: Path, tmp_path: Path):
+def test_round_trip_is_exact(release: Path, exported: Path, tmp_path: Path) -> None:
     assert import_recgan(exported, tmp_path / "back") == 7
     assert verify(tmp_path / "back") == []
     old, new = open_release(release), open_release(tmp_path / "back")
@@ -88,7 +88,7 @@ def test_round_trip_is_exact(release: Path, exported: Path, tmp_path: Path):
     assert [row["unknown_share"] for row in rows] == [target.unknown_share for target in old.targets]
 
 
-def test_names_of_the_files(exported: Path):
+def test_names_of_the_files(exported: Path) -> None:
     assert (exported / "P1_03001627_chair/test_2_25d_vox256/chair_01_1_0_0.npz").is_file()
     assert (exported / "P1_03001627_chair/val_2_3d_vox256/chair_03_0_0_0.npz").is_file()
     assert (
@@ -96,7 +96,7 @@ def test_names_of_the_files(exported: Path):
     )
 
 
-def test_their_own_files_become_a_release(tmp_path: Path):
+def test_their_own_files_become_a_release(tmp_path: Path) -> None:
     for kind, cells in (("25d", corner() & (np.arange(256) < 60)), ("3d", corner())):
         for name in ("m_0_10_0", "m_0_2_0"):
             path = tmp_path / f"in/P1_02828884_bench/test_125_{kind}_vox256/{name}.npz"
@@ -117,7 +117,7 @@ def test_their_own_files_become_a_release(tmp_path: Path):
     assert not (tmp_path / "out2").exists()
 
 
-def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
+def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path) -> None:
     with raises(SettingsError, "settings.no-file"):
         import_recgan(tmp_path, tmp_path / "new" / "out")
     assert not (tmp_path / "new").exists()
@@ -140,7 +140,7 @@ def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path):
             read_recgan_file(path)
 
 
-def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path):
+def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path) -> None:
     content = json.loads((exported / "export.json").read_text())
     content["pairs"][0]["recording"] = "../../up"
     (tmp_path / "export.json").write_text(json.dumps(content))
@@ -148,7 +148,7 @@ def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path):
         import_recgan(tmp_path, tmp_path / "out")
 
 
-def test_commands(release: Path, tmp_path: Path):
+def test_commands(release: Path, tmp_path: Path) -> None:
     runner = CliRunner()
     there = runner.invoke(app, ["export", str(tmp_path / "theirs"), "--benchmark", str(release)])
     assert there.exit_code == 0 and "exported 7 pairs" in there.output
@@ -156,7 +156,7 @@ def test_commands(release: Path, tmp_path: Path):
     assert back.exit_code == 0 and json.loads(back.output)["pairs"] == 7
 
 
-def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path):
+def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path) -> None:
     for group in ("train_125", "val_125", "val_216", "test_125", "test_216"):
         for kind, cells in (("25d", corner() & (np.arange(256) < 60)), ("3d", corner())):
             model = {"train": "t", "val": "v", "test": "m"}[group.partition("_")[0]]
@@ -178,7 +178,7 @@ def test_same_and_cross_viewing_angles_stay_apart(tmp_path: Path):
     assert published_beside(["m-125", "m-216"]) == published_beside(["chair_01"]) == (REAL,)
 
 
-def test_the_papers_synthetic_tables():
+def test_the_papers_synthetic_tables() -> None:
     assert [table.rows[0].iou[0] for table in SYNTHETIC[:4]] == [0.580, 0.531, 0.581, 0.540]
     for table in SYNTHETIC[:4]:
         assert [row.method for row in table.rows] == [row.method for row in REAL.rows]
@@ -209,7 +209,7 @@ def refused(command: Command, where: Path, status: int = 1) -> str:
 @pytest.mark.parametrize("key", LEAD_OUT)
 def test_the_command_follows_no_name_out_of_its_folders(
     exported: Path, tmp_path: Path, command: Command, key: str
-):
+) -> None:
     inside = tmp_path / "deep" / "in"
     inside.mkdir(parents=True)
     (tmp_path / "secret.npz").write_bytes(recgan_file_bytes(corner()))
@@ -220,7 +220,7 @@ def test_the_command_follows_no_name_out_of_its_folders(
     assert key in line or "leads out of the folder" in line
 
 
-def test_the_command_takes_no_archive_and_no_odd_folder(tmp_path: Path, command: Command):
+def test_the_command_takes_no_archive_and_no_odd_folder(tmp_path: Path, command: Command) -> None:
     for name in ("archive", "folder"):
         (tmp_path / name).mkdir()
     (tmp_path / "archive" / "in").write_bytes(npz_bytes({"../../up": np.zeros(1)}))
@@ -242,7 +242,7 @@ def theirs(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", [SEEN, FULL, str(Path(FULL).parent), str(Path(SEEN).parents[1]), "loop"])
-def test_the_command_follows_no_link_out_of_the_folder(tmp_path: Path, command: Command, name: str):
+def test_the_command_follows_no_link_out_of_the_folder(tmp_path: Path, command: Command, name: str) -> None:
     """What a link leads to would be published."""
     folder = theirs(tmp_path / "here" / "in")
     if name == "loop":
@@ -254,13 +254,15 @@ def test_the_command_follows_no_link_out_of_the_folder(tmp_path: Path, command: 
     assert "a link out of the folder; put the file itself there" in refused(command, tmp_path / "here")
 
 
-def test_the_command_follows_no_link_to_a_list_elsewhere(exported: Path, tmp_path: Path, command: Command):
+def test_the_command_follows_no_link_to_a_list_elsewhere(
+    exported: Path, tmp_path: Path, command: Command
+) -> None:
     folder = theirs(tmp_path / "in")
     (folder / "export.json").symlink_to(exported / "export.json")
     assert "export.json: a link out of the folder" in refused(command, tmp_path)
 
 
-def test_links_within_the_folder_and_to_it_are_followed(tmp_path: Path, command: Command):
+def test_links_within_the_folder_and_to_it_are_followed(tmp_path: Path, command: Command) -> None:
     folder = theirs(tmp_path / "data")
     (folder / FULL).rename(folder / "full.npz")
     (folder / FULL).symlink_to(folder / "full.npz")
@@ -270,7 +272,7 @@ def test_links_within_the_folder_and_to_it_are_followed(tmp_path: Path, command:
     np.testing.assert_array_equal(unpack(read_pair(tmp_path / "out/pairs/m-125/000.npz").full), corner())
 
 
-def test_a_folder_that_is_a_link_to_itself_is_a_line(tmp_path: Path, command: Command):
+def test_a_folder_that_is_a_link_to_itself_is_a_line(tmp_path: Path, command: Command) -> None:
     (tmp_path / "loop").symlink_to("loop")
     result = command(tmp_path, "import", "loop", "out")
     assert result.status in (1, 2) and "internal error" not in result.err and result.err.count("\n") == 1

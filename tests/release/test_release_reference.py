@@ -60,7 +60,8 @@ def test_the_card_has_the_figures(tmp_path: Path) -> None:
     summary = publish(synthetic_settings(), compared(tmp_path / "build"), tmp_path / "out", NAMES)
     assert verify(summary.folder) == []
     info = ReleaseInfo.read(summary.folder).recordings
-    assert info[NAME].reference is not None and info[NAME].reference.iou == 0.88
+    reference = info[NAME].reference
+    assert reference is not None and reference.iou == 0.88
     assert info[NAMES[1]].reference is None
     card = (summary.folder / "README.md").read_text()
     assert "F at 5 mm to its reference" in card and "| 0.910 | 0.970 | 0.880 |" in card

@@ -132,8 +132,9 @@ def test_fetches_into_one_folder_share_the_work(
         "print(fetch_release(sys.argv[1], Path(sys.argv[2])).fetched)"
     )
     words = [sys.executable, "-c", script, s3, str(tmp_path / "got"), str(fails)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    runs = [subprocess.Popen(words, text=True, **pipes) for _ in range(4)]
+    runs = [
+        subprocess.Popen(words, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(4)
+    ]
     told = [(*run.communicate(timeout=100), run.returncode) for run in runs]
     if fails:
         assert all("did not answer well" in err for _, err, status in told if status)
@@ -337,8 +338,8 @@ def test_fetch_and_score_by_url(
     bad = command(tmp_path, "fetch", web, "--split", "all")
     assert bad.status == 2 and "--split all: choose among" in bad.err
     # Also beside a category that is there.
-    for words in (("unicorn",), ("chair", "--category", "unicorn")):
-        none = command(tmp_path, "fetch", web, "--category", *words, "--out", "none")
+    for category in (("unicorn",), ("chair", "--category", "unicorn")):
+        none = command(tmp_path, "fetch", web, "--category", *category, "--out", "none")
         assert none.status == 2 and "no pair of that split and category (unicorn);" in none.err
         assert not (tmp_path / "none").exists()
     assert command(tmp_path, "fetch", f"{web}/none").status == 1

@@ -109,7 +109,7 @@ FORGED: dict[str, tuple[Callable[[Path], None], str]] = {
         f"{PAIR}: occupancy_rule is 'x[?]', which",
     ),
     "known is cut": (
-        forged_pair(lambda pair: replace(pair, known=pair.known & 0xF0)),
+        forged_pair(lambda pair: replace(pair, known=pair.known & np.uint8(0xF0))),
         f"{PAIR}: [0-9]+ cells of 'known' are not as its volume.npz has them",
     ),
     "interior is made up": (

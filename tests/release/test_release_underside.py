@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from synthetic_release import synthetic_settings, write_json
+from typed import model_of
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo, SettingsInfo
 from kinectbench.core.artefacts.object import QualityFile
@@ -59,7 +60,7 @@ def test_one_line_says_whose_word_it_is(words: tuple[Underside | None], begins: 
 
 def test_card_and_datasheet_say_it() -> None:
     infos = {"a": recording("closed", 0.125), "b": recording("unseen", 0.0), "c": recording(None)}
-    card = card_figures(ReleaseInfo.model_construct(recordings=infos))
+    card = card_figures(model_of(ReleaseInfo, recordings=infos))
     table = card.splitlines()
     assert table[0].endswith("| seen from below only, of the solid | underside, as stated |")
     assert table[2].endswith("| 12.5 % | closed |") and table[4].endswith("|  |  |")
@@ -85,7 +86,7 @@ def test_each_recording_of_a_release_has_its_word_and_a_hidden_one_has_none() ->
 
 def test_it_is_made_again_with_these_words_though_a_category_is_missing(tmp_path: Path) -> None:
     stated = SettingsInfo.model_validate(_public_settings(settings_by_category(), (), []))
-    info = ReleaseInfo.model_construct(name="x", license="CC0-1.0", package_version="1", settings=stated)
+    info = model_of(ReleaseInfo, name="x", license="CC0-1.0", package_version="1", settings=stated)
     again = _settings(info, {"chair_02": LocalRecording(tmp_path)}, {"chair_02"})
     assert [again.underside_of(each) for each in again.recordings] == ["closed"]
 

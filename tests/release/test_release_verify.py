@@ -44,6 +44,11 @@ def change_target(folder: Path) -> None:
     )
 
 
+def card_lost_and_a_link_more(folder: Path) -> None:
+    (folder / "README.md").unlink()
+    (folder / "out").symlink_to("/")
+
+
 def link(folder: Path) -> None:
     (folder / "README.md").unlink()
     (folder / "README.md").symlink_to("targets.csv")
@@ -85,7 +90,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
     ),
     "link": (link, ["README.md: changed since it was published (SHA-256 differs)"]),
     "missing card and a link more": (
-        lambda folder: ((folder / "README.md").unlink(), (folder / "out").symlink_to("/")),
+        card_lost_and_a_link_more,
         ["README.md: missing", "out: not part of the release"],
     ),
     "benchmark.json": (

@@ -98,7 +98,7 @@ def test_sound_recordings_are_accepted_and_limits_reject(tmp_path: Path) -> None
     assert _row(triage(settings(), built(tmp_path), [NAME])).decision == "accept"
     row = _row(triage(settings(), built(tmp_path, estimated_known_iou=0.65), [NAME]))
     assert row.decision == "reject" and row.reasons[0].startswith("estimated IoU on known voxels 0.65, less")
-    unsure = {"estimated_known_iou": 0.9, "estimated_known_iou_low": 0.6}
+    unsure: dict[str, Any] = {"estimated_known_iou": 0.9, "estimated_known_iou_low": 0.6}
     row = _row(triage(settings(), built(tmp_path, "not good", **unsure), [NAME]))
     assert row.decision == "reject" and row.reasons[0].startswith("lower end of the estimated IoU on known")
     # Of a build without that estimate the whole solid's counts.

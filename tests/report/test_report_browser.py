@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from headless import Browser, find_chromium
+from read_pictures import decoded_picture
 from synthetic_release import ball
 
 from kinectbench.core.voxels.pair_file import read_pair, unpack
@@ -61,8 +62,7 @@ def no_errors(browser: Browser) -> Iterator[None]:
 def picture(browser: Browser, pane: int) -> np.ndarray:
     """One picture of the first card: (h, w, 4) as drawn."""
     uri = browser.evaluate(f"{CARD}.querySelectorAll('canvas')[{pane}].toDataURL('image/png')")
-    data = np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8)
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+    return decoded_picture(base64.b64decode(uri.partition(",")[2]), cv2.IMREAD_UNCHANGED)
 
 
 def show(browser: Browser, **choices: str) -> None:
@@ -91,7 +91,8 @@ def test_a_pair_turns(browser: Browser) -> None:
         f"(() => {{ const b = {CARD}.querySelector('canvas').getBoundingClientRect();"
         "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
     )
-    browser.drag(*box, 80, 30)
+    x, y = box
+    browser.drag(x, y, 80, 30)
     browser.wait_for(f"{CARD}.dataset.azimuth !== '{start:g}'")
     assert azimuth(browser) == pytest.approx(start + 40)
     assert float(browser.evaluate(f"{CARD}.dataset.elevation")) == pytest.approx(33)

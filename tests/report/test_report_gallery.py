@@ -6,11 +6,12 @@ import json
 import re
 import zlib
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from raising import raises
+from read_pictures import decoded_picture
 from report_fake_build import parsed_tables
 from synthetic_release import RECORDINGS, ball, synthetic_settings, write_build
 
@@ -124,11 +125,11 @@ def test_a_strangers_file_is_one_line(tmp_path: Path, kind: str) -> None:
 
 
 def truth(seed: int, category: str = "chair") -> PairTruth:
-    grids = (cells(seed + k) for k in range(4))
-    return PairTruth(category, "thing", np.array([0, -1.0, 0]), *grids)
+    first, second, third, fourth = (cells(seed + k) for k in range(4))
+    return PairTruth(category, "thing", np.array([0, -1.0, 0]), first, second, third, fourth)
 
 
-def scored(method: str, names: list[str]) -> dict:
+def scored(method: str, names: list[str]) -> dict[str, Any]:
     rows = [
         {"recording": n.split("/")[0], "object": "thing", "view": n.split("/")[1], "category": "chair",
          "protocol": "known", "iou": 0.5, "threshold": 0.35} for n in names
@@ -181,7 +182,8 @@ def test_truth_of_a_pair(release: Release) -> None:
 def test_a_pair_has_its_view_with_colour_where_that_is_published(release: Release, tmp_path: Path) -> None:
     def size(of: Release) -> tuple[int, ...]:
         text = read_pair_truth(of, of.split("test")[0]).picture.removeprefix("data:image/jpeg;base64,")
-        return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR).shape
+        size: tuple[int, ...] = decoded_picture(base64.b64decode(text)).shape
+        return size
 
     assert size(release) == (6, 8, 3)
     write_build(tmp_path / "build")

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from raising import raises
+from read_pictures import decoded_picture
 from report_fake_build import T_FLOOR_WORLD, cameras_floor, make_pair
 
 from kinectbench.core import images, pictures
@@ -29,7 +30,8 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Tr
 
 def drawn(picture: np.ndarray) -> np.ndarray:
     """Which pixels are not paper."""
-    return (np.abs(picture.astype(int) - np.array(pictures.PAPER)) > 8).any(axis=-1)
+    drawn: np.ndarray = (np.abs(picture.astype(int) - np.array(pictures.PAPER)) > 8).any(axis=-1)
+    return drawn
 
 
 def test_look_along_is_right_handed_with_down_below() -> None:
@@ -149,7 +151,7 @@ def test_data_uri_keeps_red_red_and_shrinking_keeps_the_shape() -> None:
     small = images.shrunk(red, 32)
     assert small.shape == (16, 32, 3) and images.shrunk(red, 128) is red
     encoded = base64.b64decode(images.data_uri(small).partition(",")[2])
-    bgr = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
+    bgr = decoded_picture(encoded)
     assert bgr[8, 16, 2] > 240 and bgr[8, 16, 0] < 12
 
 

@@ -79,7 +79,7 @@ def test_time_runs_from_blue_to_orange() -> None:
         ([], [0, 1, 2, 3], []),
     ],
 )
-def test_place_of_frames_left_out(rejected: list[int], rows: list[int], expected: list) -> None:
+def test_place_of_frames_left_out(rejected: list[int], rows: list[int], expected: list[list[float]]) -> None:
     cameras = np.repeat(np.eye(4)[None], len(rows), axis=0)
     cameras[:, 0, 3] = rows
     health = health_of(4, rejected=[RejectedFrame(frame=frame) for frame in rejected])

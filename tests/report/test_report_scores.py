@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,15 +20,17 @@ from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.counts import THRESHOLDS
 
 
-def made(method: str, iou: float | None, ce: float | None, interval: list[float] | None = None) -> dict:
+def made(
+    method: str, iou: float | None, ce: float | None, interval: list[float] | None = None
+) -> dict[str, Any]:
     chair = {"iou": iou, "ce": ce, "base_rate_ce": 0.26, "intervals": {"iou": interval, "ce": None}}
     return {"method": method, "by_category": {"known": {"chair": chair}}, "overall": {"known": chair}}
 
 
-def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None = None) -> dict:
+def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None = None) -> dict[str, Any]:
     """Pairs `chair_<n>/000`; coverage of `known` is 0.8, of `occluded` as given."""
 
-    def row(name: str, protocol: str, iou: float, coverage: float) -> dict:
+    def row(name: str, protocol: str, iou: float, coverage: float) -> dict[str, Any]:
         recording, view = name.split("/")
         return {"recording": recording, "view": view, "object": recording, "category": "chair",
                 "protocol": protocol, "threshold": 0.5, "iou": iou, "coverage_shape": coverage}  # fmt: skip
@@ -229,7 +232,7 @@ def test_damaged_files_are_one_line(tmp_path: Path, content: bytes) -> None:
 def ranked_file(folder: Path, name: str, gain: float, objects: int = 8) -> Path:
     """A whole scores.json: one view of each object."""
 
-    def row(thing: int) -> dict:
+    def row(thing: int) -> dict[str, Any]:
         iou = 0.4 + gain + (thing % 3) / 100
         return {"recording": f"c{thing}", "object": f"c{thing}", "view": "000", "category": "chair",
                 "protocol": "known", "threshold": 0.5, "iou": iou, "ce": 0.1, "precision": 0.5, "recall": 0.5,

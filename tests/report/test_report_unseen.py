@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 import pytest
+from read_pictures import decoded_picture
 from report_fake_build import FRONTIER, cameras_floor
 
 from kinectbench.core import pictures
@@ -93,7 +93,7 @@ def test_the_far_side_of_a_thin_wall_was_not_seen() -> None:
         np.zeros(labels.shape, bool),
     )
     upward = np.array([[0.0, 0, 0], [0.06, 0, 0], [0, 0.06, 0]])
-    corners = []
+    corners: list[np.ndarray] = []
     for x in (0.22, 0.72):
         corners.extend((upward + np.array([x, 0.5, 0.6]), upward[[0, 2, 1]] + np.array([x, 0.5, 0.4])))
     faces = np.arange(12, dtype=np.int32).reshape(4, 3)
@@ -111,8 +111,7 @@ def test_a_surface_at_the_edge_of_the_grid() -> None:
 
 
 def decoded(side: unseen.ObjectPicture) -> np.ndarray:
-    data = np.frombuffer(base64.b64decode(side.picture.partition(",")[2]), np.uint8)
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1].astype(int)
+    return decoded_picture(base64.b64decode(side.picture.partition(",")[2]))[..., ::-1].astype(int)
 
 
 def share(picture: np.ndarray, color: str) -> float:
@@ -128,7 +127,8 @@ def share(picture: np.ndarray, color: str) -> float:
 
 def test_what_nobody_saw_is_orange_and_an_arrow_shows_from_where() -> None:
     box = box_mesh(OrientedBox((0, 0, 0.5), (1.0, 1.0, 1.0), 0.0))
-    normals = np.cross(*(box.vertices[box.faces[:, k]] - box.vertices[box.faces[:, 0]] for k in (1, 2)))
+    first, second = (box.vertices[box.faces[:, k]] - box.vertices[box.faces[:, 0]] for k in (1, 2))
+    normals = np.cross(first, second)
     top = normals[:, 2] > 0.5
     assert top.sum() == 2
     plain = unseen.object_pictures(box, np.zeros(12, bool), ())
@@ -165,7 +165,9 @@ def test_an_arrow_from_behind_is_left_out() -> None:
         ((0.0, 0.0, -1.0), (-50.0, -40.0)),
     ],
 )
-def test_from_where_a_frontier_is_drawn(look_from: tuple, expected: tuple) -> None:
+def test_from_where_a_frontier_is_drawn(
+    look_from: tuple[float, float, float], expected: tuple[float, float]
+) -> None:
     assert unseen._look_deg(frontier(look_from=look_from)) == pytest.approx(expected, abs=0.01)
 
 

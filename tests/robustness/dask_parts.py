@@ -95,8 +95,8 @@ def dask(
                 script = folder / f"preload{number}.py"
                 script.write_text(worker.preload)
                 words += ["--preload", str(script)]
-            how = {"file": file, "variables": more, "before": worker.before}
-            nannies.append(stack.enter_context(running("worker", *words, **how)))
+            part = running("worker", *words, file=file, variables=more, before=worker.before)
+            nannies.append(stack.enter_context(part))
         yield Parts(file, scheduler, nannies)
 
 
@@ -106,9 +106,13 @@ def running(
 ) -> Iterator["subprocess.Popen[bytes]"]:
     """A part of the cluster as a process of its own; it is ended, however it is."""
     command = [*before, sys.executable, "-m", f"distributed.cli.dask_{part}", "--scheduler-file", str(file)]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     try:
-        process = subprocess.Popen([*command, *words], env={**os.environ, **variables}, **quiet)
+        process = subprocess.Popen(
+            [*command, *words],
+            env={**os.environ, **variables},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
     except FileNotFoundError as error:
         raise NotHereError(f"no {before[0]}") from error
     with process:

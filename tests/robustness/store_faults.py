@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cluster_ways import held_against_there, store_variables
-from fault_proxy import Choose, FaultProxy, for_a_while
+from fault_proxy import Choose, Fault, FaultProxy, for_a_while
 from fault_rows import Became, Bench, Row, Run, check, ended, told_by, variables_set
 from figures import Figure, at_most, told
 from full_disk import mounted
@@ -113,7 +113,7 @@ def failing(choose: Callable[[], Choose]) -> Row:
     return row
 
 
-def some(fault: str, share: float) -> Choose:
+def some(fault: Fault, share: float) -> Choose:
     draw = random.Random(0)
     return lambda number, method, path: fault if draw.random() < share else ""
 

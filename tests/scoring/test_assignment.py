@@ -15,7 +15,8 @@ MANY = 16_384
 
 def shell(count: int, seed: int) -> Float64:
     points: Float64 = np.random.default_rng(seed).normal(size=(count, 3))
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
+    shell: Float64 = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return shell
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 0.05, 3.0])

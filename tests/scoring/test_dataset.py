@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fuzz.releases import seal
 from raising import raises
+from read_pictures import read_picture
 from small_benchmark import hashes
 from synthetic_release import synthetic_settings, write_build
 
@@ -53,8 +54,8 @@ def test_one_pair_at_a_time(release: Release) -> None:
 
 def test_images_of_the_view(release: Release) -> None:
     item = kinectbench.load(release.folder, keys=("depth", "mask"))[0]
-    png = str(release.folder / "views/chair_01/000.depth.png")
-    depth_mm = cv2.imread(png, cv2.IMREAD_UNCHANGED)
+    png = release.folder / "views/chair_01/000.depth.png"
+    depth_mm = read_picture(png, cv2.IMREAD_UNCHANGED)
     assert item["depth"].dtype == np.float32 and item["mask"].dtype == np.bool_
     np.testing.assert_allclose(item["depth"], depth_mm / 1000, rtol=1e-6)
     assert item["mask"].sum() == 8 and item["mask"][2:4, 2:6].all()

@@ -91,7 +91,7 @@ def test_a_similarity_by_view_puts_each_prediction_back(published: Release, tmp_
         true = true_shape(target)
         T = rigid(np.eye(3), true.points_m.mean(axis=0)) @ np.diag([0.3 + number / 10] * 3 + [1.0])
         matrices[target.name] = T.tolist()
-        own = true.transformed(np.linalg.inv(T @ flip))
+        own = true.transformed(np.asarray(np.linalg.inv(T @ flip)))
         for k in range(2):
             write_shape(own, tmp_path / target.recording / f"{target.view}.{k}")
     declared = {"name": "net", "frame": "camera", "axes": "opengl", "unit": "free", "hypotheses": 2}

@@ -94,7 +94,7 @@ def test_no_assignment_of_signs_counts_in_both_tails(count: int) -> None:
     assert sign_flip_p(np.append(balanced, 1e-16)) == 1
     assert sign_flip_p(np.array([0.1, 0.2, -0.3])) == 1  # sums to 3e-17
     # many ties, many sums of 0
-    found = sign_flip_ps(np.random.default_rng(5).integers(-2, 3, (9, count)) * 0.1)
+    found = sign_flip_ps(np.random.default_rng(5).integers(-2, 3, (9, count)) * np.float64(0.1))
     assert min(found) > 0
     assert max(found) <= 1
 

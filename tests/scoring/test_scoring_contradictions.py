@@ -185,7 +185,7 @@ REFUSED |= {
 @pytest.mark.parametrize("name", list(REFUSED))
 def test_what_cannot_be_true_is_refused(net: Path, tmp_path: Path, name: str) -> None:
     edit, words = REFUSED[name]
-    path = changed(net, tmp_path / "scores.json", lambda of: edit(of) and None)
+    path = changed(net, tmp_path / "scores.json", edit)
     with raises(StorageError, "storage.damaged", match=r"\S*scores\.json") as caught:
         read_table(path)
     assert words in str(caught.value) and "\n" not in str(caught.value)
@@ -228,7 +228,7 @@ def test_what_is_not_of_the_release_is_not_on_its_page(
     net: Path, release: Release, tmp_path: Path, name: str
 ) -> None:
     edit, words = NOT_OF_THE_RELEASE[name]
-    path = changed(net, tmp_path / "scores.json", lambda of: edit(of) and None)
+    path = changed(net, tmp_path / "scores.json", edit)
     assert read_table(path).standing == "reported"
     with pytest.raises(SettingsError) as caught:
         page_of_release(release, [path], tmp_path / "page.html")
@@ -263,7 +263,7 @@ SAID_OTHERWISE: dict[str, tuple[Edit, str]] = {
 @pytest.mark.parametrize("name", list(SAID_OTHERWISE))
 def test_methods_agree_on_the_truth(net: Path, tmp_path: Path, name: str) -> None:
     edit, words = SAID_OTHERWISE[name]
-    forged = read_table(changed(net, tmp_path / "scores.json", lambda of: edit(of) and None))
+    forged = read_table(changed(net, tmp_path / "scores.json", edit))
     with raises(SettingsError, "settings.other-scores", match=words):
         compare([read_table(net / "scores" / "scores.json"), forged])
 
@@ -286,7 +286,7 @@ CONSISTENT: dict[str, Edit] = {
 
 @pytest.mark.parametrize("name", list(CONSISTENT))
 def test_what_is_consistent_is_only_reported(net: Path, release: Release, tmp_path: Path, name: str) -> None:
-    path = changed(net, tmp_path / "scores.json", lambda of: CONSISTENT[name](of) and None)
+    path = changed(net, tmp_path / "scores.json", CONSISTENT[name])
     assert read_table(path).standing == "reported"
     page, _ = page_of_release(release, [path], tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")

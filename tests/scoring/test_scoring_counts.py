@@ -85,7 +85,8 @@ def test_same_as_plain_numpy(name: str, grids: tuple[Bools, Bools, Bools]) -> No
     assert set(masks) == set(USUAL) and set(less) == {"measured", "known-unsaid"}
     for protocol, mask in masks.items():
         counts = protocol_counts(less.get(protocol, counted), protocol)
-        assert (counts.voxels, counts.occupied) == (np.count_nonzero(mask), np.count_nonzero(full & mask))
+        assert counts.voxels == np.count_nonzero(mask)
+        assert counts.occupied == np.count_nonzero(full & mask)
         for step in {"paper": (0, 16), "occluded": (4, 9)}.get(protocol, (5,)):
             above = (y > THRESHOLDS[step]) & mask
             assert counts.predicted[step] == np.count_nonzero(above)
@@ -167,7 +168,7 @@ def test_a_coarser_grid_has_the_occupied_shares_of_its_cells(
     full, step = grids[0], SIDE // side
     plain = full.reshape(side, step, side, step, side, step).mean(axis=(1, 3, 5), dtype=np.float64)
     found = reduced(full, side)
-    assert (found.dtype, found.shape, found.flags.c_contiguous) == (np.float32, (side,) * 3, True)
+    assert found.dtype == np.float32 and found.shape == (side,) * 3 and found.flags.c_contiguous
     assert (found == plain).all()
 
 

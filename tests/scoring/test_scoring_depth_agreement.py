@@ -125,10 +125,8 @@ def test_every_wrong_unit_and_axis_is_named(number: int) -> None:
 
 def test_the_key_that_mends_a_slip_is_named() -> None:
     """Units and axes are those that the file must have, whatever is declared now."""
-    mm, opengl = (
-        MethodFile(name="net", frame="camera", unit=unit, axes=axes)
-        for unit, axes in (("mm", "cv"), ("m", "opengl"))
-    )
+    mm = MethodFile(name="net", frame="camera", unit="mm", axes="cv")
+    opengl = MethodFile(name="net", frame="camera", unit="m", axes="opengl")
     far, near, *others = UNITS.values()
     assert remedy(far, AS_USUAL) == "'unit': 'mm'" and remedy(near, mm) == "'unit': 'm'"
     assert remedy(AXES[-1, -1, 1], AS_USUAL) == "'axes': 'pytorch3d'"

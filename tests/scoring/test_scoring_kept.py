@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from raising import raises
 from small_benchmark import Run
+from typed import noted
 
 from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import StorageError
@@ -66,8 +67,7 @@ def test_a_sound_journal_is_used(
     release: Release, predictions: Path, journal: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     again: list[object] = []
-    plain = pair_result.count
-    monkeypatch.setattr(pair_result, "count", lambda *values: again.append(1) or plain(*values))
+    monkeypatch.setattr(pair_result, "count", noted(pair_result.count, again))
     kept = score(release, predictions, method="half", surface=False, resume_in=journal.parent)
     assert len(again) == 1 + LEAST_CHECKED and not journal.exists()
     assert kept.text() == score(release, predictions, method="half", surface=False).text()

@@ -76,7 +76,7 @@ def test_what_is_no_probability_is_not_packed() -> None:
 
 GOOD_LEVELS = np.array([0.0, 0.3, 1.0], np.float16)
 GOOD_CODES = np.full((4, 4, 4), 2, np.uint8)
-WRONG = {
+WRONG: dict[str, tuple[np.ndarray, np.ndarray, str]] = {
     "a code too many": (GOOD_LEVELS[:2], GOOD_CODES, r"2 in codes at \(0, 0, 0\): there are 2 levels"),
     "no level": (GOOD_LEVELS[:0], GOOD_CODES, "levels must be 1 to 256 of float16 or float32"),
     "many levels": (np.zeros(257, np.float16), GOOD_CODES, "levels must be 1 to 256"),

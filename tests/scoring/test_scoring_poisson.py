@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from raising import raises
+from typed import present
 
 from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import PredictionError, SettingsError
@@ -50,13 +51,13 @@ def test_a_ball_that_lacks_a_part_is_whole_again(form: str, lost: float) -> None
     shape = CameraShape("mesh", np.asarray(whole.vertices), faces[:, ::-1] if form == "inside out" else faces)
     surface = surface_of(shape)
     if form == "points":
-        shape = CameraShape("points", surface.points_m[::3], NONE, 5 * surface.normals[::3])
+        shape = CameraShape("points", surface.points_m[::3], NONE, 5 * present(surface.normals)[::3])
         surface = surface_of(shape)
-    made, again = (to_be_closed(shape, surface, "poisson") for _ in range(2))
+    made, again = (present(to_be_closed(shape, surface, "poisson")) for _ in range(2))
     assert made.points_m.tobytes() == again.points_m.tobytes() and (made.faces == again.faces).all()
     mesh = closed_mesh(made)
     assert mesh is not None
-    found = unpack(solid_in(nothing(), made, mesh, np.eye(4)).cells)
+    found = unpack(present(solid_in(nothing(), made, mesh, np.eye(4))).cells)
     true = unpack(voxelize_solid(np.asarray(whole.vertices), whole.faces.astype(np.int32), GRID))
     assert (found & true).sum() / (found | true).sum() > LEAST[lost]
 
@@ -72,7 +73,7 @@ def test_points_without_normals_or_at_one_place_have_no_inside(normals: np.ndarr
 def test_a_soup_takes_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = np.random.default_rng(0).random((60_000, 3))
     soup = CameraShape("mesh", corners, np.arange(60_000).reshape(-1, 3))
-    made = to_be_closed(soup, surface_of(soup), "poisson")
+    made = present(to_be_closed(soup, surface_of(soup), "poisson"))
     # Cells of 1/64 of the shape have at most so many; it stays open, and counts as one that winding closes.
     assert len(made.faces) < 64**3 and closed_mesh(made) is None
     monkeypatch.setattr(winding, "MOST_STEPS", 10_000)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from raising import raises
 from synthetic_release import publish_synthetic, told_pair
+from typed import present
 
 import kinectbench
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
@@ -83,7 +84,8 @@ def test_rows_are_those_of_their_masks(told: Release, scores: Path) -> None:
                 read_packed_truth(path, target.sha256, ("interior", "said")).known, plain.known
             )
             assert row.iou == pytest.approx(iou(scores / "moved", target.name, again, row.threshold))
-    by = {protocol: table.overall[protocol].coverage_shape for protocol in table.settings.protocols}
+    by = {name: present(each.coverage_shape) for name, each in present(table.overall).items()}
+    assert set(by) == set(table.settings.protocols)
     assert by["measured"] < by["known-unsaid"] < by["known"] < by["paper"]
 
 

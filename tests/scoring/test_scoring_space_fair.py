@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,9 +117,7 @@ def test_noise_in_cells_is_refused_before_it_takes_memory(monkeypatch: pytest.Mo
         ),
     ],
 )
-def test_files_that_would_end_a_run_are_one_line(
-    tmp_path: Path, arrays: dict[str, np.ndarray], says: str
-) -> None:
+def test_files_that_would_end_a_run_are_one_line(tmp_path: Path, arrays: dict[str, Any], says: str) -> None:
     np.savez_compressed(tmp_path / "000.npz", **arrays)
     with pytest.raises(PredictionError, match=says):
         read_shape(tmp_path / "000.npz", "chair/000")

@@ -9,6 +9,7 @@ import socket
 import tracemalloc
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,16 +18,17 @@ from bounds import within
 from hypothesis import given, settings
 from prediction_bytes import FILES, good_files, read_one
 from raising import raises
+from typed import present
 
 from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import PredictionError, StorageError
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
+from kinectbench.scoring.declared import NAMED
 from kinectbench.scoring.pair_result import Counting, Journal, PairJob, count_job
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import (
-    NAMED,
     check,
     check_method,
     find_predictions,
@@ -149,7 +151,7 @@ def test_a_submitted_mesh_is_scored(release: Release, tmp_path: Path) -> None:
     assert table.complete
     row = table.rows[0]
     assert (row.recording, row.view, row.cells) == (target.recording, target.view, 256)
-    assert row.iou > 0.99
+    assert present(row.iou) > 0.99
 
 
 def test_what_is_wrong_with_a_folder_is_told_at_once(release: Release, tmp_path: Path) -> None:
@@ -301,7 +303,7 @@ def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_p
     written = (tmp_path / JOURNAL).read_text()
     tally = {name: values.tolist() for name, values in vars(result.tally).items()}
     surface = {protocol: asdict(values) for protocol, values in result.surface.items()}
-    plain = {
+    plain: dict[str, Any] = {
         "pair": target.name,
         "key": job.key(result.digest),
         "result": {**vars(result), "tally": tally, "surface": surface},
@@ -317,7 +319,8 @@ def test_the_journal_keeps_every_bit_and_no_damaged_line(release: Release, tmp_p
         for voxels in ([1, 2, 3], None, ["1"] * 8, [0.5] * 8, [10**30] * 8)
     ]
     results.append(plain["result"] | {"cells": "8"})
-    for damaged in ({}, [], *(plain | {"result": result} for result in results)):
+    lines: list[object] = [{}, [], *(plain | {"result": result} for result in results)]
+    for damaged in lines:
         (tmp_path / JOURNAL).write_text(json.dumps(damaged) + "\n")
         assert Journal(tmp_path).earlier(target.name) is None
 

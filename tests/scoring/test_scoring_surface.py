@@ -10,10 +10,11 @@ from references import upsample
 from score_surfaces import surface_of, surface_reference
 from synthetic_release import ball
 
+from kinectbench.core.artefacts.score_figures import SurfaceMetrics
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack, unpack
 from kinectbench.scoring.counts import occupied
-from kinectbench.scoring.surface import SAME, SurfaceMetrics, size_cells, surface_metrics
+from kinectbench.scoring.surface import SAME, size_cells, surface_metrics
 from kinectbench.scoring.surface_kernels import cells_of, moments, nearest_cells, normal_agreement
 from kinectbench.scoring.truth import PackedTruth
 
@@ -164,7 +165,7 @@ def test_occupied_compares_in_float64(threshold: float, dtype: type[np.generic])
     y[0, 0, : len(near)] = near.astype(dtype)
     y[0, 1, :5] = values.astype(dtype)
     y[0, 2, 0] = dtype(-0.0)
-    np.testing.assert_array_equal(unpack(occupied(y, threshold)), y.astype(np.float64) > threshold)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(unpack(occupied(y, threshold)), y.astype(np.float64) > threshold)
 
 
 def test_occupied_of_a_small_cube() -> None:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from raising import raises
+from references import shell_of
 from rich.console import Console
-from synthetic_release import Recordings, shell_of, synthetic_pair, synthetic_settings, write_build
+from synthetic_release import Recordings, synthetic_pair, synthetic_settings, write_build
 
 from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.counted import Tally

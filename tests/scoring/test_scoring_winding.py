@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from raising import raises
+from typed import present
 
 from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import SettingsError
@@ -55,7 +56,7 @@ def test_the_cells_are_those_of_the_plain_sum(kind: str) -> None:
         )
     elif kind == "one triangle":
         faces = faces[:1]
-    found, outside = inside_winding(vertices, np.ascontiguousarray(faces), SIDE)
+    found, outside = present(inside_winding(vertices, np.ascontiguousarray(faces), SIDE))
     cells = np.random.default_rng(0).integers(0, SIDE, (1500, 3))
     numbers = np.abs(np.concatenate([plain(vertices, faces, p + 0.5) for p in np.array_split(cells, 10)]))
     low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
@@ -69,8 +70,8 @@ def test_the_cells_are_those_of_the_plain_sum(kind: str) -> None:
 
 def test_volume_outside_the_grid_counts() -> None:
     vertices, faces = ball(11.0)
-    whole = inside_winding(vertices, faces, SIDE)[0].sum()
-    half, outside = inside_winding(vertices + np.array([SIDE / 2, 0, 0]), faces, SIDE)
+    whole = present(inside_winding(vertices, faces, SIDE))[0].sum()
+    half, outside = present(inside_winding(vertices + np.array([SIDE / 2, 0, 0]), faces, SIDE))
     assert half.sum() == pytest.approx(whole / 2, rel=0.02) and outside == pytest.approx(whole / 2, rel=0.05)
 
 

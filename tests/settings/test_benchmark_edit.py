@@ -32,7 +32,7 @@ recordings:
 
 @pytest.mark.parametrize("text", [BLOCK, FLOW, BLOCK.rstrip("\n")])
 @pytest.mark.parametrize("recording", ["a", "b"])
-def test_put_in(text, recording):
+def test_put_in(text: str, recording: str) -> None:
     changed = with_box(text, "x.yaml", recording, BOX)
     box = BoxSettings.model_validate(BOX.json_value())
     assert parse_benchmark(changed, "x.yaml").by_id()[recording].box == box
@@ -49,7 +49,7 @@ def test_put_in(text, recording):
         "    box:\n      center_m: [9, 9, 9]\n      size_m: [1, 1, 1]\n",
     ],
 )
-def test_replaced(old):
+def test_replaced(old: str) -> None:
     text = BLOCK.replace("    path: rec/a\n", "    path: rec/a\n" + old)
     once = with_box(text, "x.yaml", "a", BOX)
     assert "9" not in once and "# mine" in once
@@ -58,7 +58,7 @@ def test_replaced(old):
     assert ("# by hand" in once) == ("# by hand" in old)
 
 
-def test_what_cannot_be_changed_safely_is_told():
+def test_what_cannot_be_changed_safely_is_told() -> None:
     shared = """\
 name: two
 recordings:

@@ -86,11 +86,11 @@ def true_depth_m(category: str, view: int) -> NDArray[np.float32]:
 def surface_distance_m(category: str, points_floor: Float64) -> Float64:
     """How far points (n, 3) are from the true surface, metres, by formula."""
     if is_ball(category):
-        return np.abs(np.linalg.norm(points_floor - np.array(CENTER_M), axis=1) - RADIUS_M)
+        return np.asarray(np.abs(np.linalg.norm(points_floor - np.array(CENTER_M), axis=1) - RADIUS_M))
     low, high = points_floor - np.array(BOX_LOW), np.array(BOX_HIGH) - points_floor
     outside = np.linalg.norm(np.maximum(np.maximum(-low, -high), 0), axis=1)
     inside = np.minimum(low, high).min(axis=1)
-    return np.where(outside > 0, outside, np.maximum(inside, 0))
+    return np.asarray(np.where(outside > 0, outside, np.maximum(inside, 0)))
 
 
 def true_pair(category: str, index: int, view: int, mesh: TriangleMesh, framing: str = "object") -> Pair:

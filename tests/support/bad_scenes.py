@@ -1,6 +1,7 @@
 """Small analytic recordings with something wrong in them: a box on a floor, seen by 160 x 120 pixels."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from analytic_scenes import CAMERA, Surface, box, depth_of, plane, ring, sequence_of, trajectory_of
@@ -25,7 +26,7 @@ SMALL = Camera(160, 120, 131.25, 131.25, 79.5, 59.5)
 FUSION = FusionSettings(voxel_size_m=0.01, scene_voxel_size_m=0.02)
 SEGMENTATION = SegmentationSettings()
 # Resolves gaps of a finger's breadth.
-FINE = {"camera": CAMERA, "fusion": FusionSettings(voxel_size_m=0.01, max_depth_m=2.2)}
+FINE: dict[str, Any] = {"camera": CAMERA, "fusion": FusionSettings(voxel_size_m=0.01, max_depth_m=2.2)}
 FLOOR = plane((0, 0, 1), 0.0)
 OBJECT = box((-0.2, -0.15, 0.0), (0.2, 0.15, 0.5))
 AROUND = ring(24, 1.4, (0.0, 0.0, 0.25), (0.4, 0.7))
@@ -55,6 +56,7 @@ class Recorded:
     def coverage_report_of(
         self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0
     ) -> CoverageReport:
+        assert FUSION.voxel_size_m is not None
         grid = object_grid(chosen.box, chosen.floor, FUSION.voxel_size_m, given=given)
         return coverage_report(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
 

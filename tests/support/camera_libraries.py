@@ -22,7 +22,8 @@ BENT = (0.1, -0.05, 0.001, 0.002, 0.01, 0.0, 0.0, 0.0)
 def depth_image(index: int, height: int, width: int) -> NDArray[np.uint16]:
     """A slanted wall, another for each frame."""
     v, u = np.mgrid[:height, :width]
-    return (1000 + u + 2 * v + 7 * index).astype(np.uint16)
+    image: NDArray[np.uint16] = (1000 + u + 2 * v + 7 * index).astype(np.uint16)
+    return image
 
 
 def rgb_image(index: int, height: int, width: int) -> NDArray[np.uint8]:
@@ -276,7 +277,7 @@ def record3d(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
             self.on_stream_stopped()
 
         def get_depth_frame(self) -> NDArray[np.float32]:
-            metres = depth_image(self.index, 256, 192).astype(np.float32) / 1000
+            metres = depth_image(self.index, 256, 192).astype(np.float32) / np.float32(1000)
             metres[0, :2] = np.nan, 60
             return metres
 

@@ -23,10 +23,10 @@ from file_damage import (
     flip,
     flip_in_tar,
     flip_in_zip,
+    forge,
     link,
     pipe,
     put,
-    resum,
     seal,
     set_corner,
     shear,
@@ -111,7 +111,7 @@ def _of_bytes(pair: str, last: str, mesh: str, depth: str) -> Iterator[Damage]:
     yield Damage("a pipe instead of a file", lambda f: pipe(f / pair), (f"{pair}: not a plain file",))
     yield Damage(
         "a pair and its checksum forged",
-        lambda f: void(flip(f / pair), resum(f, pair)),
+        lambda f: forge(f, pair),
         (
             "benchmark.json: its benchmark_sha256 is not of SHA256SUMS",
             "targets.csv, line 2: another SHA-256",
@@ -146,7 +146,7 @@ def _of_targets(count: int) -> Iterator[Damage]:
 
 def _of_archives(pair: str) -> Iterator[Damage]:
     yield Damage("a zip cut off", lambda f: cut(zipped(f)), ("release.zip: cut off or damaged",))
-    yield Damage("a tar.gz cut off", lambda f: cut(tarred(f, "gz")), ("release.tar: cut off or damaged",))
+    yield Damage("a tar.gz cut off", lambda f: cut(tarred(f, "w:gz")), ("release.tar: cut off or damaged",))
     yield Damage("a tar cut off", lambda f: cut(tarred(f)), ("release.tar: cut off or damaged",))
     yield Damage("a bit flipped in a zip", lambda f: flip_in_zip(zipped(f), pair), (f"{pair}: ",))
     yield Damage("a bit flipped in a tar", lambda f: flip_in_tar(tarred(f), pair), (CHANGED.format(pair),))

@@ -112,7 +112,8 @@ def for_a_while(seconds: float, fault: Fault = "503") -> Choose:
     started: list[float] = []
 
     def choose(number: int, method: str, path: str) -> Fault:
-        started or started.append(time.monotonic())
+        if not started:
+            started.append(time.monotonic())
         return fault if time.monotonic() - started[0] < seconds else ""
 
     return choose

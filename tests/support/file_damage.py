@@ -9,6 +9,7 @@ import tarfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -21,8 +22,14 @@ def targets(release: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def void(*_: object) -> None:
+def void(_: object) -> None:
     """For damages that are several steps."""
+
+
+def forge(release: Path, file: str) -> None:
+    """One bit flips, and the checksums are made anew."""
+    flip(release / file)
+    resum(release, file)
 
 
 def put(path: Path, content: bytes) -> None:
@@ -170,9 +177,11 @@ def zipped(
     return path
 
 
-def tarred(release: Path, packing: str = "", more: str = "", kind: bytes = tarfile.REGTYPE) -> Path:
+def tarred(
+    release: Path, packing: Literal["w", "w:gz"] = "w", more: str = "", kind: bytes = tarfile.REGTYPE
+) -> Path:
     path = release.parent / "release.tar"
-    with tarfile.open(path, f"w:{packing}") as archive:
+    with tarfile.open(path, packing) as archive:
         archive.add(release, "furniture-1.0")
         if more:
             entry = tarfile.TarInfo(more if more.startswith("/") else f"furniture-1.0/{more}")

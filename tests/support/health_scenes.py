@@ -1,5 +1,6 @@
 """Hand-made trajectories whose health is known: circles of cameras, constraints that are off, given poses."""
 
+from collections.abc import Sequence as Rows
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -9,7 +10,7 @@ from analytic_scenes import depth_of, plane, sequence_of, sphere
 from tracking_scenes import tie_at
 
 from kinectbench.core.artefacts.stored import known
-from kinectbench.core.artefacts.trajectory import GivenFigures
+from kinectbench.core.artefacts.trajectory import GivenFigures, Source
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import NO_CALIBRATION
 from kinectbench.core.sequence import Sequence
@@ -17,7 +18,7 @@ from kinectbench.stages.track.check_given import GivenCheck
 from kinectbench.stages.track.frame_check import FrameCheck
 from kinectbench.stages.track.health import health
 from kinectbench.stages.track.health_figures import median
-from kinectbench.stages.track.tracked import Constraint, Tracked
+from kinectbench.stages.track.tracked import Constraint, ConstraintKind, Tracked
 
 SMALL = Camera(80, 60, 65.625, 65.625, 39.5, 29.5)
 FLOOR = plane((0, 0, 1), -0.3)
@@ -25,6 +26,7 @@ SCENE = [sphere((0, 0, 0), 0.3), FLOOR]
 DISTANCE_M = 1.5
 # Figures are rounded to a hundredth of a millimetre.
 ROUNDED_MM = 0.006
+NOT_OFF = np.eye(4)
 
 
 def sequence_at(poses: np.ndarray, camera: Camera = SMALL) -> Sequence:
@@ -33,20 +35,26 @@ def sequence_at(poses: np.ndarray, camera: Camera = SMALL) -> Sequence:
     return sequence_of([depth_of(SCENE, camera, T) if np.isfinite(T).all() else blank for T in poses], camera)
 
 
-def constraint(poses: np.ndarray, a: int, b: int, kind: str = "odometry", **changes: object) -> Constraint:
+def constraint(
+    poses: np.ndarray,
+    a: int,
+    b: int,
+    kind: ConstraintKind = "odometry",
+    off: np.ndarray = NOT_OFF,
+    **changes: float,
+) -> Constraint:
     """A constraint that agrees with the poses; `off` (4, 4) is put behind it."""
-    off = changes.pop("off", np.eye(4))
     measured = invert_rigid(poses[a]) @ poses[b] @ off
     values = {"overlap": 0.7, "inlier_share": 0.9, "residual_m": 0.004, **changes}
     return tie_at(a, b, measured, np.eye(6), kind, **values)
 
 
-def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:
+def tracked_of(poses: np.ndarray, **changes: Any) -> Tracked:
     """Everything tracked, every second frame a keyframe with a constraint to the next one, residual 3 mm."""
     n = len(poses)
     posed = np.isfinite(poses).all(axis=(1, 2))
     keyframes = np.flatnonzero(posed & (np.arange(n) % 2 == 0))
-    values = {
+    values: dict[str, Any] = {
         "T_world_camera": poses,
         "states": tuple("tracked" if p else "lost" for p in posed),
         "reasons": {},
@@ -63,7 +71,7 @@ def tracked_of(poses: np.ndarray, **changes: object) -> Tracked:
 
 
 def check_of(
-    n: int, shift_m: float = 0.002, rejected: np.ndarray | None = None, **changes: Any
+    n: int, shift_m: float | np.ndarray = 0.002, rejected: np.ndarray | None = None, **changes: Any
 ) -> GivenCheck:
     """Frames that move by 2 mm, with a residual of 2.5 mm; distant ones by 5 mm."""
     nothing = np.zeros(n, dtype=bool)
@@ -80,7 +88,7 @@ def check_of(
         blind=nothing,
         jumps=(),
     )
-    values = {
+    values: dict[str, Any] = {
         "disagreeing": np.flatnonzero(frames.disagrees).tolist(),
         "median_shift_m": known(median(frames.shift_m)),
         "distant_shift_m": 0.005,
@@ -95,14 +103,16 @@ def check_of(
     return GivenCheck(T_given, frames, (), GivenFigures(**values), {}, NO_CALIBRATION)
 
 
-def figures_of(*args: object) -> dict[str, Any]:
+def figures_of(
+    sequence: Sequence, source: Source, tracked: Tracked, warnings: Rows[str], given: GivenCheck | None = None
+) -> dict[str, Any]:
     """The health as the file holds it."""
-    return health(*args).json_value()
+    return health(sequence, source, tracked, warnings, given).json_value()
 
 
-def closed(poses: np.ndarray, **changes: object) -> Tracked:
+def closed(poses: np.ndarray, off: np.ndarray = NOT_OFF, **changes: float) -> Tracked:
     """The tracked circle with a loop from its first to its last frames."""
     tracked = tracked_of(poses)
     last = int(tracked.keyframes[-1])
-    loop = constraint(poses, 0, last, "loop", **changes)
+    loop = constraint(poses, 0, last, "loop", off, **changes)
     return replace(tracked, constraints=(*tracked.constraints, loop))

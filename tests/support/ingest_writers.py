@@ -20,7 +20,7 @@ FX, FY, CX, CY = 60.0, 61.0, 31.5, 23.5
 START_NS = 1_305_031_107_000_000_000
 STEP_NS = 33_333_333
 STORE = get_typestore(Stores.ROS1_NOETIC)
-CAMERA = {"width": WIDTH, "height": HEIGHT, "fx": FX, "fy": FY, "cx": CX, "cy": CY}
+CAMERA: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "fx": FX, "fy": FY, "cx": CX, "cy": CY}
 
 
 def every_frame(recording: Recording) -> Iterator[RawFrame | DamagedImageError]:
@@ -30,6 +30,13 @@ def every_frame(recording: Recording) -> Iterator[RawFrame | DamagedImageError]:
             yield recording.frame(index)
         except DamagedImageError as error:
             yield error
+
+
+def whole_frames(recording: Recording) -> Iterator[RawFrame]:
+    """The frames in stamp order, one at a time; none may be damaged."""
+    for frame in every_frame(recording):
+        assert isinstance(frame, RawFrame), frame
+        yield frame
 
 
 def depth_image(index: int, scale: float = 5000.0) -> NDArray[np.uint16]:
@@ -97,7 +104,7 @@ def write_seven_scenes(folder: Path, numbers: Sequence[int] = (0, 1, 2, 3, 4)) -
         pose[:3, 3] = translation(i)
         pose[0, 1] = 0.01
         np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose)
-    np.savetxt(folder / "camera-intrinsics.txt", [[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
+    np.savetxt(folder / "camera-intrinsics.txt", np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]]))
     return folder
 
 

@@ -145,7 +145,8 @@ def _visible(
     inside = (u >= 0) & (u < CAMERA.width) & (v >= 0) & (v < CAMERA.height)
     surface_m = depth_m[np.where(inside, v, 0), np.where(inside, u, 0)]
     facing = ((T_world_camera[:3, 3] - points) * normals).sum(axis=1) > 0
-    return inside & facing & (points_camera[:, 2] < surface_m + 0.01)
+    visible: NDArray[np.bool_] = inside & facing & (points_camera[:, 2] < surface_m + 0.01)
+    return visible
 
 
 def known_build(
@@ -175,7 +176,7 @@ def known_build(
     made = {view.name: make_pair(view, sequence, shape, PairSettings()).pair for view in views}
     pairs = {name: pair for name, pair in made.items() if pair is not None}
     n = len(truth.stamps_ns)
-    health = TrajectoryHealth(source="tracked", verdict="known", grade="5 mm", frames=n, tracked=n)
+    health = TrajectoryHealth(source="tracked", verdict="known", grade="good", frames=n, tracked=n)
     build = Build(
         stamps_ns=truth.stamps_ns,
         camera=sequence.camera,

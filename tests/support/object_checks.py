@@ -1,10 +1,12 @@
 """What is checked of simulated objects: closed, of one piece, standing, thick enough, hollow, varied."""
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import open3d as o3d
 import trimesh
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from kinectbench.core.geometry import TriangleMesh
@@ -23,24 +25,28 @@ def checked(subject: Subject) -> trimesh.Trimesh:
     return trimesh.Trimesh(subject.mesh.vertices, subject.mesh.faces, process=False)
 
 
+Numbers = Sequence[float]
+
+
 def scene(subject: Subject) -> o3d.t.geometry.RaycastingScene:
     """What rays are cast at: the solid's surface."""
     found = o3d.t.geometry.RaycastingScene()
     vertices, faces = subject.mesh.vertices.astype(np.float32), subject.mesh.faces.astype(np.uint32)
-    found.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces))
+    found.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(faces))
     return found
 
 
-def reach_m(subject: Subject, origin_m, direction) -> float:
+def reach_m(subject: Subject, origin_m: ArrayLike, direction: ArrayLike) -> float:
     """Distance along one ray to the surface; infinite where it leaves."""
     ray = np.concatenate([origin_m, np.array(direction) / np.linalg.norm(direction)]).astype(np.float32)
-    return float(scene(subject).cast_rays(o3d.core.Tensor(ray[None]))["t_hit"].numpy()[0])
+    return float(scene(subject).cast_rays(o3d.core.Tensor.from_numpy(ray[None]))["t_hit"].numpy()[0])
 
 
-def is_solid(subject: Subject, points_m) -> np.ndarray:
+def is_solid(subject: Subject, points_m: ArrayLike) -> np.ndarray:
     """Whether points (n, 3) lie in the solid, (n,)."""
     points = np.atleast_2d(points_m).astype(np.float32)
-    return scene(subject).compute_occupancy(o3d.core.Tensor(points)).numpy() > 0.5
+    solid: np.ndarray = scene(subject).compute_occupancy(o3d.core.Tensor.from_numpy(points)).numpy() > 0.5
+    return solid
 
 
 def closed(mesh: TriangleMesh | trimesh.Trimesh) -> trimesh.Trimesh:
@@ -61,7 +67,9 @@ def check_closed(subject: Subject) -> trimesh.Trimesh:
     return mesh
 
 
-def check_solid(subject: Subject, low_m, high_m, litres, steady_m: float = 0.01) -> None:
+def check_solid(
+    subject: Subject, low_m: Numbers, high_m: Numbers, litres: Numbers, steady_m: float = 0.01
+) -> None:
     """One watertight piece that stands, within bounds of its size, metres, and of its volume, litres."""
     mesh = check_closed(subject)
     low, high = mesh.bounds
@@ -80,14 +88,14 @@ def check_thickness(subject: Subject, least_m: float) -> None:
     points, faces = trimesh.sample.sample_surface(mesh, 6000, seed=1)
     normals = mesh.face_normals[faces]
     rays = np.concatenate([points - 1e-5 * normals, -normals], axis=1).astype(np.float32)
-    met = scene(subject).cast_rays(o3d.core.Tensor(rays))
+    met = scene(subject).cast_rays(o3d.core.Tensor.from_numpy(rays))
     thick_m, behind = met["t_hit"].numpy(), met["primitive_normals"].numpy()
     wall = (normals * behind).sum(axis=1) < -0.9
     assert wall.mean() > 0.1
     assert (thick_m[wall] < least_m).mean() < 0.001, np.sort(thick_m[wall])[:20]
 
 
-def check_variety(family: str, seeds, taller: float) -> None:
+def check_variety(family: str, seeds: Sequence[int], taller: float) -> None:
     """Other seeds, other objects, the highest `taller` times the lowest; the same seed, the same vertices."""
     subjects = [drawn(family, seed) for seed in seeds]
     assert len({round(checked(subject).volume, 7) for subject in subjects}) == len(subjects)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.voxels.observation import Observation
@@ -43,13 +44,14 @@ class Room:
         index = np.stack(np.meshgrid(*map(np.arange, self.grid.shape), indexing="ij"), -1)
         return (index + 0.5) * self.voxel_m - [0, 0, BELOW_M]
 
-    def box_distance(self, low, high) -> np.ndarray:
+    def box_distance(self, low: ArrayLike, high: ArrayLike) -> np.ndarray:
         """Signed distance of a box, negative inside."""
-        p, middle, half = self.centers(), (np.array(low) + high) / 2, (np.array(high) - low) / 2
+        p, middle, half = self.centers(), np.add(low, high) / 2, np.subtract(high, low) / 2
         q = np.abs(p - middle) - half
-        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+        distance: np.ndarray = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+        return distance
 
-    def within(self, low, high) -> np.ndarray:
+    def within(self, low: ArrayLike, high: ArrayLike) -> np.ndarray:
         """The voxels whose middle lies in a box, bool."""
         return self.box_distance(low, high) < 0
 

@@ -34,7 +34,8 @@ def doubled(x: Grid, weights: Grid, bias: Grid) -> Grid:
 
 def pooled(x: Grid) -> Grid:
     n = len(x) // 2
-    return x.reshape(n, 2, n, 2, n, 2, -1).max(axis=(1, 3, 5))
+    pooled: Grid = x.reshape(n, 2, n, 2, n, 2, -1).max(axis=(1, 3, 5))
+    return pooled
 
 
 def plain_generator(tensors: Tensors, partial: NDArray[np.bool_]) -> Grid:
@@ -68,7 +69,7 @@ def _strided(x: Grid, weights: Grid, bias: NDArray[np.float32]) -> Grid:
     sides = [-(-n // 2) for n in x.shape[:3]]
     total = [(side - 1) * 2 + 4 - n for side, n in zip(sides, x.shape[:3], strict=True)]
     padded = np.pad(x, [(count // 2, count - count // 2) for count in total] + [(0, 0)])
-    out = np.zeros((*sides, weights.shape[-1])) + bias
+    out: Grid = np.zeros((*sides, weights.shape[-1])) + bias
     for i, j, k in product(range(4), repeat=3):
         a, b, c = (slice(s, s + 2 * side - 1, 2) for s, side in zip((i, j, k), sides, strict=True))
         out += padded[a, b, c] @ weights[i, j, k]

@@ -66,7 +66,8 @@ def npy_bytes(draw: st.DrawFn) -> bytes:
     length = draw(st.sampled_from([len(header), 0, len(header) + 1, 2 ** (8 * width) - 1]))
     wanted = int(np.prod([max(n, 0) for n in cube])) if side <= 16 else 0
     data = draw(st.binary(max_size=64)) or bytes(2 * wanted)
-    return b"\x93NUMPY" + version + length.to_bytes(width, "little") + header + data
+    npy_bytes: bytes = b"\x93NUMPY" + version + length.to_bytes(width, "little") + header + data
+    return npy_bytes
 
 
 @st.composite

@@ -1,13 +1,15 @@
 """`pytest.raises` for errors of KinectBench: their codes are checked, not their prose."""
 
+from typing import TypeVar
+
 import pytest
 
 from kinectbench.core.errors import KinectBenchError
 
+Raised = TypeVar("Raised", bound=KinectBenchError)
 
-def raises(
-    kind: type[KinectBenchError], code: str, match: str | None = None
-) -> pytest.RaisesExc[KinectBenchError]:
+
+def raises(kind: type[Raised], code: str, match: str | None = None) -> pytest.RaisesExc[Raised]:
     """The block raises an error of this class and code.
 
     Args:
@@ -16,7 +18,7 @@ def raises(
         match: of a figure or a name that the line must have, a regular expression.
     """
 
-    def has_code(error: KinectBenchError) -> bool:
+    def has_code(error: Raised) -> bool:
         assert error.code == code, f"{error.code}: {error}"
         return True
 

@@ -8,7 +8,7 @@ import numpy as np
 def theirs(content: bytes) -> np.ndarray:
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         assert archive.files == ["arr_0"]
-        cells = archive["arr_0"]
+        cells: np.ndarray = archive["arr_0"]
     assert cells.dtype == np.int8 and cells.ndim == 4 and cells.shape[3] == 1
     assert set(np.unique(cells)) <= {0, 1}
     return cells
@@ -29,7 +29,8 @@ def load(content: bytes) -> np.ndarray:
 
 
 def block_maximum(cells: np.ndarray) -> np.ndarray:
-    return cells.reshape(64, 4, 64, 4, 64, 4).max(axis=(1, 3, 5))
+    maximum: np.ndarray = cells.reshape(64, 4, 64, 4, 64, 4).max(axis=(1, 3, 5))
+    return maximum
 
 
 def centring_shift(full: np.ndarray) -> tuple[int, ...]:

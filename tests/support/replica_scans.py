@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from read_pictures import decoded_picture
 from solid_cells import solid_cells
 
 from kinectbench.core.geometry import TriangleMesh
@@ -199,7 +200,7 @@ def _with_person(folder: str, place: float, data: bytes) -> bytes:
     begin, end = PERSON_FRAMES
     if not begin <= place < end:
         return data
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    image = decoded_picture(data, cv2.IMREAD_UNCHANGED)
     width = image.shape[1]
     half = PERSON_SHARE * width / 2
     middle = -half + (place - begin) / (end - begin) * (width + 2 * half)

@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 from numba import njit
 from numpy.typing import NDArray
+from read_pictures import read_picture
 
 from kinectbench._version import __version__
 from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
@@ -84,7 +85,7 @@ def file_digest(path: Path) -> Digest:
         case ".kbd":
             return {"depth": array_digest(decode_depth(path.read_bytes()))}
         case ".png" | ".jpg":
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            image = read_picture(path, cv2.IMREAD_UNCHANGED)
             assert image is not None, path
             return {"pixels": array_digest(image, "jpeg" if path.suffix == ".jpg" else None)}
         case ".ply":

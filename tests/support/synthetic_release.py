@@ -63,7 +63,8 @@ CELLS = np.arange(256, dtype=np.int16)
 def ball(center: tuple[float, float, float], radius: float) -> Bools:
     """(256, 256, 256) bool: cells whose centre lies in a ball; cells."""
     x, y, z = ((CENTRES - c) ** 2 for c in center)
-    return x[:, None, None] + y[:, None] + z <= radius**2
+    ball: Bools = x[:, None, None] + y[:, None] + z <= radius**2
+    return ball
 
 
 @lru_cache(maxsize=16)

@@ -11,17 +11,18 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from read_pictures import read_picture
 
 Points = NDArray[np.float64]
 
 
-def _image(path: Path) -> NDArray[np.generic]:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert image is not None and image.ndim == 2
+def _image(path: Path) -> NDArray[np.integer]:
+    image = read_picture(path, cv2.IMREAD_UNCHANGED)
+    assert image.ndim == 2
     return image
 
 
-def _backprojected(depth_m: Points, mask: NDArray[np.generic], K: Points) -> Points:
+def _backprojected(depth_m: Points, mask: NDArray[np.integer], K: Points) -> Points:
     v, u = np.nonzero((mask > 0) & (depth_m > 0))
     z = depth_m[v, u]
     return np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], axis=1)
@@ -54,7 +55,8 @@ def sam3d(folder: Path) -> Points:
     pointmap, mask = np.load(folder / "pointmap.npy"), _image(folder / "mask.png")
     assert pointmap.dtype == np.float32 and pointmap.shape == (*mask.shape, 3)
     points = pointmap[(mask > 0) & np.isfinite(pointmap).all(axis=2)]
-    return points.astype(np.float64) * [-1, -1, 1]
+    sam3d: Points = points.astype(np.float64) * [-1, -1, 1]
+    return sam3d
 
 
 def pointr(folder: Path) -> tuple[Points, Points, float]:
@@ -70,4 +72,5 @@ def patchcomplete(path: Path) -> NDArray[np.float32]:
     """`tsdf` of 32^3, times 32: voxels, clipped at 2.5."""
     tsdf = np.load(path)["tsdf"]
     assert tsdf.shape == (32, 32, 32) and tsdf.dtype == np.float32
-    return np.clip(tsdf * 32, -2.5, 2.5)
+    patchcomplete: NDArray[np.float32] = np.clip(tsdf * 32, -2.5, 2.5)
+    return patchcomplete

@@ -26,7 +26,7 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import align_positions
 from kinectbench.lab.simulate.path import look_at
-from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
+from kinectbench.stages.track.frame_maps import POINTS, FrameMaps, Level, MapCache
 from kinectbench.stages.track.registration import Registration
 from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
@@ -54,11 +54,12 @@ MOVED = displaced(CORNER_VIEW, (0.02, -0.015, 0.01), 1.2)
 def waves(points: Float64) -> Float64:
     """A smooth texture without a direction."""
     x, y, z = np.moveaxis(points, -1, 0)
-    return (
+    waves: Float64 = (
         127
         + 45 * np.sin(31 * x + 5 * np.sin(7 * y)) * np.cos(23 * y + z)
         + 40 * np.sin(17 * z + 11 * x - 13 * y)
     )
+    return waves
 
 
 @dataclass(frozen=True)
@@ -82,11 +83,17 @@ def native(depth_m: NDArray[np.floating], noise: np.random.Generator | None = No
     if noise is not None:
         noisy = depth_m + noise.standard_normal(depth_m.shape) * depth_sigma_m(depth_m)
         depth_m = np.where(depth_m > 0, noisy, 0)
-    return np.rint(depth_m * SCALE).astype(np.uint16)
+    native: NDArray[np.uint16] = np.rint(depth_m * SCALE).astype(np.uint16)
+    return native
 
 
 def png(gray: NDArray[np.floating]) -> bytes:
     return cv2.imencode(".png", np.clip(np.rint(gray), 0, 255).astype(np.uint8))[1].tobytes()
+
+
+def levels(maps: FrameMaps) -> list[Level]:
+    """All resolutions of a frame, the finest first."""
+    return [maps[level] for level in range(len(POINTS))]
 
 
 def painted(

@@ -5,15 +5,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
 import numpy as np
-from ingest_writers import every_frame
+from ingest_writers import whole_frames
 from numpy.typing import NDArray
+from read_pictures import decoded_picture
 
 from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
 from kinectbench.lab.simulate.writers import RecordedFrame, Rig, formats
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 SCALE = dict.fromkeys(formats(), 1000.0) | {"tum": 5000.0, "record3d": 5000.0, "ycb": 10_000.0}
@@ -60,15 +59,14 @@ def write(
 
 
 def read(recording: Recording) -> list[RawFrame]:
-    frames = list(every_frame(recording))
-    assert not [f for f in frames if isinstance(f, DamagedImageError)]
-    return [f for f in frames if isinstance(f, RawFrame)]
+    return list(whole_frames(recording))
 
 
 def color_rgb(raw: RawFrame) -> NDArray[np.float64]:
     assert raw.color is not None
-    decoded = cv2.imdecode(np.frombuffer(raw.color[1], np.uint8), cv2.IMREAD_COLOR)
-    return decoded[..., ::-1].astype(float)
+    decoded = decoded_picture(raw.color[1])
+    rgb: NDArray[np.float64] = decoded[..., ::-1].astype(float)
+    return rgb
 
 
 def digests(out: Path) -> dict[str, str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from read_pictures import read_picture
 
 from kinectbench.core.geometry import invert_rigid, quaternion_xyzw_from_rotation, rigid
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation
@@ -34,7 +35,7 @@ def change_images(
 ) -> Callable[[Path], None]:
     def mutate(folder: Path) -> None:
         for _, file in rows_of(folder, name):
-            image = cv2.imread(str(folder / file), cv2.IMREAD_UNCHANGED)
+            image = read_picture(folder / file, cv2.IMREAD_UNCHANGED)
             (folder / file).unlink()  # it may be a link to the right one
             cv2.imwrite(str(folder / file), change(image))
 
@@ -94,7 +95,7 @@ def _doubled_values(depth: NDArray[np.generic]) -> NDArray[np.generic]:
 
 def _other_scene(folder: Path) -> None:
     _, file = rows_of(folder, "depth")[20]
-    depth = cv2.imread(str(folder / file), cv2.IMREAD_UNCHANGED)
+    depth = read_picture(folder / file, cv2.IMREAD_UNCHANGED)
     (folder / file).unlink()
     slope = np.linspace(0.8, 3.5, depth.shape[1]) * 5000
     cv2.imwrite(str(folder / file), np.broadcast_to(slope, depth.shape).astype(np.uint16))

@@ -22,7 +22,7 @@ def test_a_key_of_the_file_is_refused_in_memory() -> None:
     row = FrameHealth(frame=0, shift_m=0.005)
     assert row.json_value()["shift_mm"] == 5.0
     with pytest.raises(ValidationError, match="shift_mm: in the units of the file"):
-        FrameHealth(frame=0, shift_mm=5.0)
+        FrameHealth(frame=0, shift_mm=5.0)  # type: ignore[call-arg]
     with pytest.raises(ValidationError, match="shift_mm: in the units of the file"):
         FrameHealth.model_validate(row.json_value())
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,21 +43,21 @@ def two_metres() -> Sequence:
     return Sequence(CAMERA, 1000.0, np.arange(3) * 10**9, False, None, MemoryFrames(lambda index: depth))
 
 
-def test_the_correction_is_added_to_inverse_depth():
+def test_the_correction_is_added_to_inverse_depth() -> None:
     found = two_metres().calibrated(tilted()).depth_m(0)
     x = (2 * np.arange(6) + 1) / 6 - 1
     np.testing.assert_allclose(found[1], 1 / (1 / 2 + 0.01 * x), rtol=1e-6)
     assert found[0, 0] == 0  # no measurement stays none
 
 
-def test_no_calibration_leaves_depth_as_recorded():
+def test_no_calibration_leaves_depth_as_recorded() -> None:
     found = two_metres().calibrated(NO_CALIBRATION)
     assert found.depth_correction_per_m is None
     np.testing.assert_array_equal(found.depth_m(0), two_metres().depth_m(0))
 
 
 @pytest.fixture
-def build(tmp_path):
+def build(tmp_path: Path) -> Path:
     write_sequence(open_recording(write_tum(tmp_path / "recording")), tmp_path / "sequence")
     stamps_ns = read_sequence(tmp_path / "sequence").stamps_ns
     poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
@@ -68,7 +69,7 @@ def build(tmp_path):
     return tmp_path
 
 
-def test_what_is_tracked_is_read_with_corrected_depth(build):
+def test_what_is_tracked_is_read_with_corrected_depth(build: Path) -> None:
     sequence, trajectory = read_tracked(build)
     np.testing.assert_array_equal(
         trajectory.depth_calibration.coefficients_per_m, tilted().coefficients_per_m
@@ -80,7 +81,7 @@ def test_what_is_tracked_is_read_with_corrected_depth(build):
     np.testing.assert_array_equal(sequence.frames.depth_native(1), recorded.frames.depth_native(1))
 
 
-def test_an_older_trajectory_has_no_calibration(build):
+def test_an_older_trajectory_has_no_calibration(build: Path) -> None:
     (build / "trajectory" / StoredDepthCalibration.FILE).unlink()
     sequence, trajectory = read_tracked(build)
     assert trajectory.depth_calibration is NO_CALIBRATION and sequence.depth_correction_per_m is None
@@ -90,7 +91,7 @@ def test_an_older_trajectory_has_no_calibration(build):
     "change",
     [{"terms": [[0, 1]]}, {"coefficients_per_m": [1.0]}, {"coefficients_per_m": [math.nan] * len(TERMS)}],
 )
-def test_another_calibration_is_refused(build, change):
+def test_another_calibration_is_refused(build: Path, change: dict[str, list[list[int] | float]]) -> None:
     path = build / "trajectory" / StoredDepthCalibration.FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with raises(
@@ -99,13 +100,13 @@ def test_another_calibration_is_refused(build, change):
         read_tracked(build)
 
 
-def test_a_sequence_is_calibrated_anew():
+def test_a_sequence_is_calibrated_anew() -> None:
     once = two_metres().calibrated(tilted())
     np.testing.assert_array_equal(once.calibrated(tilted()).depth_m(0), once.depth_m(0))
     assert once.calibrated(NO_CALIBRATION).depth_correction_per_m is None
 
 
-def test_depth_that_does_not_fit_into_millimetres_of_16_bits_is_no_measurement():
+def test_depth_that_does_not_fit_into_millimetres_of_16_bits_is_no_measurement() -> None:
     """70 m would wrap to 4464 mm, minus one to 64536."""
     rows = [[0, 0.0004, 1.2347, 65.535], [65.5356, 70, 1e9, np.inf], [-1, np.nan, -70, 4.4]]
     depth_m = np.array(rows, np.float32)
@@ -115,7 +116,7 @@ def test_depth_that_does_not_fit_into_millimetres_of_16_bits_is_no_measurement()
     assert too_far_for_mm(np.zeros((2, 2), np.float32)) == 0
 
 
-def test_a_correction_places_nothing_behind_the_camera():
+def test_a_correction_places_nothing_behind_the_camera() -> None:
     """1 / 4 - 0.3 < 0: such depth is no measurement, and neither is what comes to lie at infinity."""
     corrected = corrected_depth_m(np.array([0, 1, 2, 4], "f4"), np.array([-0.3, -0.5, -0.5, -0.3], "f4"))
     assert corrected.tolist() == [0, 2, 0, 0]

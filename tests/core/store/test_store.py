@@ -125,7 +125,11 @@ def line(url: str) -> str:
 def test_no_such_bucket(s3: str) -> None:
     wanted = "there is no such bucket; make it, or correct the URL"
     assert line("s3://nobody/lab") == f"s3://nobody/lab/a: {wanted}"
-    for call in (lambda store: store.put("a", b"1"), lambda store: store.objects()):
+    calls: tuple[Callable[[Store], object], ...] = (
+        lambda store: store.put("a", b"1"),
+        lambda store: store.objects(),
+    )
+    for call in calls:
         with raises(StorageError, "storage.no-bucket", match=wanted):
             call(Store("s3://nobody/lab2"))
 

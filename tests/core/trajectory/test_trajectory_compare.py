@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raising import raises
+from typed import present
 
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_angle_rad, rotation_from_quaternion_xyzw
@@ -44,7 +45,7 @@ def disturbed(poses: np.ndarray, sigma_m: float, sigma_rad: float, seed: int) ->
     return result
 
 
-def test_another_world_is_no_error():
+def test_another_world_is_no_error() -> None:
     reference = orbit(50)
     error = compare_poses(OTHER_WORLD @ reference, reference)
     np.testing.assert_allclose(error.T_reference_estimate, invert_rigid(OTHER_WORLD), atol=1e-12)
@@ -53,7 +54,7 @@ def test_another_world_is_no_error():
         assert found.max < 1e-12
 
 
-def test_noise_gives_the_expected_ate():
+def test_noise_gives_the_expected_ate() -> None:
     # Of 3 n coordinates, six are used up by the alignment.
     n, sigma_m = 300, 0.005
     reference = orbit(n)
@@ -65,7 +66,7 @@ def test_noise_gives_the_expected_ate():
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(expected, rel=0.015)
 
 
-def test_by_hand():
+def test_by_hand() -> None:
     reference = np.stack([rigid(np.eye(3), p) for p in ([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0])])
     estimate = reference.copy()
     estimate[2, :3, 3] += [0, 0, 0.4]
@@ -79,7 +80,7 @@ def test_by_hand():
     assert error.rpe_metre_m == error.rpe_frame_m  # every step is a metre
 
 
-def test_a_turn_by_hand():
+def test_a_turn_by_hand() -> None:
     reference = np.stack([rigid(np.eye(3), p) for p in ([0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0])])
     estimate = reference.copy()
     estimate[1, :3, :3] = rotation_from_quaternion_xyzw([0, 0, np.sin(0.05), np.cos(0.05)])
@@ -90,12 +91,12 @@ def test_a_turn_by_hand():
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
-def test_too_few_poses(n):
+def test_too_few_poses(n: int) -> None:
     with raises(TrackingError, "tracking.no-match", match=f"only {n} poses"):
         compare_poses(orbit(5)[:n], orbit(5)[:n])
 
 
-def test_stamps_match_once_and_exactly_first():
+def test_stamps_match_once_and_exactly_first() -> None:
     reference = np.array([0, 100, 200, 300, 400, 500])
     # 249 is nearest to 200, which has its own frame; 551 is half a frame away from 500 and more.
     estimate = np.array([0, 199, 200, 249, 420, 551])
@@ -107,7 +108,7 @@ def test_stamps_match_once_and_exactly_first():
     assert match_stamps(np.array([7]), np.zeros(0, np.int64))[0].shape == (0,)
 
 
-def test_only_poses_that_both_have_count():
+def test_only_poses_that_both_have_count() -> None:
     poses = orbit(20)
     stamps = np.arange(20) * 10**8
     holes = poses.copy()
@@ -119,7 +120,7 @@ def test_only_poses_that_both_have_count():
     assert figures.error.ate_m.max < 1e-12
     row = replace(figures, error=replace(figures.error, rpe_metre_m=None)).row()
     assert row["ate_max_mm"] == 1000 * figures.error.ate_m.max and row["rpe_metre_mm"] is None
-    assert row["rpe_metre_deg"] == np.degrees(figures.error.rpe_metre_rad.rmse)
+    assert row["rpe_metre_deg"] == np.degrees(present(figures.error.rpe_metre_rad).rmse)
     assert picture.startswith(b"\x89PNG")
     with raises(TrackingError, "tracking.no-match", match="frame's"):
         compare_with(Trajectory(stamps + 10**12, poses, "tracked"), reference)
@@ -128,7 +129,7 @@ def test_only_poses_that_both_have_count():
 
 
 @pytest.mark.parametrize("n", [1, 2, 30])
-def test_worlds_align_by_orientation_where_positions_do_not_tell(n):
+def test_worlds_align_by_orientation_where_positions_do_not_tell(n: int) -> None:
     reference = orbit(n, seed=3)
     reference[:, :3, 3] = np.linspace(0, 1, n)[:, None] * [1.0, 0, 0]  # along a line
     estimate = disturbed(OTHER_WORLD @ reference, 0.001, 0.001, seed=4)
@@ -137,7 +138,7 @@ def test_worlds_align_by_orientation_where_positions_do_not_tell(n):
     assert np.linalg.norm(apart[:3, 3]) < 0.02
 
 
-def test_worlds_align_by_position_where_they_tell():
+def test_worlds_align_by_position_where_they_tell() -> None:
     reference = orbit(30)
     estimate = disturbed(OTHER_WORLD @ reference, 0, 0.2, seed=4)  # bad orientations
     np.testing.assert_allclose(align_worlds(estimate, reference), invert_rigid(OTHER_WORLD), atol=1e-12)
@@ -170,7 +171,7 @@ def assert_as_evo(error: TrajectoryError, estimate: np.ndarray, reference: np.nd
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_as_evo_on_synthetic_trajectories(seed):
+def test_as_evo_on_synthetic_trajectories(seed: int) -> None:
     reference = orbit(200, seed)
     estimate = disturbed(OTHER_WORLD @ reference, 0.01, 0.02, seed)
     assert_as_evo(compare_poses(estimate, reference), estimate, reference)
@@ -178,7 +179,7 @@ def test_as_evo_on_synthetic_trajectories(seed):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="KINECTBENCH_DATA does not name a folder with evo_trajectories")
 @pytest.mark.parametrize("name", ["rgbdslam", "rgbdslam_drift", "ORB_kf_mono"])
-def test_as_evo_on_real_trajectories(name):
+def test_as_evo_on_real_trajectories(name: str) -> None:
     from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 
     reference, _ = read_trajectory_file(DATA / "freiburg1_xyz-groundtruth.txt")

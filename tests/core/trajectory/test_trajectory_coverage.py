@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from analytic_scenes import CAMERA, depth_of, plane, ring, sequence_of, sphere
 from health_scenes import DISTANCE_M
+from typed import present
 
 from kinectbench.core.geometry import rigid
 from kinectbench.core.trajectory.coverage import (
@@ -28,11 +29,12 @@ def test_axes_meet_where_the_cameras_look() -> None:
 @pytest.mark.parametrize("degrees", [60.0, 120.0, 200.0, 300.0])
 def test_arc_of_a_part_of_a_circle(degrees: float) -> None:
     poses = ring(361, DISTANCE_M)[: round(degrees) + 1]
-    assert np.degrees(covered_arc_rad(poses, None)) == pytest.approx(degrees * 360 / 361, rel=0.015)
+    assert np.degrees(present(covered_arc_rad(poses, None))) == pytest.approx(degrees * 360 / 361, rel=0.015)
 
 
 def test_arc_of_a_full_circle_and_of_few_cameras() -> None:
-    assert np.degrees(covered_arc_rad(ring(360, DISTANCE_M), DISTANCE_M)) == pytest.approx(359, abs=0.01)
+    arc_rad = present(covered_arc_rad(ring(360, DISTANCE_M), DISTANCE_M))
+    assert np.degrees(arc_rad) == pytest.approx(359, abs=0.01)
     assert covered_arc_rad(ring(5, 1.0)[:1], None) == 0
     assert covered_arc_rad(np.zeros((0, 4, 4)), None) is None
 
@@ -55,7 +57,7 @@ def test_axes_that_cross_by_chance_are_no_arc() -> None:
     rng = np.random.default_rng(0)
     poses[:, :3, 3] = rng.uniform(-0.5, 0.5, (30, 3)) * [0.15, 0.15, 0.25]
     assert np.linalg.norm(convergence_point(poses)) < 0.4
-    by_chance, seen = (np.degrees(covered_arc_rad(poses, depth_m)) for depth_m in (None, 1.1))
+    by_chance, seen = (np.degrees(present(covered_arc_rad(poses, depth_m))) for depth_m in (None, 1.1))
     assert seen < 20 < by_chance
     assert looked_at(poses, 1.1)[2] == pytest.approx(1.1, abs=0.05)
 
@@ -77,7 +79,7 @@ def test_the_wall_behind_a_slender_thing_takes_nothing_of_its_arc(degrees: int, 
         yawed = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
         pitched = [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
         pose[:3, :3] = pose[:3, :3] @ np.array(yawed) @ np.array(pitched)
-    assert np.degrees(covered_arc_rad(poses, wall_m)) == pytest.approx(degrees, abs=5)
+    assert np.degrees(present(covered_arc_rad(poses, wall_m))) == pytest.approx(degrees, abs=5)
 
 
 def test_the_depth_in_the_middle() -> None:

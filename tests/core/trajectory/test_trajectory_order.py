@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from analytic_scenes import look_at
 
 from kinectbench.core.trajectory.coverage import in_order_of_time
+from kinectbench.lab.simulate.path import look_at
 
 
 def ring(frames: int, turns: float = 1.0) -> np.ndarray:

@@ -22,7 +22,7 @@ VOXEL_M, NEAR_M, LEAST_M = 0.1, 0.25, 0.15
 def scene(seed: int, shape: tuple[int, int, int] = (9, 8, 7)) -> tuple[np.ndarray, np.ndarray]:
     """Random states, and heights of their layers; the lowest are below the plane."""
     rng = np.random.default_rng(seed)
-    state = rng.choice(np.uint8([PASSABLE, PLACE, BLOCKED]), shape, p=[0.62, 0.03, 0.35])
+    state = rng.choice(np.array([PASSABLE, PLACE, BLOCKED], np.uint8), shape, p=[0.62, 0.03, 0.35])
     return state, ((np.arange(shape[2]) - 0.5) * VOXEL_M).astype(np.float32)
 
 
@@ -112,7 +112,7 @@ def test_what_is_seen_grows_until_no_neighbour_sees() -> None:
     for axis in range(3):
         for step in (-1, 1):
             beside = np.roll(grown > 0, step, axis)
-            edge = [slice(None)] * 3
+            edge: list[slice | int] = [slice(None)] * 3
             edge[axis] = 0 if step == 1 else -1
             beside[tuple(edge)] = False
             missed = beside & (state != BLOCKED) & (grown == 0) & (possible > 0)

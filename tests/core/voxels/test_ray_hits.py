@@ -44,7 +44,7 @@ def grid_of(seed: int, shape: tuple[int, int, int] = (9, 11, 7)) -> np.ndarray:
 @pytest.mark.parametrize(
     ("seed", "shape"), [(0, (9, 11, 7)), (1, (4, 3, 12)), (2, (1, 5, 6)), (3, (6, 7, 1))]
 )
-def test_against_a_walk(seed: int, shape: tuple[int, int, int]):
+def test_against_a_walk(seed: int, shape: tuple[int, int, int]) -> None:
     state = grid_of(seed, shape)
     before = state.copy()
     met, votes = cast_26_rays(state), walked(state)
@@ -59,7 +59,7 @@ def test_against_a_walk(seed: int, shape: tuple[int, int, int]):
     np.testing.assert_array_equal(state, before)
 
 
-def test_by_hand():
+def test_by_hand() -> None:
     state = np.full((5, 5, 5), INSIDE, np.uint8)
     state[1:4, 1:4, 1:4] = UNSEEN
     np.testing.assert_array_equal(cast_26_rays(state).enclosed[1:4, 1:4, 1:4], 1.0)
@@ -73,7 +73,7 @@ def test_by_hand():
     assert cast_26_rays(state).enclosed[3, 2, 2] == 1
 
 
-def test_where_nothing_is_met_nothing_is_enclosed():
+def test_where_nothing_is_met_nothing_is_enclosed() -> None:
     met = cast_26_rays(np.full((3, 3, 3), UNSEEN, np.uint8))
     assert not met.enclosed.any() and (met.outside == len(ALL)).all()
     nothing = cast_26_rays(np.full((3, 3, 3), NEUTRAL, np.uint8))

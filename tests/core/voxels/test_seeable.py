@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import manifold3d
 import numpy as np
 import pytest
+from manifold3d import Manifold as Solid
 from raising import raises
 
 from kinectbench.core.errors import ShapeError
@@ -16,25 +16,26 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 
 # Voxels are 10 mm for these: eight times as fast as for lines of 30 mm.
 LIMITS = SensorLimits(line_width_m=0.06)
-Solid = manifold3d.Manifold
 
 
 def block(*bounds: tuple[float, float]) -> Solid:
     """From and to along x, y and z, metres."""
     low, high = np.array(bounds).T
-    return Solid.cube(high - low).translate(low)
+    block: Solid = Solid.cube(high - low).translate(low)
+    return block
 
 
 def hollow(wall_m: float = 0.02, side_m: float = 0.4) -> Solid:
     """A closed cube on the floor."""
     inner = (wall_m, side_m - wall_m)
-    return block(*[(0.0, side_m)] * 3) - block(*[inner] * 3)
+    hollow: Solid = block(*[(0.0, side_m)] * 3) - block(*[inner] * 3)
+    return hollow
 
 
 def mesh_of(solid: Solid) -> TriangleMesh:
@@ -147,7 +148,7 @@ def test_an_array_on_another_grid_is_that_of_the_nearest_voxel() -> None:
     assert on_other[inside].all() and not on_other[outside].any() and inside.sum() > 500
 
 
-def room(doorway_m: float) -> tuple[Bools, Float64]:
+def room(doorway_m: float) -> tuple[Bools, Float32]:
     """A cube with a doorway down to the floor, of 10 mm, and the middles of its layers."""
     solid = np.zeros((60, 60, 56), bool)
     solid[15:45, 15:45, :40] = True

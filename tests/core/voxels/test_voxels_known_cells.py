@@ -12,7 +12,8 @@ TURNED = rotation_from_quaternion_xyzw([0.3, -0.2, 0.1, 0.8])
 
 
 def patches(shape: tuple[int, int, int], seed: int) -> np.ndarray:
-    return ndimage.gaussian_filter(np.random.default_rng(seed).random(shape), 3) > 0.5
+    patches: np.ndarray = ndimage.gaussian_filter(np.random.default_rng(seed).random(shape), 3) > 0.5
+    return patches
 
 
 def at(grid: Grid, known: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -27,14 +28,14 @@ def at(grid: Grid, known: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("voxel_m", "shift"), [(0.3, 3.0), (0.9, -14.0), (2.5, -30.0), (2.5, 3.0)])
-def test_one_cell_at_a_time(voxel_m, shift):
+def test_one_cell_at_a_time(voxel_m: float, shift: float) -> None:
     fine, coarse = (
         Grid((37, 30, 41), 1.0, np.eye(4)),
         Grid((20, 21, 22), 3.0, rigid(np.eye(3), [-15, -16, -9])),
     )
     known, around = patches(fine.shape, 0), patches(coarse.shape, 1)
     grid = Grid((32, 40, 48), voxel_m, rigid(TURNED, [shift, 2.0, 1.0]))
-    cells = np.stack(np.indices(grid.shape), -1).reshape(-1, 3)
+    cells = np.moveaxis(np.indices(grid.shape), 0, -1).reshape(-1, 3)
     points = transform_points(grid.T_world_grid, (cells + 0.5) * voxel_m)
     expected, beyond = at(fine, known, points), at(coarse, around, points)
     expected = np.where(expected == -1, beyond, expected)
@@ -44,7 +45,7 @@ def test_one_cell_at_a_time(voxel_m, shift):
     assert 0 < found.sum() < found.size
 
 
-def test_uniform_blocks_are_not_mistaken():
+def test_uniform_blocks_are_not_mistaken() -> None:
     """All known but one voxel, which a block's corner alone lies in."""
     known = np.ones((32, 32, 32), bool)
     known[16, 16, 16] = False

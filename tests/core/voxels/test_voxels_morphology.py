@@ -9,12 +9,12 @@ from kinectbench.core.voxels.pair_file import pack
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.98, 1.0])
-def test_random_solids(share: float):
+def test_random_solids(share: float) -> None:
     solid = np.random.default_rng(0).random((18, 13, 24)) < share
     np.testing.assert_array_equal(packed_shell(pack(solid)), shell_of(solid))
 
 
-def test_a_box_by_hand():
+def test_a_box_by_hand() -> None:
     solid = np.zeros((8, 8, 16), bool)
     solid[2:6, 1:8, 5:12] = True
     expected = solid.copy()

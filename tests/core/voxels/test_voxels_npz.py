@@ -3,6 +3,8 @@
 import io
 import struct
 import zipfile
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,7 +49,7 @@ def lying(count: int, entries: int) -> bytes:
 
 
 @pytest.mark.parametrize("writer", [npz_bytes, packed_npz_bytes])
-def test_own_files_are_read_as_they_were(writer):
+def test_own_files_are_read_as_they_were(writer: Callable[..., bytes]) -> None:
     arrays = {
         "grid": GRID,
         "text": np.asarray("winding"),
@@ -62,7 +64,7 @@ def test_own_files_are_read_as_they_were(writer):
     assert list(arrays_of(io.BytesIO(writer(arrays)), 1 << 20, ["text"])) == ["text"]
 
 
-def test_numpys_files_are_read():
+def test_numpys_files_are_read() -> None:
     for save in (np.savez, np.savez_compressed):
         buffer = io.BytesIO()
         save(buffer, grid=np.asfortranarray(GRID), large=GRID.astype(">f4"))
@@ -78,7 +80,7 @@ def claiming(shape: str, descr: str = "'|u1'") -> bytes:
 
 
 TWICE = zipped([("a.npy", npy(GRID)), ("b.npy", npy(GRID))]).replace(b"b.npy", b"a.npy")
-BAD = {
+BAD: dict[str, tuple[bytes | Callable[[], bytes], str]] = {
     "a single array": (npy(GRID), "a single array, not an npz"),
     "nothing": (b"", "not a zip file"),
     "a path": (zipped([("../a.npy", npy(GRID))]), "'../a.npy' is not an array"),
@@ -103,7 +105,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_refused(name):
+def test_what_is_refused(name: str) -> None:
     made, line = BAD[name]
     content = made() if callable(made) else made
     with within(10, 32), pytest.raises(UNREADABLE, match=line):
@@ -118,7 +120,7 @@ def bomb(megabytes: int, claimed: int | None = None) -> bytes:
     return bytes(content)
 
 
-def test_a_bomb_is_not_unpacked():
+def test_a_bomb_is_not_unpacked() -> None:
     content, little = bomb(40), bomb(40, claimed=1000)
     assert len(content) < 1 << 17
     with within(5, 16), pytest.raises(NpyError, match="claims to unpack to 41943168 bytes; 16777216 is"):
@@ -128,7 +130,7 @@ def test_a_bomb_is_not_unpacked():
         arrays_of(io.BytesIO(little), 16 << 20)
 
 
-def test_a_million_entries_are_counted_not_listed(tmp_path):
+def test_a_million_entries_are_counted_not_listed(tmp_path: Path) -> None:
     """The directory of a million entries, which zipfile would take seconds and half a gigabyte to list."""
     row = b"PK\1\2" + bytes(24) + struct.pack("<H", 1) + bytes(16) + b"a"
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, 10**6 * len(row), 0, 0)
@@ -145,12 +147,12 @@ def test_a_million_entries_are_counted_not_listed(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [1, 10, 22, 60, 100])
-def test_what_is_cut_short_is_refused(cut):
+def test_what_is_cut_short_is_refused(cut: int) -> None:
     with pytest.raises(UNREADABLE):
         arrays_of(io.BytesIO(npz_bytes({"grid": GRID})[:-cut]), 1 << 20)
 
 
-def test_a_comment_at_the_end_is_no_harm():
+def test_a_comment_at_the_end_is_no_harm() -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("a.npy", npy(GRID))
@@ -162,7 +164,7 @@ def test_a_comment_at_the_end_is_no_harm():
 @pytest.mark.parametrize(
     ("point", "is_text"), [(0x10FFFF, True), (0x110000, False), (0xD7FF, True), (0xDFFF, False)]
 )
-def test_texts_are_of_characters(order, point, is_text):
+def test_texts_are_of_characters(order: str, point: int, is_text: bool) -> None:
     content = npy(np.asarray("ab").astype(f"{order}U2"))[:-4] + struct.pack(f"{order}I", point)
     file = io.BytesIO(zipped([("text.npy", content)]))
     if is_text:
@@ -172,7 +174,7 @@ def test_texts_are_of_characters(order, point, is_text):
             arrays_of(file, 1 << 20)
 
 
-def test_bytes_in_memory_are_read_where_they_lie_and_bytes_of_others_are_copied():
+def test_bytes_in_memory_are_read_where_they_lie_and_bytes_of_others_are_copied() -> None:
     mine = io.BytesIO(bytes(bytearray(npy(GRID))))
     array = read_npy(mine, len(npy(GRID)))
     with pytest.raises(BufferError):  # the array is a view of it
@@ -183,7 +185,7 @@ def test_bytes_in_memory_are_read_where_they_lie_and_bytes_of_others_are_copied(
     assert held == npy(GRID)
 
 
-def test_an_array_in_memory_is_aligned():
+def test_an_array_in_memory_is_aligned() -> None:
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }\n"
     content = b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + np.array([1.5, 2.5]).tobytes()
     array = read_npy(io.BytesIO(content), len(content))
@@ -191,7 +193,7 @@ def test_an_array_in_memory_is_aligned():
 
 
 @pytest.mark.parametrize(("change", "line"), [(-1, "cut short"), (1, "longer than it claims")])
-def test_a_wrong_length_in_memory(change, line):
+def test_a_wrong_length_in_memory(change: int, line: str) -> None:
     content = npy(GRID)
     size = len(content)
     changed = content[:change] if change < 0 else content + bytes(change)

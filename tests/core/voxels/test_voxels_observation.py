@@ -39,7 +39,7 @@ def test_share_of_the_frames_with_a_vote() -> None:
 
 
 @pytest.mark.parametrize("trust", [1.0, 0.4])
-def test_what_frames_saw_through_moves_the_surface_inward(trust):
+def test_what_frames_saw_through_moves_the_surface_inward(trust: float) -> None:
     """By hand, 5 mm voxels: 200 mm for each share of free votes above 0.15, which grows from -5 mm on."""
     free, surface = np.array([0, 1, 6, 6, 10, 0], np.uint32), np.array([10, 9, 4, 4, 0, 0], np.uint32)
     tsdf = np.array([-0.008, -0.008, -0.008, -0.0045, 0.0, -0.02], np.float32)
@@ -60,8 +60,8 @@ def test_a_frame_that_looks_from_elsewhere_outweighs_those_that_see_it_hidden() 
 
     def seen(tsdf_m: float, weight: float) -> Observation:
         votes = np.zeros((1, 1, 1), np.uint16)
-        of_one = (np.full((1, 1, 1), value, np.float32) for value in (tsdf_m, weight))
-        return Observation(grid, *of_one, votes, votes)
+        tsdf, weights = (np.full((1, 1, 1), value, np.float32) for value in (tsdf_m, weight))
+        return Observation(grid, tsdf, weights, votes, votes)
 
     both = merge(seen(-0.015, 50.0), seen(0.002, 1.0))
     assert both.tsdf.item() == pytest.approx((-0.015 * 0.05 + 0.002) / 1.05, abs=1e-7)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+from trimesh.caching import TrackedArray
 
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.voxels.open_mesh import voxelize_open
@@ -12,7 +14,11 @@ from kinectbench.core.voxels.solid import voxelize_solid
 UNIT = np.eye(4)
 
 
-def cells_of(vertices, faces, grid: Grid) -> np.ndarray:
+def cells_of(
+    vertices: NDArray[np.float64] | TrackedArray,
+    faces: NDArray[np.int64] | list[list[int]] | TrackedArray | NDArray[np.float64],
+    grid: Grid,
+) -> np.ndarray:
     packed = voxelize_open(np.asarray(vertices, float), np.asarray(faces, np.int32), grid)
     assert packed.dtype == np.uint8 and packed.shape == (*grid.shape[:2], grid.shape[2] // 8)
     return unpack(packed)
@@ -56,7 +62,7 @@ def reference(triangles: np.ndarray, side: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_loose_triangles_against_the_plain_rule(seed):
+def test_loose_triangles_against_the_plain_rule(seed: int) -> None:
     """Forty triangles anywhere, also beyond the grid: no closed part among them."""
     triangles = np.random.default_rng(seed).uniform(-4, 20, (40, 3, 3))
     vertices, faces = triangles.reshape(-1, 3), np.arange(120).reshape(-1, 3)
@@ -66,7 +72,7 @@ def test_loose_triangles_against_the_plain_rule(seed):
     assert 0.2 < expected.mean() < 0.9
 
 
-def test_a_grid_in_another_frame_and_unit():
+def test_a_grid_in_another_frame_and_unit() -> None:
     triangles = np.random.default_rng(7).uniform(2, 14, (12, 3, 3))
     T = rigid(rotation_from_quaternion_xyzw([0.3, 0.1, -0.4, 0.8]), [-0.1, 0.4, -0.2])
     vertices = transform_points(T, triangles.reshape(-1, 3) * 0.05)
@@ -74,7 +80,7 @@ def test_a_grid_in_another_frame_and_unit():
     np.testing.assert_array_equal(cells, reference(triangles, 16))
 
 
-def open_box(low, high, without: int) -> tuple[np.ndarray, np.ndarray]:
+def open_box(low: list[float], high: list[float], without: int) -> tuple[np.ndarray, np.ndarray]:
     """A box from corner to corner, in cells, without the two triangles of one side."""
     box = trimesh.creation.box(bounds=[low, high])
     normals = box.face_normals
@@ -83,7 +89,7 @@ def open_box(low, high, without: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("without", range(6))
-def test_a_box_with_one_side_missing_is_its_walls(without):
+def test_a_box_with_one_side_missing_is_its_walls(without: int) -> None:
     """From within, one of the six rays escapes: nothing but the cells of the five walls is left."""
     vertices, faces = open_box([3.3, 2.4, 4.2], [9.7, 11.6, 12.8], without)
     expected = np.zeros((16, 16, 16), bool)
@@ -99,7 +105,7 @@ def test_a_box_with_one_side_missing_is_its_walls(without):
     np.testing.assert_array_equal(cells_of(vertices, faces, Grid((16, 16, 16), 1.0, UNIT)), expected)
 
 
-def test_a_slit_open_box_is_filled_but_for_what_the_slit_sees():
+def test_a_slit_open_box_is_filled_but_for_what_the_slit_sees() -> None:
     """A face is missing only in part: cells whose six rays all hit are inside, the others are not."""
     vertices, faces = open_box([2.3, 2.3, 2.3], [12.7, 12.7, 12.7], 5)
     lid = np.array([[2.3, 2.3, 12.7], [6.6, 2.3, 12.7], [6.6, 12.7, 12.7], [2.3, 12.7, 12.7]])
@@ -110,7 +116,7 @@ def test_a_slit_open_box_is_filled_but_for_what_the_slit_sees():
     assert cells[12, 2:13, 2:13].all() and not cells[13:].any()
 
 
-def test_a_sheet_between_two_layers_occupies_both():
+def test_a_sheet_between_two_layers_occupies_both() -> None:
     sheet = np.array([[2.5, 2.5, 8.0], [12.5, 2.5, 8.0], [12.5, 12.5, 8.0], [2.5, 12.5, 8.0]])
     expected = np.zeros((16, 16, 16), bool)
     expected[2:13, 2:13, 7:9] = True
@@ -122,7 +128,7 @@ def test_a_sheet_between_two_layers_occupies_both():
     np.testing.assert_array_equal(turned, expected)
 
 
-def test_orientation_and_order_of_the_faces_do_not_matter():
+def test_orientation_and_order_of_the_faces_do_not_matter() -> None:
     ring = trimesh.creation.torus(0.25, 0.1)
     rng = np.random.default_rng(4)
     faces = np.asarray(ring.faces)
@@ -134,7 +140,7 @@ def test_orientation_and_order_of_the_faces_do_not_matter():
     np.testing.assert_array_equal(cells_of(ring.vertices, mixed, grid), cells)
 
 
-def test_a_closed_ball_is_its_solid_and_its_surface_cells():
+def test_a_closed_ball_is_its_solid_and_its_surface_cells() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.3)
     grid = Grid((48, 48, 48), 0.015, rigid(np.eye(3), [-0.36, -0.361, -0.362]))
     solid = unpack(voxelize_solid(ball.vertices, ball.faces.astype(np.int32), grid))
@@ -147,7 +153,7 @@ def test_a_closed_ball_is_its_solid_and_its_surface_cells():
     assert outside_m.size > 0 and outside_m.max() < 0.015 * np.sqrt(3) / 2
 
 
-def test_nothing_within_the_grid():
+def test_nothing_within_the_grid() -> None:
     sheet = np.array([[20.0, 20, 20], [30, 20, 20], [20, 30, 20]])
     assert not cells_of(sheet, [[0, 1, 2]], Grid((16, 16, 16), 1.0, UNIT)).any()
     assert not cells_of(np.zeros((0, 3)), np.zeros((0, 3)), Grid((16, 16, 16), 1.0, UNIT)).any()

@@ -6,11 +6,14 @@ import platform
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from raising import raises
 from references import shell_of
 
@@ -55,12 +58,12 @@ def pair() -> Pair:
 
 
 @pytest.fixture(scope="module")
-def stored(pair) -> dict[str, np.ndarray]:
+def stored(pair: Pair) -> dict[str, np.ndarray]:
     with np.load(io.BytesIO(pair_bytes(pair)), allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
 
-def test_packing_is_numpys():
+def test_packing_is_numpys() -> None:
     values = np.random.default_rng(1).random((4, 6, 16)) < 0.5
     packed = pack(values)
     assert packed.shape == (4, 6, 2) and packed[0, 0, 0] >> 7 == values[0, 0, 0]
@@ -68,7 +71,7 @@ def test_packing_is_numpys():
     np.testing.assert_array_equal(np.unpackbits(packed, axis=-1), values)
 
 
-def test_npz_bytes_are_the_same_and_numpys(tmp_path: Path):
+def test_npz_bytes_are_the_same_and_numpys(tmp_path: Path) -> None:
     arrays = {
         "a": np.arange(12.0).reshape(3, 4).T,  # Fortran order
         "text": np.asarray("näh"),
@@ -86,12 +89,12 @@ def test_npz_bytes_are_the_same_and_numpys(tmp_path: Path):
     assert read_npz(tmp_path / "a.npz")["scalar"] == 3
 
 
-def test_npz_holds_no_pickles():
+def test_npz_holds_no_pickles() -> None:
     with pytest.raises(ValueError, match="allow_pickle"):
         npz_bytes({"a": np.array([{}], dtype=object)})
 
 
-def test_pair_round_trip(pair, tmp_path: Path):
+def test_pair_round_trip(pair: Pair, tmp_path: Path) -> None:
     path = tmp_path / "000.npz"
     path.write_bytes(pair_bytes(pair))
     again = read_pair(path)
@@ -104,14 +107,14 @@ def test_pair_round_trip(pair, tmp_path: Path):
     assert grid.shape == (256, 256, 256) and grid.voxel_size_m == pair.voxel_size_m
 
 
-def test_pair_opens_with_plain_numpy(pair, stored):
+def test_pair_opens_with_plain_numpy(pair: Pair, stored: dict[str, NDArray[Any]]) -> None:
     assert set(stored) == {field.name for field in fields(Pair)} | {"format_version"}
     assert stored["format_version"] == 1
     np.testing.assert_array_equal(np.unpackbits(stored["full"], axis=-1).astype(bool), unpack(pair.full))
     assert stored["full"].shape == (256, 256, 32) and stored["partial"].shape == (64, 64, 8)
 
 
-def store(arrays, path: Path) -> Path:
+def store(arrays: dict[str, Any], path: Path) -> Path:
     np.savez(path, **arrays)
     return path
 
@@ -137,20 +140,22 @@ def store(arrays, path: Path) -> Path:
         ("partial_rule", np.asarray(7), "'partial_rule'"),
     ],
 )  # fmt: skip
-def test_wrong_values(stored, tmp_path: Path, name, value, message):
+def test_wrong_values(
+    stored: dict[str, NDArray[Any]], tmp_path: Path, name: str, value: NDArray[Any], message: str
+) -> None:
     path = store({**stored, name: value}, tmp_path / "007.npz")
     with raises(PairError, "pair.malformed", match=rf"007\.npz.*{message}"):
         read_pair(path)
 
 
 @pytest.mark.parametrize("name", ["partial", "known", "K", "framing", "voxel_size_m"])
-def test_missing_keys(stored, tmp_path: Path, name):
+def test_missing_keys(stored: dict[str, NDArray[Any]], tmp_path: Path, name: str) -> None:
     path = store({key: value for key, value in stored.items() if key != name}, tmp_path / "000.npz")
     with raises(PairError, "pair.malformed", match=rf"000\.npz.*{name}.*missing"):
         read_pair(path)
 
 
-def test_several_missing_keys_and_none_at_all(tmp_path: Path):
+def test_several_missing_keys_and_none_at_all(tmp_path: Path) -> None:
     with raises(PairError, "pair.malformed", match="partial_256"):
         read_pair(store({"x": np.zeros(3)}, tmp_path / "000.npz"))
     with raises(PairError, "pair.malformed", match=r"none\.npz"):
@@ -162,7 +167,9 @@ def test_several_missing_keys_and_none_at_all(tmp_path: Path):
 
 @pytest.mark.parametrize("damage", ["empty", "text", "cut", "folder", "pickle", "flipped", "method"])
 @pytest.mark.parametrize("reader", [read_pair, read_npz])
-def test_damaged_files(pair, tmp_path: Path, damage: str, reader):
+def test_damaged_files(
+    pair: Pair, tmp_path: Path, damage: str, reader: Callable[..., Pair | dict[str, NDArray[Any]]]
+) -> None:
     path = tmp_path / "000.npz"
     data = bytearray(pair_bytes(pair))
     if damage == "folder":
@@ -180,13 +187,16 @@ def test_damaged_files(pair, tmp_path: Path, damage: str, reader):
                 directory = archive.start_dir
             data[directory + 10 : directory + 12] = (99).to_bytes(2, "little")
             data[offset + 8 : offset + 10] = (99).to_bytes(2, "little")
-        path.write_bytes({"empty": b"", "text": b"hello" * 50, "cut": data[:middle]}.get(damage, bytes(data)))
+        cut_short: dict[str, bytes | bytearray] = {"empty": b"", "text": b"hello" * 50, "cut": data[:middle]}
+        path.write_bytes(cut_short.get(damage, data))
     with pytest.raises((PairError, StorageError), match=r"000\.npz") as caught:
         reader(path)
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_without_an_occupancy_rule_is_by_winding(pair, stored, tmp_path: Path):
+def test_a_file_without_an_occupancy_rule_is_by_winding(
+    pair: Pair, stored: dict[str, NDArray[Any]], tmp_path: Path
+) -> None:
     """Files of before the key was added."""
     path = tmp_path / "old.npz"
     path.write_bytes(npz_bytes({name: value for name, value in stored.items() if name != "occupancy_rule"}))
@@ -198,7 +208,9 @@ def test_a_file_without_an_occupancy_rule_is_by_winding(pair, stored, tmp_path: 
         read_pair(path)
 
 
-def test_a_file_that_does_not_tell_by_what_it_is_known(pair, stored, tmp_path: Path):
+def test_a_file_that_does_not_tell_by_what_it_is_known(
+    pair: Pair, stored: dict[str, NDArray[Any]], tmp_path: Path
+) -> None:
     """Files of before `interior` and `said`, and those of exact shapes; what is there is checked."""
     path = tmp_path / "old.npz"
     path.write_bytes(pair_bytes(replace(pair, interior=None, said=None)))
@@ -217,7 +229,7 @@ def test_a_file_that_does_not_tell_by_what_it_is_known(pair, stored, tmp_path: P
 
 
 @pytest.mark.parametrize("value", [None, 0, 255])
-def test_packed_npz_is_a_sound_zip_that_numpy_opens(value: int | None):
+def test_packed_npz_is_a_sound_zip_that_numpy_opens(value: int | None) -> None:
     grid = np.random.default_rng(0).integers(0, 3, (16, 16, 4)).astype(np.uint8)
     arrays = {
         "grid": grid if value is None else np.full_like(grid, value),
@@ -237,7 +249,7 @@ def test_packed_npz_is_a_sound_zip_that_numpy_opens(value: int | None):
             assert archive[name].dtype == values.dtype
 
 
-def test_npz_level_counts():
+def test_npz_level_counts() -> None:
     values = {"a": np.random.default_rng(0).integers(0, 3, 40000).astype(np.uint8)}
     assert len(npz_bytes(values, level=9)) < len(npz_bytes(values, level=1))
 
@@ -270,13 +282,13 @@ def test_the_memory_of_a_pair_is_used_for_the_next(pair: Pair, tmp_path: Path) -
     path.write_bytes(pair_bytes(pair))
     # Dask sets some for the processes that it starts, where they are as good as a command's.
     environment = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}
-    command = [sys.executable, "-c", FAULTS, path]
+    command = [sys.executable, "-c", FAULTS, str(path)]
     told = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     # Its grids have 2,570 pages of 4 KB; given back to the system, all of them would be asked for again.
     assert int(told.stdout) < 500
 
 
-def test_the_share_of_what_is_not_known():
+def test_the_share_of_what_is_not_known() -> None:
     full, known = (pack(np.random.default_rng(n).random((16, 16, 64)) < 0.4) for n in range(2))
     assert unknown_share(full, known) == (unpack(full) & ~unpack(known)).sum() / unpack(full).sum()
     assert unknown_share(np.zeros_like(full), known) == 0

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
+from trimesh.caching import TrackedArray
 
 from kinectbench.core.geometry import (
     Grid,
@@ -27,14 +29,16 @@ def turned_grid(side: int, voxel_m: float, seed: int, offset_m: float = 0.0) -> 
     return Grid((side,) * 3, voxel_m, rigid(rotation, corner))
 
 
-def solid_of(vertices, faces, grid: Grid) -> np.ndarray:
+def solid_of(
+    vertices: TrackedArray | NDArray[np.float64], faces: TrackedArray | NDArray[np.int64], grid: Grid
+) -> np.ndarray:
     packed = voxelize_solid(np.asarray(vertices, float), np.asarray(faces, np.int32), grid)
     assert packed.dtype == np.uint8 and packed.shape == (*grid.shape[:2], grid.shape[2] // 8)
     return unpack(packed)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_ball_in_turned_grids(seed):
+def test_ball_in_turned_grids(seed: int) -> None:
     """Cells farther from the sphere than its facets' sagitta must be exact."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.3)
     grid = turned_grid(64, 0.0125, seed)
@@ -46,7 +50,7 @@ def test_ball_in_turned_grids(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_torus_keeps_its_hole(seed):
+def test_torus_keeps_its_hole(seed: int) -> None:
     torus = trimesh.creation.torus(0.25, 0.1, major_sections=256, minor_sections=128)
     grid = turned_grid(48, 0.016, seed)
     p = centers_world(grid)
@@ -67,7 +71,7 @@ def winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return total / (2 * np.pi)
 
 
-def test_a_crooked_mesh_against_solid_angles():
+def test_a_crooked_mesh_against_solid_angles() -> None:
     crooked = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     crooked.vertices *= 1 + 0.4 * np.random.default_rng(2).random((len(crooked.vertices), 1))
     grid = turned_grid(24, 0.04, 5)
@@ -79,7 +83,7 @@ def test_a_crooked_mesh_against_solid_angles():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_box_on_cell_borders_is_exact(axis):
+def test_box_on_cell_borders_is_exact(axis: int) -> None:
     """Faces on whole cell borders, edges and diagonals through rows of corners: no cell too many."""
     extents, low = np.array([6, 7, 9]), np.array([3, 5, 4])
     extents, low = np.roll(extents, axis), np.roll(low, axis)
@@ -91,7 +95,7 @@ def test_box_on_cell_borders_is_exact(axis):
     np.testing.assert_array_equal(solid, expected)
 
 
-def test_box_through_cell_centres_is_counted_once():
+def test_box_through_cell_centres_is_counted_once() -> None:
     """Faces exactly through centres: every cell on one of two opposite faces belongs, on the other not."""
     box = trimesh.creation.box([1.0, 1.0, 1.0])
     vertices = box.vertices + 0.5 + 0.625  # 0.625 .. 1.625, centres of cells 2 and 6 at 0.25 a cell
@@ -99,7 +103,7 @@ def test_box_through_cell_centres_is_counted_once():
     assert solid.sum() == 4**3
 
 
-def test_mesh_partly_outside_the_grid():
+def test_mesh_partly_outside_the_grid() -> None:
     """What sticks out on any side changes nothing within: also below, where columns begin inside."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.5)
     for shift in np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 1], [-1, -1, -1]]]) * 0.4:
@@ -115,7 +119,7 @@ def test_mesh_partly_outside_the_grid():
     assert solid_of(ball.vertices, ball.faces, within).all()
 
 
-def test_overlapping_parts_are_their_union():
+def test_overlapping_parts_are_their_union() -> None:
     """Winding numbers add up to two where parts overlap: still inside."""
     one = trimesh.creation.icosphere(subdivisions=4, radius=0.25)
     other = trimesh.creation.box([0.5, 0.2, 0.3])
@@ -128,7 +132,7 @@ def test_overlapping_parts_are_their_union():
     np.testing.assert_array_equal(solid_of(vertices, faces, grid), parts)
 
 
-def test_a_cavity_is_empty():
+def test_a_cavity_is_empty() -> None:
     outer = trimesh.creation.icosphere(subdivisions=4, radius=0.4)
     inner = trimesh.creation.icosphere(subdivisions=4, radius=0.2)
     vertices = np.concatenate([outer.vertices, inner.vertices])
@@ -140,7 +144,7 @@ def test_a_cavity_is_empty():
     assert solid[(radius > 0.21) & (radius < 0.39)].all()
 
 
-def test_grids_need_not_be_cubes():
+def test_grids_need_not_be_cubes() -> None:
     box = trimesh.creation.box([0.5, 0.25, 1.0])
     T = rigid(rotation_from_quaternion_xyzw([0.3, 0.1, -0.4, 0.8]), [-0.1, 0.1, -0.2])
     grid = Grid((20, 12, 40), 0.05, T)

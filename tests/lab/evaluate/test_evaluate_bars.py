@@ -65,7 +65,7 @@ def short(rows: list[Row]) -> list[str]:
     return [name for name, met in verdicts(bars(rows, [], True, [])).items() if met is False]
 
 
-def test_what_is_asked_is_met():
+def test_what_is_asked_is_met() -> None:
     figures = bars([CHAIR, BIN], [], True, [])
     # Four of furniture, three of others and sixteen of all: none is left out, but for undersides.
     assert sum(figure.met is not None for figure in figures) == 23
@@ -92,7 +92,7 @@ def test_what_is_asked_is_met():
         (replace(BIN, fused_f=0.92), "fused object, what was measured: F at 5 mm, least"),
     ],
 )  # fmt: skip
-def test_each_bar_can_be_missed(row: Row, name: str):
+def test_each_bar_can_be_missed(row: Row, name: str) -> None:
     assert name in short([row])
     assert name not in short([CHAIR if row.is_furniture else BIN])
 
@@ -119,7 +119,7 @@ def test_shares_of_objects_have_their_bounds() -> None:
     assert figures["objects"] == "13 of 13 (75% to 100%)"
 
 
-def test_couches_are_asked_one_by_one():
+def test_couches_are_asked_one_by_one() -> None:
     couch = replace(CHAIR, name="couch31", family="couch", not_known=0.13)
     figures = verdicts(
         bars([CHAIR, CHAIR, CHAIR, CHAIR, couch, replace(couch, not_known=0.05)], [], True, [])
@@ -128,7 +128,7 @@ def test_couches_are_asked_one_by_one():
     assert figures["couches: true volume not known, greatest"] is False
 
 
-def test_against_an_earlier_run():
+def test_against_an_earlier_run() -> None:
     earlier = [
         {"name": "chair31", "iou": 0.914},
         {"name": "table31", "iou": 0.93},
@@ -143,17 +143,17 @@ def test_against_an_earlier_run():
     assert "bin: IoU gained, mean" not in figures
 
 
-def test_what_was_not_built_is_counted():
+def test_what_was_not_built_is_counted() -> None:
     figures = verdicts(bars([], [NotBuilt("lamp31", "lamp", "too dark")], True, []))
     assert figures["objects that were not built"] is False
 
 
-def test_a_mean_is_of_the_rows_that_have_a_value():
+def test_a_mean_is_of_the_rows_that_have_a_value() -> None:
     assert mean_of([CHAIR, replace(CHAIR, near_air=None)], lambda row: row.near_air) == 0.01
     assert mean_of([CHAIR], lambda row: row.bias.down) is None
 
 
-def test_small_things_are_recorded_from_near():
+def test_small_things_are_recorded_from_near() -> None:
     found = recordings(["chair", "bin"], [4, 31], ["auto", "steep-v1"], ["sensor.width=320"])
     assert [one.name for one in found] == [
         "chair4", "chair4-steep", "bin4", "bin4-steep", "chair31", "chair31-steep", "bin31", "bin31-steep",

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from analytic_scenes import health_of
 from known_builds import T_WORLD_OBJECT, VIEW_FRAMES, Known, chair
+from typed import present
 
 from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.core.geometry import TriangleMesh, rigid, rotation_from_quaternion_xyzw
@@ -33,7 +34,7 @@ def silent(_done: int, _total: int) -> None:
     pass
 
 
-def test_overlap_by_hand():
+def test_overlap_by_hand() -> None:
     a = np.array([True, True, False, False])
     assert grid_iou(a, ~a) == 0
     assert grid_iou(a, np.array([True, False, True, False])) == pytest.approx(1 / 3)
@@ -69,7 +70,7 @@ def test_nothing_measured_moves_nothing(perfect: Known, truth: Truth) -> None:
     assert (found.moved_m, found.measured_distance_m, found.refined_distance_m) == (0.0, None, None)
 
 
-def test_surface_figures_by_hand():
+def test_surface_figures_by_hand() -> None:
     errors = SurfaceErrors(
         built_m=np.array([0.001, -0.004, 0.006, 0.020]),
         built_visible=np.array([True, True, False, False]),
@@ -78,7 +79,7 @@ def test_surface_figures_by_hand():
     )
     figures = surface_figures(errors)
     at_5, at_10 = figures.whole.scores
-    assert (at_5.precision, at_5.recall, at_5.f) == (0.5, 0.4, pytest.approx(0.4 / 0.9))
+    assert (at_5.precision, at_5.recall) == (0.5, 0.4) and at_5.f == pytest.approx(0.4 / 0.9)
     assert (at_10.precision, at_10.recall) == (0.75, 0.6)
     assert [(s.precision, s.recall) for s in figures.visible.scores] == [(1, pytest.approx(2 / 3)), (1, 1)]
     assert figures.whole.accuracy and figures.whole.completeness
@@ -92,7 +93,7 @@ def test_surface_figures_by_hand():
     assert unseen.visible.scores[0].f == 0
 
 
-def test_a_sphere_of_which_half_was_seen(perfect: Known):
+def test_a_sphere_of_which_half_was_seen(perfect: Known) -> None:
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.3)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32)
     normals = vertices / 0.3
@@ -115,7 +116,7 @@ def test_a_sphere_of_which_half_was_seen(perfect: Known):
     assert figures.whole.scores[0].precision == pytest.approx(0.303**2 / (0.303**2 + 0.28**2), abs=0.02)
 
 
-def test_a_view_that_is_turned_into_the_wrong_place(perfect: Known):
+def test_a_view_that_is_turned_into_the_wrong_place(perfect: Known) -> None:
     view, truth = perfect.build.views[2], perfect.truth  # type: ignore[index]
     shift = rigid(np.eye(3), [0.02, -0.01, 0.015])  # in the camera's axes
     wrong = replace(view, alignment=ViewAlignment(view.alignment.T_world_camera @ shift, 0.0, 0.0))
@@ -142,7 +143,7 @@ def test_a_view_that_is_turned_into_the_wrong_place(perfect: Known):
     assert whole.iou.mean == pytest.approx((4 + row.iou) / 5, abs=1e-6)
 
 
-def test_containment_by_hand(perfect: Known):
+def test_containment_by_hand(perfect: Known) -> None:
     name, truth = "001", perfect.truth
     pair = perfect.pairs[name]
     full = np.unpackbits(pair.full, axis=-1)
@@ -158,7 +159,7 @@ def test_containment_by_hand(perfect: Known):
     ).containment == pytest.approx(2 / 3)
 
 
-def test_masks_by_hand(perfect: Known):
+def test_masks_by_hand(perfect: Known) -> None:
     views, truth = perfect.build.views, perfect.truth
     assert views
     silhouette = truth.mask(views[0].frame)
@@ -173,12 +174,12 @@ def test_masks_by_hand(perfect: Known):
     full = mask_figures(replace(build, valid_depth=lambda _view: ~upper | upper), truth, HERE)
     assert full.worst_valid_iou == figures.worst_iou
     assert full.worst_view == "000"
-    assert full.mean_valid_iou == pytest.approx((4 + figures.worst_iou) / 5)
+    assert full.mean_valid_iou == pytest.approx((4 + present(figures.worst_iou)) / 5)
     foreign = replace(HERE, shown=np.arange(60) != views[1].frame)
     assert mask_figures(build, truth, foreign).without_truth == ("001",)
 
 
-def test_floor_by_hand(perfect: Known):
+def test_floor_by_hand(perfect: Known) -> None:
     truth = perfect.truth
     up, foot = truth.T_world_object[:3, 2], truth.T_world_object[:3, 3]
     tilt = np.radians(1.0)
@@ -189,13 +190,13 @@ def test_floor_by_hand(perfect: Known):
     assert here.angle_rad == pytest.approx(tilt)
     assert here.height_m == pytest.approx(0.003)
     moved = plane @ np.linalg.inv(T_built_truth)
-    there = replace(HERE, T_truth_built=np.linalg.inv(T_built_truth))
+    there = replace(HERE, T_truth_built=np.asarray(np.linalg.inv(T_built_truth)))
     same = floor_figures(Floor(moved, floor_frame(moved), 0, 1), truth, there)
     assert same.angle_rad == pytest.approx(tilt)
     assert same.height_m == pytest.approx(0.003)
 
 
-def test_lost_rejected_and_foreign_frames(perfect: Known):
+def test_lost_rejected_and_foreign_frames(perfect: Known) -> None:
     trajectory = perfect.build.trajectory
     assert trajectory
     cameras = trajectory.T_world_camera.copy()
@@ -214,7 +215,7 @@ def test_lost_rejected_and_foreign_frames(perfect: Known):
     assert figures.error.ate_m.max < 1e-12
 
 
-def test_two_poses_are_too_few_for_ate_but_align(perfect: Known):
+def test_two_poses_are_too_few_for_ate_but_align(perfect: Known) -> None:
     trajectory = perfect.build.trajectory
     assert trajectory
     T = rigid(rotation_from_quaternion_xyzw([0.3, -0.2, 0.5, 0.7]), [1.0, -2.0, 0.5])
@@ -228,7 +229,7 @@ def test_two_poses_are_too_few_for_ate_but_align(perfect: Known):
 
 
 @pytest.mark.parametrize("late_ms", [0, 28])
-def test_the_clock_of_a_given_trajectory_is_judged_by_the_truth(perfect: Known, late_ms: int):
+def test_the_clock_of_a_given_trajectory_is_judged_by_the_truth(perfect: Known, late_ms: int) -> None:
     trajectory = perfect.build.trajectory
     assert trajectory
     stamps_ns = np.arange(len(trajectory.stamps_ns)) * 33_333_333 + 10**18
@@ -244,10 +245,10 @@ def test_the_clock_of_a_given_trajectory_is_judged_by_the_truth(perfect: Known, 
         assert figures.given_clock and figures.given_clock.late_s == pytest.approx(0.028, abs=0.002)
 
 
-def test_frames_are_found_by_stamp_or_by_number():
+def test_frames_are_found_by_stamp_or_by_number() -> None:
     truth = 10**18 + np.arange(6) * 33_333_000
     np.testing.assert_array_equal(true_frames(truth[[0, 2, 5]], truth), [0, 2, 5])
-    np.testing.assert_array_equal(true_frames(truth[[0, 2]] + [9, 10**8], truth), [0, 5])
+    np.testing.assert_array_equal(true_frames(truth[[0, 2]] + np.array([9, 10**8]), truth), [0, 5])
     np.testing.assert_array_equal(true_frames(truth + 10**12, truth), [-1] * 6)
     # A recording without stamps counts its frames in seconds; frame 3 was left out.
     counted = np.array([0, 1, 2, 4]) * 10**9

@@ -7,11 +7,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from known_builds import Known, write_build
 from raising import raises
+from read_pictures import read_picture
 from rich.console import Console
 
 from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
@@ -41,7 +41,7 @@ def written(folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
     return evaluate_recording(*folders, out), out
 
 
-def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
+def test_perfect_through_the_disk(written: tuple[Evaluation, Path]) -> None:
     evaluation, out = written
     found = json.loads((out / "evaluation.json").read_text())
     assert found["format_version"] == 2
@@ -70,7 +70,7 @@ def test_perfect_through_the_disk(written: tuple[Evaluation, Path]):
     assert found["pairs"]["iou"]["mean"] == pytest.approx(evaluation.pairs.iou.mean, rel=1e-6)
 
 
-def test_a_pair_of_which_nothing_is_known_stands_on_the_page(written: tuple[Evaluation, Path]):
+def test_a_pair_of_which_nothing_is_known_stands_on_the_page(written: tuple[Evaluation, Path]) -> None:
     evaluation, _ = written
     assert evaluation.pairs
     unknown = replace(evaluation.pairs.rows[0], known_iou=None)
@@ -79,20 +79,20 @@ def test_a_pair_of_which_nothing_is_known_stands_on_the_page(written: tuple[Eval
     assert f"<td>{unknown.iou:.4f}</td><td>–</td>" in page
 
 
-def test_pictures_show_what_they_should(written: tuple[Evaluation, Path]):
+def test_pictures_show_what_they_should(written: tuple[Evaluation, Path]) -> None:
     _, out = written
     assert {path.stem for path in out.glob("*.png")} == PICTURES
     for name in PICTURES:
-        image = cv2.imread(str(out / f"{name}.png"))
+        image = read_picture(out / f"{name}.png")
         assert image is not None and min(image.shape[:2]) > 300
-    slices = cv2.imread(str(out / "slices.png"))[:-80, :, ::-1].reshape(-1, 3).astype(int)
+    slices = read_picture(out / "slices.png")[:-80, :, ::-1].reshape(-1, 3).astype(int)
     # Grey where true and built agree; nothing is missing, too much or unknown (above the legend).
     assert (np.abs(slices - (176, 172, 164)).max(axis=1) < 3).sum() > 5000
     for color in ((43, 108, 180), (200, 70, 40), (249, 231, 178)):
         assert (np.abs(slices - color).max(axis=1) < 3).sum() == 0
 
 
-def test_the_page_opens_alone(written: tuple[Evaluation, Path]):
+def test_the_page_opens_alone(written: tuple[Evaluation, Path]) -> None:
     _, out = written
     page = (out / "index.html").read_text()
     assert set(re.findall(r'src="(.{0,22})', page)) == {"data:image/png;base64,"}
@@ -105,7 +105,7 @@ def test_the_page_opens_alone(written: tuple[Evaluation, Path]):
         assert text in page
 
 
-def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, Path], tmp_path: Path):
+def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, Path], tmp_path: Path) -> None:
     _, out = written
     shutil.copytree(out, tmp_path / "again")
     (tmp_path / "again" / "stray.txt").write_text("of an earlier run")
@@ -122,7 +122,9 @@ def true(folders: tuple[Path, Path]) -> Truth:
 
 
 @pytest.mark.parametrize("built", range(len(STAGES)))
-def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], true: Truth, tmp_path: Path):
+def test_later_stages_may_be_missing(
+    built: int, folders: tuple[Path, Path], true: Truth, tmp_path: Path
+) -> None:
     build = folders[0]
     for stage in ("sequence", "reconstruction", *STAGES[:built]):
         shutil.copytree(build / stage, tmp_path / stage)
@@ -139,22 +141,22 @@ def test_later_stages_may_be_missing(built: int, folders: tuple[Path, Path], tru
 
 def test_what_is_not_current_is_not_evaluated(
     folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+) -> None:
     shutil.copytree(folders[0], tmp_path / "build")
     whole = read_build(tmp_path / "build")
     assert whole.trajectory and whole.model and whole.views and whole.pair_names
     depth = tmp_path / "build" / "views" / "002.depth.png"
     depth.write_bytes(depth.read_bytes()[:-1])
     cut = read_build(tmp_path / "build")
-    assert cut.trajectory and cut.model and cut.views is cut.pair_names is None
+    assert cut.trajectory and cut.model and cut.views is None and cut.pair_names is None
     monkeypatch.setitem(VERSIONS, "segment", VERSIONS["segment"] + 1)
     other = read_build(folders[0])
-    assert other.trajectory and other.model is other.views is other.pair_names is None
+    assert other.trajectory and (other.model, other.views, other.pair_names) == (None, None, None)
     (tmp_path / "build" / "trajectory" / "manifest.json").unlink()
     assert read_build(tmp_path / "build").trajectory is None
 
 
-def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Path):
+def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Path) -> None:
     build, truth = folders
     for stage in ("sequence", "trajectory"):
         shutil.copytree(build / stage, tmp_path / "build" / stage)
@@ -173,7 +175,7 @@ def printed(evaluation: Evaluation) -> str:
     return console.export_text()
 
 
-def test_the_table(written: tuple[Evaluation, Path]):
+def test_the_table(written: tuple[Evaluation, Path]) -> None:
     text = printed(written[0])
     for line in (
         r"F at 10 mm, seen +│ +100\.0 │ %",
@@ -183,7 +185,7 @@ def test_the_table(written: tuple[Evaluation, Path]):
         assert re.search(line, text), line
 
 
-def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path):
+def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path) -> None:
     build, truth = folders
     shutil.copytree(build, tmp_path / "build")
     cases: list[tuple[type[KinectBenchError], Path, Path, str]] = [

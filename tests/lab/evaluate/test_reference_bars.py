@@ -36,7 +36,7 @@ def exact_iou(one: TriangleMesh, other: TriangleMesh) -> float:
     """Of two solids, by exact cuts of their meshes."""
     a, b = manifold(one), manifold(other)
     both = (a ^ b).volume()
-    return both / (a.volume() + b.volume() - both)
+    return float(both / (a.volume() + b.volume() - both))
 
 
 def off(

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from object_checks import check_solid, check_thickness, check_variety, drawn, is_solid, reach_m
 from slow import first
+
+from kinectbench.lab.simulate.objects.shapes import Subject
 
 SEEDS = range(10)
 BOUNDS = {
@@ -14,18 +17,18 @@ BOUNDS = {
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family], steady_m=0.03)
     check_thickness(drawn(family, seed), 0.0149)
 
 
-def case_of(subject):
+def case_of(subject: Subject) -> NDArray[np.float64]:
     return next(piece.mesh.vertices for piece in subject.pieces if piece.name == "case")
 
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", first(4, SEEDS))
-def test_its_rooms_are_air_and_open_to_the_front(family, seed):
+def test_its_rooms_are_air_and_open_to_the_front(family: str, seed: int) -> None:
     subject = drawn(family, seed)
     case = case_of(subject)
     low, high = case.min(axis=0), case.max(axis=0)
@@ -47,7 +50,7 @@ def test_its_rooms_are_air_and_open_to_the_front(family, seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_walls_of_a_refrigerator_are_thick(seed):
+def test_the_walls_of_a_refrigerator_are_thick(seed: int) -> None:
     subject = drawn("fridge", seed)
     case = case_of(subject)
     low, high = case.min(axis=0), case.max(axis=0)
@@ -61,7 +64,7 @@ def test_the_walls_of_a_refrigerator_are_thick(seed):
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_doors_stand_out_and_the_parts_vary(family):
+def test_doors_stand_out_and_the_parts_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.25)
     names = []
     for seed in SEEDS:

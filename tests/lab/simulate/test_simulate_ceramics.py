@@ -18,14 +18,14 @@ THICK_M = {"mug": 0.0079, "kettle": 0.0119, "bottle": 0.0119, "vase": 0.0079}
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", first(3, SEEDS))
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family])
     check_thickness(drawn(family, seed), THICK_M[family])
 
 
 @pytest.mark.parametrize("family", ["mug", "vase"])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_cavity_is_open_at_the_top(family, seed):
+def test_the_cavity_is_open_at_the_top(family: str, seed: int) -> None:
     subject = drawn(family, seed)
     piece = next(piece for piece in subject.pieces if piece.name == "body")
     x, y = piece.mesh.vertices[:, :2].max(axis=0) / 2 + piece.mesh.vertices[:, :2].min(axis=0) / 2
@@ -40,17 +40,17 @@ def test_the_cavity_is_open_at_the_top(family, seed):
 
 @pytest.mark.parametrize("family", ["mug", "kettle"])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_handle_leaves_an_opening(family, seed):
+def test_a_handle_leaves_an_opening(family: str, seed: int) -> None:
     # A body with one handle is a ring: one hole, Euler's number 0.
     assert checked(drawn(family, seed)).euler_number == 0
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_they_vary(family):
+def test_they_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.2)
 
 
-def test_a_vessel_has_its_walls_and_its_volume():
+def test_a_vessel_has_its_walls_and_its_volume() -> None:
     straight = np.array([(0.05, 0.0), (0.05, 0.1)])
     cup, room = vessel(straight, 0.01, 0.015)
     # 96 sides inscribed in a circle; the rim is a torus' upper half of 5 mm: Pappus.
@@ -62,7 +62,7 @@ def test_a_vessel_has_its_walls_and_its_volume():
     assert room.bounding_box()[5] > 0.15
 
 
-def test_a_profile_stays_between_its_points_and_a_band_lies_around_it():
+def test_a_profile_stays_between_its_points_and_a_band_lies_around_it() -> None:
     line = smooth_profile([(0.03, 0.0), (0.06, 0.1), (0.04, 0.2)])
     assert np.allclose(line[[0, -1]], [(0.03, 0.0), (0.04, 0.2)])
     assert line[:, 0].max() <= 0.06
@@ -71,7 +71,7 @@ def test_a_profile_stays_between_its_points_and_a_band_lies_around_it():
     assert ring.volume() == pytest.approx(np.pi * (0.052**2 - 0.045**2) * 0.02, rel=0.01)
 
 
-def test_a_horn_is_a_cone_between_balls():
+def test_a_horn_is_a_cone_between_balls() -> None:
     straight = horn(np.array([(0, 0, 0), (0, 0, 0.1)]), np.array([0.02, 0.02]))
     whole = np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3
     assert 0.95 * whole < straight.volume() < whole

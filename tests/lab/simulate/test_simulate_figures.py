@@ -15,13 +15,13 @@ THICK_M = {"shoe": 0.008, "toy_animal": 0.012}
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", first(3, SEEDS))
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family])
     check_thickness(drawn(family, seed), THICK_M[family])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_foot_fits_into_a_shoe(seed):
+def test_a_foot_fits_into_a_shoe(seed: int) -> None:
     subject = drawn("shoe", seed)
     low, high = checked(subject).bounds
     # The heel's place lies under the opening, a good quarter of the length before the back.
@@ -42,7 +42,7 @@ def test_a_foot_fits_into_a_shoe(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_toy_animal_stands_on_four_feet(seed):
+def test_a_toy_animal_stands_on_four_feet(seed: int) -> None:
     subject = drawn("toy_animal", seed)
     vertices = subject.mesh.vertices[subject.mesh.vertices[:, 2] < 0.002]
     feet = {(x > 0, y > np.mean(vertices[:, 1])) for x, y, _ in vertices}
@@ -55,5 +55,5 @@ def test_a_toy_animal_stands_on_four_feet(seed):
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_they_vary(family):
+def test_they_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.2)

@@ -7,8 +7,12 @@ import open3d as o3d
 import pytest
 import trimesh
 from kinectbench_plugins.families import lamps, lattices
+from numpy.typing import NDArray
 from object_checks import check_solid
+from trimesh.base import Trimesh
+from trimesh.caching import TrackedArray
 
+from kinectbench.core.geometry.mesh import TriangleMesh
 from kinectbench.lab.simulate.objects import make_object, shapes
 from kinectbench.lab.simulate.objects.shapes import Subject
 
@@ -40,19 +44,21 @@ def checked(family: str, seed: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
-def cast(mesh, origins, directions):
+def cast(
+    mesh: Trimesh | TriangleMesh, origins: TrackedArray | NDArray[np.float64], directions: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Distance (n,) along rays to a mesh's surface, infinite where they leave, and its normals (n, 3)."""
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
-        o3d.core.Tensor(np.asarray(mesh.faces, np.uint32)),
+        o3d.core.Tensor.from_numpy(np.asarray(mesh.vertices, np.float32)),
+        o3d.core.Tensor.from_numpy(np.asarray(mesh.faces, np.uint32)),
     )
     rays = np.concatenate([origins, np.broadcast_to(directions, origins.shape)], axis=1)
-    met = scene.cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
+    met = scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
     return met["t_hit"].numpy(), met["primitive_normals"].numpy()
 
 
-def from_front(mesh, count: int = 61):
+def from_front(mesh: Trimesh, count: int = 61) -> NDArray[np.float32]:
     """How deep (n,) level rays from the front, +y, go behind the bounding box's front until they meet it."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     share = (np.arange(count) + 0.5) / count
@@ -61,19 +67,19 @@ def from_front(mesh, count: int = 61):
     return cast(mesh, start, np.array([0.0, -1.0, 0.0]))[0] - 0.1
 
 
-def named(subject: Subject, name: str):
+def named(subject: Subject, name: str) -> list[TriangleMesh]:
     return [piece.mesh for piece in subject.pieces if piece.name == name]
 
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_one_watertight_solid_of_true_size_that_stands(family, seed):
+def test_it_is_one_watertight_solid_of_true_size_that_stands(family: str, seed: int) -> None:
     check_solid(subject_of(family, seed), *BOUNDS[family], steady_m=0.02)
 
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nothing_is_thin(family, seed):
+def test_nothing_is_thin(family: str, seed: int) -> None:
     mesh = checked(family, seed)
     points, faces = trimesh.sample.sample_surface(mesh, 4000, seed=1)
     normals = mesh.face_normals[faces]
@@ -85,14 +91,14 @@ def test_nothing_is_thin(family, seed):
 
 
 @pytest.mark.parametrize("family", OPEN_SHARE)
-def test_one_looks_through_its_gaps(family):
+def test_one_looks_through_its_gaps(family: str) -> None:
     shares = [float(np.isinf(from_front(checked(family, seed))).mean()) for seed in SEEDS]
     assert min(shares) > 0.08
     assert np.median(shares) > OPEN_SHARE[family], sorted(shares)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_shade_is_a_thin_wall_open_below_and_above(seed):
+def test_a_shade_is_a_thin_wall_open_below_and_above(seed: int) -> None:
     subject, mesh = subject_of("lamp", seed), checked("lamp", seed)
     (shade,) = named(subject, "shade")
     low, high = shade.vertices.min(axis=0), shade.vertices.max(axis=0)
@@ -112,7 +118,7 @@ def test_a_shade_is_a_thin_wall_open_below_and_above(seed):
     assert np.mean(reached_m < low[2] - 0.02) > 0.6
 
 
-def test_shades_have_the_volume_of_their_wall():
+def test_shades_have_the_volume_of_their_wall() -> None:
     # Guldin: the profile's area times the way of its centroid, for a polygon of n sides n sin(2 pi / n) r.
     radius, high, wall = 0.15, 0.2, 0.014
     slant = np.hypot(high, 0.06)
@@ -125,7 +131,7 @@ def test_shades_have_the_volume_of_their_wall():
     assert (cone.solid().genus(), square.genus()) == (1, 1)
 
 
-def test_the_slats_of_a_crate_fill_a_side_with_even_gaps():
+def test_the_slats_of_a_crate_fill_a_side_with_even_gaps() -> None:
     size = lattices._Crate(x=0.3, y=0.2, high=0.3, thick=0.015, broad=0.06, gap=0.03)
     # round(0.33 / 0.09) = 4 slats with three gaps of 3 cm between them: each (0.3 - 0.09) / 4 = 5.25 cm.
     assert np.allclose(size.rows(0.3), [(k * 0.0825, k * 0.0825 + 0.0525) for k in range(4)])
@@ -133,7 +139,7 @@ def test_the_slats_of_a_crate_fill_a_side_with_even_gaps():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_crate_and_a_wire_basket_are_open_above(seed):
+def test_a_crate_and_a_wire_basket_are_open_above(seed: int) -> None:
     for family in ("crate", "wire_basket"):
         mesh = checked(family, seed)
         (low, high), share = mesh.bounds, np.linspace(0.3, 0.7, 15)
@@ -144,7 +150,7 @@ def test_a_crate_and_a_wire_basket_are_open_above(seed):
         assert free.mean() > 0.8
 
 
-def test_bars_of_a_basket_are_evenly_spaced_and_end_in_its_ring():
+def test_bars_of_a_basket_are_evenly_spaced_and_end_in_its_ring() -> None:
     outline = shapes.ellipse((0.4, 0.4))
     assert lattices._reach(outline, 0, 0.1) == pytest.approx(np.sqrt(0.04 - 0.01), abs=1e-3)
     assert lattices._reach(shapes.rectangle((0.4, 0.2)), 1, 0.15) == pytest.approx(0.1)
@@ -153,7 +159,7 @@ def test_bars_of_a_basket_are_evenly_spaced_and_end_in_its_ring():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_bookshelf_is_open_to_the_front(seed):
+def test_a_bookshelf_is_open_to_the_front(seed: int) -> None:
     subject, mesh = subject_of("bookshelf", seed), checked("bookshelf", seed)
     depth = np.ptp(mesh.vertices[:, 1])
     assert np.mean(from_front(mesh) > 0.5 * depth) > 0.25
@@ -168,7 +174,7 @@ def test_a_bookshelf_is_open_to_the_front(seed):
         assert book.vertices[:, 1].max() < mesh.bounds[1, 1] + 1e-9
 
 
-def test_some_bookshelves_hold_books_and_some_have_no_back():
+def test_some_bookshelves_hold_books_and_some_have_no_back() -> None:
     books = [len(named(subject_of("bookshelf", seed), "book")) for seed in SEEDS]
     assert min(books) == 0
     assert max(books) > 5
@@ -176,7 +182,7 @@ def test_some_bookshelves_hold_books_and_some_have_no_back():
     assert 0 < sum(through) < len(through)
 
 
-def test_treads_rise_evenly():
+def test_treads_rise_evenly() -> None:
     counted = 0
     for seed in SEEDS:
         subject = subject_of("ladder", seed)
@@ -193,7 +199,7 @@ def test_treads_rise_evenly():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_tray_has_a_rim(seed):
+def test_a_tray_has_a_rim(seed: int) -> None:
     subject = subject_of("tray_stand", seed)
     (tray,) = named(subject, "tray")
     middle = np.array([[0.0, 0.0, tray.vertices[:, 2].max() + 1.0]])
@@ -202,7 +208,7 @@ def test_a_tray_has_a_rim(seed):
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_the_same_seed_gives_the_same_and_others_differ(family):
+def test_the_same_seed_gives_the_same_and_others_differ(family: str) -> None:
     volumes = {round(float(checked(family, seed).volume), 9) for seed in SEEDS}
     assert len(volumes) == len(SEEDS)
     assert len({len(subject_of(family, seed).mesh.faces) for seed in SEEDS}) >= 8

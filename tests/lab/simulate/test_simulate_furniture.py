@@ -4,17 +4,22 @@ import functools
 import hashlib
 import subprocess
 import sys
+from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import Manifold
+from numpy.typing import NDArray
 from object_checks import check_closed, closed
 from raising import raises
+from read_pictures import read_picture
 from scipy.spatial import ConvexHull
 from slow import first
+from trimesh.base import Trimesh
 
 from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.geometry.mesh import TriangleMesh
 from kinectbench.lab.simulate.objects import (
     PAPER_FURNITURE,
     families,
@@ -45,18 +50,18 @@ def furniture(family: str, seed: int) -> Subject:
     return make_object(family, seed)
 
 
-def checked(mesh) -> trimesh.Trimesh:
+def checked(mesh: TriangleMesh) -> trimesh.Trimesh:
     """The mesh as it is, without merging its vertices."""
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
-def least_width_m(points) -> float:
+def least_width_m(points: NDArray[np.float64]) -> float:
     """Least distance of two parallel planes around points, over the planes of their hull's faces."""
     hull = ConvexHull(points)
     return float(-((hull.equations[:, :3] @ points.T).min(axis=1) + hull.equations[:, 3]).max())
 
 
-def test_boxes_and_bars_have_their_exact_volume():
+def test_boxes_and_bars_have_their_exact_volume() -> None:
     assert shapes.box((-0.1, 0, 0.2), (0.3, 0.5, 0.5)).volume() == pytest.approx(0.4 * 0.5 * 0.3)
     assert shapes.bar_between((0, 0, 0), (0.3, 0, 0.4), 0.02, 0.03).volume() == pytest.approx(
         0.5 * 0.02 * 0.03
@@ -69,8 +74,8 @@ def test_boxes_and_bars_have_their_exact_volume():
     assert np.allclose(plate.bounding_box(), (-0.2, -0.15, 0.1, 0.2, 0.15, 0.2))
 
 
-def test_round_shapes_have_their_volume_but_for_their_facets():
-    def near(shape, volume_m3, share):
+def test_round_shapes_have_their_volume_but_for_their_facets() -> None:
+    def near(shape: Manifold, volume_m3: float, share: float) -> None:
         assert volume_m3 * (1 - share) < shape.volume() < volume_m3 * (1 + 1e-9)
 
     near(shapes.rod((0, 0, 0), (0, 0.3, 0.4), 0.05), np.pi * 0.0025 * 0.5, 0.02)
@@ -85,7 +90,7 @@ def test_round_shapes_have_their_volume_but_for_their_facets():
     near(shapes.cushion((0, 0, 0), tuple(core + 2 * r), r), volume, 0.03)
 
 
-def test_tubes_follow_their_path():
+def test_tubes_follow_their_path() -> None:
     area = 12 / 2 * np.sin(2 * np.pi / 12) * 0.01**2
     bent = shapes.tube([(0, 0, 0), (0.3, 0, 0), (0.3, 0.4, 0)], 0.01)
     # Mitred at the corner, a tube has the volume of its section times its middle line.
@@ -99,7 +104,7 @@ def test_tubes_follow_their_path():
     assert np.allclose(strip.bounding_box(), (-0.2, -0.01, -0.01, 0.2, 0.51, 0.01), atol=1e-5)
 
 
-def test_bent_shapes_keep_their_volume():
+def test_bent_shapes_keep_their_volume() -> None:
     low, high = (-0.2, -0.01, 0), (0.2, 0.01, 0.5)
     assert shapes.bowed(low, high, 0.05).volume() == pytest.approx(0.004)
     assert shapes.bowed(low, high, 0.05).bounding_box()[1] == pytest.approx(-0.06, abs=1e-4)
@@ -117,7 +122,7 @@ def test_bent_shapes_keep_their_volume():
 
 @pytest.mark.parametrize("family", FURNITURE)
 @pytest.mark.parametrize("seed", first(4, SEEDS))
-def test_furniture_is_one_watertight_solid(family, seed):
+def test_furniture_is_one_watertight_solid(family: str, seed: int) -> None:
     subject = furniture(family, seed)
     mesh = check_closed(subject)
     litres = [1000 * closed(piece.mesh).volume for piece in subject.pieces]
@@ -129,7 +134,7 @@ def test_furniture_is_one_watertight_solid(family, seed):
 
 @pytest.mark.parametrize("family", FURNITURE)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_furniture_stands_and_has_a_true_size(family, seed):
+def test_furniture_stands_and_has_a_true_size(family: str, seed: int) -> None:
     subject = furniture(family, seed)
     low, high = subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)
     assert low[2] == 0
@@ -148,33 +153,33 @@ def test_furniture_stands_and_has_a_true_size(family, seed):
 
 
 @pytest.mark.parametrize("family", FURNITURE)
-def test_the_surface_of_the_pieces_is_the_surface_of_the_union(family):
+def test_the_surface_of_the_pieces_is_the_surface_of_the_union(family: str) -> None:
     # Rays from outside meet the pieces where they meet the union: pictures and truth agree.
     subject = furniture(family, 3)
     pieces = trimesh.util.concatenate([checked(piece.mesh) for piece in subject.pieces])
     rng = np.random.default_rng(0)
     start = rng.normal(size=(300, 3))
     start = 3 * start / np.linalg.norm(start, axis=1, keepdims=True) + [0, 0, 0.4]
-    aim = rng.uniform(
-        *np.array([subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)]), (300, 3)
-    )
+    aim = rng.uniform(subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0), (300, 3))
     depths = [first_hit_m(mesh, start, aim - start) for mesh in (pieces, checked(subject.mesh))]
     assert np.isfinite(depths[0]).sum() > 100
-    assert np.allclose(*depths, atol=1e-5)
+    assert np.allclose(depths[0], depths[1], atol=1e-5)
 
 
-def first_hit_m(mesh, origins, directions):
+def first_hit_m(
+    mesh: Trimesh, origins: NDArray[np.float64], directions: NDArray[np.float64]
+) -> NDArray[np.float32]:
     import open3d as o3d
 
     tensor = o3d.core.Tensor.from_numpy
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.faces.astype(np.uint32)))
     rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-    return scene.cast_rays(tensor(rays))["t_hit"].numpy()
+    return np.asarray(scene.cast_rays(tensor(rays))["t_hit"].numpy())
 
 
 @pytest.mark.parametrize("family", ["chair", "bench", "couch"])
-def test_backs_are_at_the_back(family):
+def test_backs_are_at_the_back(family: str) -> None:
     # Whoever sits there looks to +y: what is high up lies behind the middle.
     for seed in SEEDS:
         vertices = furniture(family, seed).mesh.vertices
@@ -184,7 +189,7 @@ def test_backs_are_at_the_back(family):
 
 
 @pytest.mark.parametrize("family", FURNITURE)
-def test_furniture_varies(family):
+def test_furniture_varies(family: str) -> None:
     subjects = [furniture(family, seed) for seed in SEEDS]
     assert len({len(subject.mesh.faces) for subject in subjects}) >= 12
     assert len({tuple(sorted({piece.name for piece in subject.pieces})) for subject in subjects}) >= 6
@@ -193,7 +198,7 @@ def test_furniture_varies(family):
     assert max(heights) - min(heights) > 0.1
 
 
-def test_some_pieces_are_dark_and_most_are_not():
+def test_some_pieces_are_dark_and_most_are_not() -> None:
     albedo = [p.albedo for family in FURNITURE for seed in SEEDS for p in furniture(family, seed).pieces]
     dark = np.array(albedo) <= 0.15
     assert 0.03 < dark.mean() < 0.35
@@ -211,7 +216,7 @@ def fingerprint() -> str:
     return digest.hexdigest()
 
 
-def test_same_seed_same_vertices_in_every_process():
+def test_same_seed_same_vertices_in_every_process() -> None:
     here = fingerprint()
     assert fingerprint() == here
     code = "from test_simulate_furniture import fingerprint; print(fingerprint())"
@@ -227,18 +232,18 @@ def test_same_seed_same_vertices_in_every_process():
     assert run.stdout.strip() == here
 
 
-def test_other_seeds_and_families_differ():
+def test_other_seeds_and_families_differ() -> None:
     assert len(make_object("chair", 1).mesh.vertices) != len(make_object("chair", 2).mesh.vertices)
     assert make_object("chair", 3).name == "chair:seed=3"
 
 
-def test_some_families_are_looked_at_and_others_only_reported():
+def test_some_families_are_looked_at_and_others_only_reported() -> None:
     looked_at = {name for name, family in families().items() if family.looked_at}
     assert len(families()) > len(looked_at) > len(PAPER_FURNITURE)
     assert set(PAPER_FURNITURE) <= set(FURNITURE) & looked_at
 
 
-def test_parse_object():
+def test_parse_object() -> None:
     assert parse_object("chair:seed=3") == ("chair", 3)
     assert parse_object("table") == ("table", 0)
 
@@ -252,12 +257,12 @@ def test_parse_object():
         ("", "such as chair:seed=3"),
     ],
 )
-def test_parse_object_refuses(text, says):
+def test_parse_object_refuses(text: str, says: str) -> None:
     with raises(SettingsError, "settings.wrong-value", match=says):
         parse_object(text)
 
 
-def test_a_contact_sheet_shows_each_object_in_its_place():
+def test_a_contact_sheet_shows_each_object_in_its_place() -> None:
     sheet = contact_sheet("table", (2, 7, 14, 9, 4), 60)
     assert sheet.shape == (2 * 82, 240, 3)
     assert sheet.dtype == np.uint8
@@ -267,10 +272,10 @@ def test_a_contact_sheet_shows_each_object_in_its_place():
     assert cells[5:] == [1, 1, 1]
 
 
-def test_contact_sheets_are_written(tmp_path):
+def test_contact_sheets_are_written(tmp_path: Path) -> None:
     paths = write_contact_sheets(tmp_path / "sheets", count=1, size_px=40)
     assert [path.name for path in paths] == [f"{family}.png" for family in families()]
-    assert cv2.imread(str(paths[0])).shape == (62, 160, 3)
+    assert read_picture(paths[0]).shape == (62, 160, 3)
     (tmp_path / "file").write_text("")
     with raises(StorageError, "storage.not-writable"):
         write_contact_sheets(tmp_path / "file", count=1, size_px=20)

@@ -1,7 +1,10 @@
 """The sensor model against its published figures, geometry worked out by hand, and plain loops."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from references import axial_sigma_m, depth_step_m, lateral_sigma_px
 
 from kinectbench.core.geometry import Camera
@@ -23,14 +26,18 @@ BLIND = round(NOISE.blind_share * CAMERA.width)
 SHIFT = CAMERA.fx * NOISE.baseline_m
 
 
-def rendering(depth_m, cosine=1.0, albedo=0.6):
+def rendering(
+    depth_m: NDArray[np.float64] | float | NDArray[np.float32], cosine: float = 1.0, albedo: float = 0.6
+) -> Rendering:
     depth, cosines, albedos = (
         np.broadcast_to(np.asarray(values, np.float32), SHAPE).copy() for values in (depth_m, cosine, albedo)
     )
     return Rendering(depth, np.zeros((*SHAPE, 3), np.uint8), np.zeros(SHAPE, bool), cosines, albedos)
 
 
-def measured(exact, distortion=0.0, sunlight=0.0, seed=0, **changed):
+def measured(
+    exact: Rendering, distortion: float = 0.0, sunlight: float = 0.0, seed: int = 0, **changed: float
+) -> NDArray[np.float64]:
     """Measured depth without the blind columns."""
     device = draw_device(CAMERA, distortion, sunlight, np.random.default_rng(seed))
     device = KinectUnit(NOISE._replace(**changed), device.distortion_px, sunlight)
@@ -39,7 +46,7 @@ def measured(exact, distortion=0.0, sunlight=0.0, seed=0, **changed):
     )
 
 
-def errors_m(depth_m, cosine=1.0, **settings):
+def errors_m(depth_m: float, cosine: float = 1.0, **settings: Any) -> NDArray[np.float64]:
     """Measured minus exact where there is depth, of a surface that varies slightly in depth.
 
     So that the phase of the rounding averages out.
@@ -49,20 +56,20 @@ def errors_m(depth_m, cosine=1.0, **settings):
     return np.where(found > 0, found - exact.astype(np.float32)[:, :-BLIND], np.nan)
 
 
-def lost(exact, **settings):
+def lost(exact: Rendering, **settings: Any) -> float:
     """Share of pixels without depth."""
     return float((measured(exact, **settings) == 0).mean())
 
 
 @pytest.mark.parametrize(("depth_m", "sigma_mm"), [(0.6, 1.276), (1.0, 1.884), (2.0, 6.064), (4.0, 25.824)])
-def test_noise_has_the_published_standard_deviation(depth_m, sigma_mm):
+def test_noise_has_the_published_standard_deviation(depth_m: float, sigma_mm: float) -> None:
     assert float(axial_sigma_m(np.array(depth_m), np.array(0.0))) * 1000 == pytest.approx(sigma_mm)
     error_mm = np.stack([errors_m(depth_m, seed=seed) for seed in range(0, 6, 2)]) * 1000
     assert np.nanstd(error_mm) == pytest.approx(sigma_mm, rel=0.04)
     assert abs(np.nanmean(error_mm)) < 0.06 * sigma_mm
 
 
-def test_noise_grows_at_grazing_angles():
+def test_noise_grows_at_grazing_angles() -> None:
     # Nguyen et al.: 0.1 mm * (80 / 10)^2 = 6.4 mm more at 80 degrees and 1 m.
     extra_m = axial_sigma_m(np.array(1.0), np.radians(80.0)) - axial_sigma_m(np.array(1.0), np.radians(30.0))
     assert float(extra_m) == pytest.approx(0.0064)
@@ -71,7 +78,7 @@ def test_noise_grows_at_grazing_angles():
     assert np.nanstd(errors_m(1.0, np.cos(tilt))) == pytest.approx(published_m, rel=0.05)
 
 
-def test_errors_of_neighbours_correlate_as_on_real_planes():
+def test_errors_of_neighbours_correlate_as_on_real_planes() -> None:
     error_m = np.stack([errors_m(1.7, seed=seed) for seed in range(0, 8, 2)])
     for lag_px, real in ((1, 0.55), (2, 0.40), (3, 0.26)):
         both = error_m[:, :, :-lag_px] * error_m[:, :, lag_px:]
@@ -79,7 +86,7 @@ def test_errors_of_neighbours_correlate_as_on_real_planes():
     assert abs(np.nanmean(error_m[:, :, :-12] * error_m[:, :, 12:]) / np.nanvar(error_m)) < 0.05
 
 
-def test_depth_is_quantised_in_eighths_of_a_disparity_pixel():
+def test_depth_is_quantised_in_eighths_of_a_disparity_pixel() -> None:
     found = measured(rendering(2.0))
     values = np.unique(found[found > 0])
     steps = 580 * 0.075 * 8 / values
@@ -88,26 +95,28 @@ def test_depth_is_quantised_in_eighths_of_a_disparity_pixel():
     assert np.allclose(np.diff(values), depth_step_m(values[1:], NOISE), rtol=0.05)
 
 
-def test_depth_out_of_range_is_no_measurement():
+def test_depth_out_of_range_is_no_measurement() -> None:
     for depth_m in (0.0, 0.39, 4.51, 9.0):
         assert not measured(rendering(depth_m)).any()
     assert lost(rendering(1.0)) < 0.005
 
 
-def test_the_columns_at_the_right_are_blind():
+def test_the_columns_at_the_right_are_blind() -> None:
     device = draw_device(CAMERA, 0.0, 0.0, np.random.default_rng(0))
     found = measured_depth(rendering(1.0), CAMERA, device, np.random.default_rng(0))
     assert not found[:, -5:].any()
     assert (found[:, :-5] > 0).mean() > 0.99
 
 
-def object_before_wall(near_m=1.0, far_m=2.0, left=200, right=300):
+def object_before_wall(
+    near_m: float = 1.0, far_m: float = 2.0, left: int = 200, right: int = 300
+) -> NDArray[np.float32]:
     depth_m = np.full(SHAPE, far_m, np.float32)
     depth_m[:, left:right] = near_m
     return depth_m
 
 
-def test_the_shadow_lies_to_the_left_and_has_the_width_of_the_disparity():
+def test_the_shadow_lies_to_the_left_and_has_the_width_of_the_disparity() -> None:
     lit = projector_lit(object_before_wall(), SHIFT)
     assert (lit == lit[0]).all()
     dark = np.flatnonzero(~lit[0])
@@ -120,13 +129,13 @@ def test_the_shadow_lies_to_the_left_and_has_the_width_of_the_disparity():
     assert (found[:, 302:330] > 0).mean() > 0.99
 
 
-def test_the_projector_sees_past_a_thin_object_on_both_sides():
+def test_the_projector_sees_past_a_thin_object_on_both_sides() -> None:
     # At 1 m it hides 10 columns of the projector; its shadow on the wall lies 20 columns aside.
     lit = projector_lit(object_before_wall(left=200, right=210), SHIFT)[0]
     assert np.flatnonzero(~lit).tolist() == pytest.approx(np.arange(180, 190), abs=1)
 
 
-def plainly_lit(row_m):
+def plainly_lit(row_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Which pixels of a row the projector reaches: those that no span of surface lies before."""
     column = np.arange(len(row_m)) - SHIFT / row_m
     spans = np.abs(row_m[1:] / row_m[:-1] - 1) < 0.02
@@ -137,7 +146,7 @@ def plainly_lit(row_m):
     return lit
 
 
-def test_the_shadow_agrees_with_a_plain_search():
+def test_the_shadow_agrees_with_a_plain_search() -> None:
     rng = np.random.default_rng(3)
     depth_m = np.full((6, 300), 3.0, np.float32)
     for row in depth_m:
@@ -151,7 +160,7 @@ def test_the_shadow_agrees_with_a_plain_search():
     assert not (differs[:, 1:-1] & differs[:, 2:] & differs[:, :-2]).any()
 
 
-def test_edges_are_ragged_by_the_published_amount():
+def test_edges_are_ragged_by_the_published_amount() -> None:
     assert lateral_sigma_px(np.array([0.0, np.radians(60)])) == pytest.approx([0.8, 0.87])
     depth_m = object_before_wall(1.0, 1.1, 0, 200)
     rng, places = np.random.default_rng(4), []
@@ -165,7 +174,7 @@ def test_edges_are_ragged_by_the_published_amount():
     assert np.std(places) == pytest.approx(np.sqrt(0.8**2 + 1 / 12), rel=0.05)
 
 
-def test_pixels_at_edges_are_lost_or_mixed_and_no_others():
+def test_pixels_at_edges_are_lost_or_mixed_and_no_others() -> None:
     found = measured(rendering(object_before_wall(1.0, 1.5, 0, 200)))
     edge = found[:, 198:202]
     assert 0.05 < (edge == 0).mean() < 0.35
@@ -176,7 +185,7 @@ def test_pixels_at_edges_are_lost_or_mixed_and_no_others():
     assert (found[:, :190] > 0).mean() > 0.99
 
 
-def test_dark_and_grazing_surfaces_lose_more():
+def test_dark_and_grazing_surfaces_lose_more() -> None:
     shares = [lost(rendering(2.0, albedo=albedo)) for albedo in (0.6, 0.1, 0.05, 0.02)]
     assert shares[0] < 0.005
     assert np.all(np.diff(shares) > 0)
@@ -189,13 +198,13 @@ def test_dark_and_grazing_surfaces_lose_more():
     assert grazing[3] > 0.95
 
 
-def test_holes_are_blobs():
+def test_holes_are_blobs() -> None:
     held = measured(rendering(2.0, albedo=0.032)) > 0
     same = np.mean(held[:, 4:] == held[:, :-4])
     assert same > 0.65  # pixels without a common cause agree in half of all cases
 
 
-def test_the_sun_takes_depth_from_far_away_first():
+def test_the_sun_takes_depth_from_far_away_first() -> None:
     for depth_m in (1.5, 2.5, 3.5):
         shares = [lost(rendering(depth_m), sunlight=sun) for sun in (0.0, 0.3, 0.6, 1.0)]
         assert np.all(np.diff(shares) >= 0)
@@ -206,7 +215,7 @@ def test_the_sun_takes_depth_from_far_away_first():
     assert lost(rendering(2.402), sunlight=1.0) == pytest.approx(0.5, abs=0.05)
 
 
-def test_distortion_is_smooth_and_has_its_size():
+def test_distortion_is_smooth_and_has_its_size() -> None:
     none = draw_device(CAMERA, 0.0, 0.0, np.random.default_rng(0))
     assert not none.distortion_px.any()
     field = draw_device(CAMERA, 1.0, 0.0, np.random.default_rng(1)).distortion_px
@@ -219,10 +228,10 @@ def test_distortion_is_smooth_and_has_its_size():
 
 
 @pytest.mark.parametrize("depth_m", [1.0, 2.0, 4.0])
-def test_distortion_grows_with_the_square_of_depth(depth_m):
+def test_distortion_grows_with_the_square_of_depth(depth_m: float) -> None:
     device = draw_device(CAMERA, 2.5, 0.0, np.random.default_rng(1))
-    frames = [measured_depth(rendering(depth_m), CAMERA, device, np.random.default_rng(s)) for s in range(12)]
-    frames = np.where(np.stack(frames) > 0, frames, np.nan)[:, :, :-8]
+    found = [measured_depth(rendering(depth_m), CAMERA, device, np.random.default_rng(s)) for s in range(12)]
+    frames = np.where(np.stack(found) > 0, found, np.nan)[:, :, :-8]
     expected_m = -device.distortion_px[:, :-8] * depth_m**2 / (580 * 0.075)
     tiles = (slice(None, 296), slice(None, 392))
     found_m = (np.nanmean(frames, axis=0) - depth_m)[tiles].reshape(37, 8, 49, 8).mean(axis=(1, 3))
@@ -230,7 +239,14 @@ def test_distortion_grows_with_the_square_of_depth(depth_m):
     assert np.polyfit(expected_m.ravel(), found_m.ravel(), 1)[0] == pytest.approx(1.0, abs=0.06)
 
 
-def plain_measure(seen_m, source, surface, distortion_px, sunlight, drawn):
+def plain_measure(
+    seen_m: NDArray[np.float32],
+    source: NDArray[np.int32],
+    surface: tuple[NDArray[np.float32], NDArray[np.float32]],
+    distortion_px: NDArray[np.float32],
+    sunlight: float,
+    drawn: tuple[NDArray[np.float32], NDArray[np.float32]],
+) -> NDArray[np.float64]:
     """The documented rules for whole arrays, in float64, for pixels that are not at edges."""
     z, cosine, albedo = (image.astype(np.float64).ravel()[source] for image in (seen_m, *surface))
     cosine = np.maximum(cosine, np.cos(np.radians(85)))
@@ -252,11 +268,12 @@ def plain_measure(seen_m, source, surface, distortion_px, sunlight, drawn):
 
 
 @pytest.mark.parametrize("sunlight", [0.0, 0.5])
-def test_the_kernel_does_what_plain_numpy_does(sunlight):
+def test_the_kernel_does_what_plain_numpy_does(sunlight: float) -> None:
     rng = np.random.default_rng(8)
     seen_m = rng.uniform(0.3, 5.0, SHAPE).astype(np.float32)
     source = np.arange(seen_m.size, dtype=np.int32).reshape(SHAPE)[::-1].copy()
-    surface = tuple(rng.uniform(0.05, 1.0, SHAPE).astype(np.float32) for _ in range(2))
+    cosine, albedo = (rng.uniform(0.05, 1.0, SHAPE).astype(np.float32) for _ in range(2))
+    surface = (cosine, albedo)
     drawn = (
         rng.standard_normal(SHAPE, dtype=np.float32),
         rng.standard_normal((150, 200), dtype=np.float32),
@@ -272,7 +289,7 @@ def test_the_kernel_does_what_plain_numpy_does(sunlight):
     assert np.all(np.abs(found - plain)[both] <= 1.2 * depth_step_m(plain[both], NOISE))
 
 
-def test_the_seed_decides():
+def test_the_seed_decides() -> None:
     first, same, other = (measured(rendering(1.5), distortion=1.0, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, same)
     assert not np.array_equal(first, other)

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import trimesh
 from object_checks import closed
+from trimesh.base import Trimesh
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.lab.simulate.objects import shapes
 from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
+from kinectbench.lab.simulate.objects.shapes import Subject
 
 FURNITURE = Path(__file__).parents[4] / "shared/data/furniture_meshes"
 
 
-def box(low, high) -> trimesh.Trimesh:
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> trimesh.Trimesh:
     return trimesh.creation.box(bounds=[low, high])
 
 
@@ -24,7 +26,7 @@ def saved(tmp_path: Path, mesh: trimesh.Trimesh, name: str = "thing.ply") -> Pat
     return path
 
 
-def solid(subject) -> trimesh.Trimesh:
+def solid(subject: Subject) -> trimesh.Trimesh:
     """The subject's mesh, which must be closed and stand in its place."""
     mesh = closed(subject.mesh)
     low, high = mesh.bounds
@@ -34,7 +36,7 @@ def solid(subject) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("name", ["thing.obj", "thing.ply", "thing.stl", "thing.glb", "thing.off"])
-def test_a_closed_box_stays_as_it_is(tmp_path, name):
+def test_a_closed_box_stays_as_it_is(tmp_path: Path, name: str) -> None:
     path = saved(tmp_path, box((1, 2, 3), (1.5, 2.25, 4)), name)
     subject = load_mesh_object(path, "z")
     assert subject.name == name
@@ -45,7 +47,7 @@ def test_a_closed_box_stays_as_it_is(tmp_path, name):
     assert np.allclose(subject.pieces[0].mesh.vertices.max(axis=0), (0.25, 0.125, 1))
 
 
-def test_up_is_turned_to_z(tmp_path):
+def test_up_is_turned_to_z(tmp_path: Path) -> None:
     # A step: what is left (-x), low (-y) and near (+z) in the file stays left, low and in front (-y).
     path = saved(tmp_path, box((0, 0, 0), (0.2, 1, 0.3)) + box((-0.5, 0, 0.1), (0.1, 0.1, 0.9)))
     mesh = solid(load_mesh_object(path, "y"))
@@ -54,7 +56,7 @@ def test_up_is_turned_to_z(tmp_path):
     assert np.allclose((top.min(axis=0), top.max(axis=0)), ((0.15, 0.15, 1), (0.35, 0.45, 1)))
 
 
-def test_closed_bodies_are_united_exactly(tmp_path):
+def test_closed_bodies_are_united_exactly(tmp_path: Path) -> None:
     parts = (
         box((0, 0, 0), (1, 1, 1))
         + box((0.5, 0.25, 0.25), (1.5, 0.75, 0.75))
@@ -65,7 +67,7 @@ def test_closed_bodies_are_united_exactly(tmp_path):
     assert solid(subject).volume == pytest.approx(1 + 0.125 + 0.025)
 
 
-def test_a_body_inside_out_is_turned_and_a_cavity_is_kept(tmp_path):
+def test_a_body_inside_out_is_turned_and_a_cavity_is_kept(tmp_path: Path) -> None:
     inverted = box((0.25, 0.25, 0.25), (0.75, 0.75, 0.75))
     inverted.invert()
     cavity = load_mesh_object(saved(tmp_path, box((0, 0, 0), (1, 1, 1)) + inverted), "z")
@@ -76,7 +78,7 @@ def test_a_body_inside_out_is_turned_and_a_cavity_is_kept(tmp_path):
     assert solid(beside).volume == pytest.approx(0.5 + 0.0625)
 
 
-def test_boxes_that_share_an_edge_are_two_bodies(tmp_path):
+def test_boxes_that_share_an_edge_are_two_bodies(tmp_path: Path) -> None:
     parts = box((0, 0, 0), (0.5, 0.5, 0.5)) + box((0.5, 0.5, 0), (1, 1, 0.5))
     subject = load_mesh_object(saved(tmp_path, parts), "z")
     assert subject.origin.startswith("closed in its file")
@@ -84,7 +86,7 @@ def test_boxes_that_share_an_edge_are_two_bodies(tmp_path):
     assert closed(subject.mesh).volume == pytest.approx(0.25)
 
 
-def test_faces_of_any_winding_are_turned_the_same_way(tmp_path):
+def test_faces_of_any_winding_are_turned_the_same_way(tmp_path: Path) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.4)
     volume = mesh.volume
     mixed = mesh.faces.copy()
@@ -93,7 +95,7 @@ def test_faces_of_any_winding_are_turned_the_same_way(tmp_path):
     assert solid(subject).volume == pytest.approx(volume)
 
 
-def test_a_missing_face_is_filled_exactly(tmp_path):
+def test_a_missing_face_is_filled_exactly(tmp_path: Path) -> None:
     whole = box((0, 0, 0), (0.5, 0.4, 0.6))
     whole.update_faces(whole.face_normals[:, 1] < 0.5)
     assert len(whole.faces) == 10
@@ -105,7 +107,7 @@ def test_a_missing_face_is_filled_exactly(tmp_path):
     assert seen.area == pytest.approx(2 * (0.2 + 0.3 + 0.24))
 
 
-def test_a_hole_that_is_not_convex_is_filled_exactly(tmp_path):
+def test_a_hole_that_is_not_convex_is_filled_exactly(tmp_path: Path) -> None:
     corner = shapes.box((0, 0, 0), (0.4, 0.4, 1)) - shapes.box((0.2, 0.2, -1), (1, 1, 2))
     found = shapes.surface(corner)
     mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
@@ -122,7 +124,7 @@ def sheets() -> trimesh.Trimesh:
     return trimesh.Trimesh(seat + back, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], process=False)
 
 
-def test_open_sheets_become_a_thin_solid_that_the_camera_sees(tmp_path):
+def test_open_sheets_become_a_thin_solid_that_the_camera_sees(tmp_path: Path) -> None:
     subject = load_mesh_object(saved(tmp_path, sheets()), "z")
     assert subject.origin.startswith("closed by voxelising at 2.0 mm: 6 open edges")
     mesh = solid(subject)
@@ -137,7 +139,7 @@ def test_open_sheets_become_a_thin_solid_that_the_camera_sees(tmp_path):
     assert np.allclose(pieces.bounds, mesh.bounds)
 
 
-def test_a_box_without_a_large_face_is_no_solid_block(tmp_path):
+def test_a_box_without_a_large_face_is_no_solid_block(tmp_path: Path) -> None:
     # An open tray of 0.3 x 0.3 x 0.1 m: filling its rim would invent the water in it.
     tray = box((0, 0, 0), (0.3, 0.3, 0.1))
     tray.update_faces(tray.face_normals[:, 2] < 0.5)
@@ -146,7 +148,7 @@ def test_a_box_without_a_large_face_is_no_solid_block(tmp_path):
     assert solid(subject).volume == pytest.approx((0.09 + 4 * 0.03) * 0.0036, rel=0.05)
 
 
-def test_an_enclosed_room_of_loose_sheets_is_filled(tmp_path):
+def test_an_enclosed_room_of_loose_sheets_is_filled(tmp_path: Path) -> None:
     # Six faces that share no vertex by 1 mm gaps: no hole can be filled, yet all six rays hit.
     whole = box((0, 0, 0), (0.2, 0.2, 0.2))
     loose = trimesh.Trimesh(
@@ -159,7 +161,7 @@ def test_an_enclosed_room_of_loose_sheets_is_filled(tmp_path):
     assert solid(subject).volume == pytest.approx((0.202 + 2 * 0.0018) ** 3, rel=0.01)
 
 
-def test_colours_become_pieces(tmp_path):
+def test_colours_become_pieces(tmp_path: Path) -> None:
     both = trimesh.Scene()
     for low, color in ((0, (200, 30, 40)), (1, (10, 90, 250))):
         part = box((low, 0, 0), (low + 1, 0.5, 0.5))
@@ -186,7 +188,7 @@ def test_colours_become_pieces(tmp_path):
     assert [piece.color_rgb for piece in subject.pieces] == [(0, 0, 1), (1, 0, 0)]
 
 
-def test_a_voxelised_solid_keeps_the_colours_of_the_nearest_faces(tmp_path):
+def test_a_voxelised_solid_keeps_the_colours_of_the_nearest_faces(tmp_path: Path) -> None:
     mesh = sheets()
     mesh.visual.face_colors = [(255, 0, 0, 255)] * 2 + [(0, 255, 0, 255)] * 2
     subject = load_mesh_object(saved(tmp_path, mesh), "z")
@@ -209,7 +211,7 @@ def test_a_voxelised_solid_keeps_the_colours_of_the_nearest_faces(tmp_path):
         (trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)], process=False), "has no volume"),
     ],
 )
-def test_meshes_of_no_use_are_refused(tmp_path, mesh, says):
+def test_meshes_of_no_use_are_refused(tmp_path: Path, mesh: Trimesh, says: str) -> None:
     refused(saved(tmp_path, mesh), says)
 
 
@@ -220,7 +222,7 @@ def refused(path: Path, says: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_files_of_no_use_are_refused(tmp_path):
+def test_files_of_no_use_are_refused(tmp_path: Path) -> None:
     refused(tmp_path / "none.obj", "no such file")
     bad = {
         "empty.obj": b"",
@@ -239,7 +241,7 @@ def test_files_of_no_use_are_refused(tmp_path):
     refused(nan, "not finite")
 
 
-def test_the_same_file_gives_the_same_mesh(tmp_path):
+def test_the_same_file_gives_the_same_mesh(tmp_path: Path) -> None:
     path = saved(tmp_path, sheets())
     first, second = load_mesh_object(path, "z"), load_mesh_object(path, "z")
     assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
@@ -247,7 +249,7 @@ def test_the_same_file_gives_the_same_mesh(tmp_path):
 
 
 @pytest.mark.skipif(not FURNITURE.is_dir(), reason="real meshes are not there")
-def test_real_meshes_are_closed():
+def test_real_meshes_are_closed() -> None:
     volumes_m3 = {}
     for name in ("ChairA", "KitchenTable", "BalconyTable", "SofaB"):
         subject = load_mesh_object(FURNITURE / f"aws_{name}_01.obj", "z")

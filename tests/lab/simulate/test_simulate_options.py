@@ -9,7 +9,7 @@ from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.overrides import merged
 
 
-def test_overrides_win_and_the_last_one_most():
+def test_overrides_win_and_the_last_one_most() -> None:
     spec = preset_spec(
         "arc-v1",
         {"object": "table:seed=2", "path": {"frames": 9}},
@@ -19,13 +19,13 @@ def test_overrides_win_and_the_last_one_most():
     assert spec.path.arc_rad == preset_spec("arc-v1", {}).path.arc_rad
 
 
-def test_a_spec_survives_json():
+def test_a_spec_survives_json() -> None:
     for name in PRESETS:
         spec = preset_spec(name, {})
         assert SimulationSpec.model_validate_json(spec.model_dump_json()) == spec
 
 
-def test_merged_leaves_its_arguments_alone():
+def test_merged_leaves_its_arguments_alone() -> None:
     values, changes = {"a": {"b": 1, "c": 2}}, {"a": {"c": 3}}
     assert merged(values, changes) == {"a": {"b": 1, "c": 3}}
     assert values == {"a": {"b": 1, "c": 2}}
@@ -47,13 +47,13 @@ def test_merged_leaves_its_arguments_alone():
         ("path.frames=[", "not valid YAML"),
     ],
 )
-def test_wrong_overrides_get_one_line(override, says):
+def test_wrong_overrides_get_one_line(override: str, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         preset_spec("orbit-v1", {}, [override])
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_preset_gets_the_nearest():
+def test_an_unknown_preset_gets_the_nearest() -> None:
     with raises(SettingsError, "settings.wrong-value", match="'orbit-v1'"):
         preset_spec("orbit", {}, [])

@@ -10,7 +10,7 @@ from kinectbench.lab.simulate.presets import PRESETS
 PINNED = json.loads(PINS.read_text())
 
 
-def test_every_preset_is_pinned_and_has_a_version():
+def test_every_preset_is_pinned_and_has_a_version() -> None:
     assert set(PINNED["presets"]) == set(PRESETS)
     for name, (text, _) in PRESETS.items():
         stem, _, number = name.rpartition("-v")
@@ -19,12 +19,12 @@ def test_every_preset_is_pinned_and_has_a_version():
 
 
 @pytest.mark.parametrize(("family", "seed"), OBJECTS)
-def test_furniture_is_frozen(family, seed):
+def test_furniture_is_frozen(family: str, seed: int) -> None:
     assert object_pin(family, seed) == PINNED["objects"][f"{family}:seed={seed}"]
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_presets_are_frozen(name):
+def test_presets_are_frozen(name: str) -> None:
     pinned, found = dict(PINNED["presets"][name]), preset_pin(name)
     bytes_pinned, bytes_found = pinned.pop("pixels"), found.pop("pixels")
     for key, tolerance in {"valid_share": 0.002, "mean_depth_m": 0.002, "mean_color": 0.2}.items():
@@ -34,7 +34,7 @@ def test_presets_are_frozen(name):
         assert bytes_found == bytes_pinned
 
 
-def test_the_bytes_are_compared_on_the_machine_they_were_pinned_on():
+def test_the_bytes_are_compared_on_the_machine_they_were_pinned_on() -> None:
     if PINNED["machine"] != machine():
         pytest.skip("another machine or other packages than the bytes were pinned with")
     assert all(len(pin["pixels"]) == 16 for pin in PINNED["presets"].values())

@@ -3,6 +3,7 @@
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,8 +11,9 @@ import open3d as o3d
 import pytest
 import trimesh
 import yaml
-from ingest_writers import every_frame
+from ingest_writers import whole_frames
 from object_checks import closed
+from typed import present
 
 from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid, rigid, transform_points
@@ -25,10 +27,14 @@ from kinectbench.settings.models import BenchmarkSettings, CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 
 ROOT = Path(__file__).resolve().parents[3]
+tensor = o3d.core.Tensor.from_numpy
 
 
-def spec_of(**values):
-    small = {"path": {"frames": 3, "rate_hz": 5.0}, "sensor": {"width": 160, "height": 120}}
+def spec_of(**values: Any) -> SimulationSpec:
+    small: dict[str, dict[str, Any]] = {
+        "path": {"frames": 3, "rate_hz": 5.0},
+        "sensor": {"width": 160, "height": 120},
+    }
     for section in ("path", "sensor"):
         small[section] |= values.pop(section, {})
     return SimulationSpec.model_validate(small | values)
@@ -39,7 +45,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def ideal(tmp_path_factory):
+def ideal(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulationSpec, Path]:
     out = tmp_path_factory.mktemp("tum") / "chair"
     spec = spec_of(object="chair:seed=7", sensor={"model": "ideal"}, world="random")
     simulate(spec, out)
@@ -47,7 +53,7 @@ def ideal(tmp_path_factory):
 
 
 @pytest.mark.parametrize("form", formats())
-def test_same_spec_same_bytes(tmp_path, form):
+def test_same_spec_same_bytes(tmp_path: Path, form: str) -> None:
     full = {"exposure_s": 0.02, "exposure_drift": 0.2, "color_registered": False, "color_delay_s": 0.01}
     spec = spec_of(object="table:seed=2", format=form, world="first_camera", sensor=full)
     name = f"r{formats()[form].suffix}"
@@ -65,35 +71,36 @@ def test_same_spec_same_bytes(tmp_path, form):
     # They do not say their intrinsics.
     settings = CameraSettings(**asdict(truth.camera)) if form in ("klg", "redwood_zip") else None
     recording = open_recording(tmp_path / "a" / name, settings)
-    assert [frame.stamp_ns for frame in every_frame(recording)] == truth.stamps_ns.tolist()
+    assert [frame.stamp_ns for frame in whole_frames(recording)] == truth.stamps_ns.tolist()
     assert asdict(recording.camera) == pytest.approx(asdict(truth.camera), rel=1e-7)
     if form in ("klg", "realsense", "realsense_old", "redwood_zip", "azure_kinect"):
         assert recording.given_trajectory is None
         return
-    assert np.abs(recording.given_trajectory.T_world_camera - truth.T_world_camera).max() < 1e-6
+    assert np.abs(present(recording.given_trajectory).T_world_camera - truth.T_world_camera).max() < 1e-6
 
 
-def test_an_ideal_recording_is_exact(ideal):
+def test_an_ideal_recording_is_exact(ideal: tuple[SimulationSpec, Path]) -> None:
     _, out = ideal
     truth = read_truth(truth_folder(out))
     recording = open_recording(out, None)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        truth.mesh_world.vertices.astype(np.float32), truth.mesh_world.faces.astype(np.uint32)
+        tensor(truth.mesh_world.vertices.astype(np.float32)),
+        tensor(truth.mesh_world.faces.astype(np.uint32)),
     )
-    for index, frame in enumerate(every_frame(recording)):
+    for index, frame in enumerate(whole_frames(recording)):
         depth_m = frame.depth / recording.depth_scale
-        assert np.abs(depth_m - truth.depth_m(index)).max() < 1e-6
+        assert np.abs(depth_m - present(truth.depth_m(index))).max() < 1e-6
         points_world = transform_points(truth.T_world_camera[index], truth.camera.backproject(depth_m))
         on_object = points_world[truth.mask(index) & (depth_m > 0)]
         assert len(on_object) > 1000
-        assert scene.compute_distance(on_object.astype(np.float32)).numpy().max() < 3e-4
+        assert scene.compute_distance(tensor(on_object.astype(np.float32))).numpy().max() < 3e-4
         height_m = points_world[depth_m > 0] @ truth.floor_plane_world[:3] + truth.floor_plane_world[3]
         assert height_m.min() > -1e-3
         assert (np.abs(height_m) < 1e-3).mean() > 0.2
 
 
-def test_the_truth_is_whole(ideal):
+def test_the_truth_is_whole(ideal: tuple[SimulationSpec, Path]) -> None:
     spec, out = ideal
     truth = read_truth(truth_folder(out))
     simulation = prepare(spec)
@@ -120,24 +127,25 @@ def test_the_truth_is_whole(ideal):
     assert np.allclose(rows[:, 1:4], truth.T_world_camera[:, :3, 3])
 
 
-def test_the_truths_occupancy_is_the_meshs(ideal):
+def test_the_truths_occupancy_is_the_meshs(ideal: tuple[SimulationSpec, Path]) -> None:
     _, out = ideal
     truth = read_truth(truth_folder(out))
     T_world_grid = truth.T_world_object @ rigid(rotation_of([0.2, 0.1, 0.3, 0.9]), [-0.4, -0.5, 0.1])
     grid = Grid((40, 48, 56), 0.02, T_world_grid)
     occupied = mesh_occupancy(truth.mesh_world, grid)
-    centres = transform_points(T_world_grid, (np.stack(np.indices(grid.shape), -1) + 0.5) * 0.02)
+    centres = transform_points(T_world_grid, (np.moveaxis(np.indices(grid.shape), 0, -1) + 0.5) * 0.02)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        truth.mesh_world.vertices.astype(np.float32), truth.mesh_world.faces.astype(np.uint32)
+        tensor(truth.mesh_world.vertices.astype(np.float32)),
+        tensor(truth.mesh_world.faces.astype(np.uint32)),
     )
-    inside = scene.compute_occupancy(centres.astype(np.float32), nsamples=5).numpy() > 0
+    inside = scene.compute_occupancy(tensor(centres.astype(np.float32)), nsamples=5).numpy() > 0
     assert occupied.sum() > 200
     assert (occupied != inside).sum() <= 2
 
 
 @pytest.mark.parametrize("world", ["first_camera", "random"])
-def test_the_world_offset_moves_everything_alike(world):
+def test_the_world_offset_moves_everything_alike(world: str) -> None:
     upright, other = prepare(spec_of()), prepare(spec_of(world=world))
     assert np.allclose(
         invert_rigid(other.T_world_object) @ other.T_world_camera,
@@ -147,7 +155,7 @@ def test_the_world_offset_moves_everything_alike(world):
     assert np.allclose(upright.T_world_object[2], [0, 0, 1, 0])
 
 
-def test_foreign_frames_show_something_else_and_have_no_truth(tmp_path):
+def test_foreign_frames_show_something_else_and_have_no_truth(tmp_path: Path) -> None:
     spec = spec_of(path={"frames": 5}, faults={"foreign_frames": 1}, sensor={"model": "ideal"})
     simulate(spec, tmp_path / "r")
     truth = read_truth(tmp_path / "r.truth")
@@ -155,11 +163,11 @@ def test_foreign_frames_show_something_else_and_have_no_truth(tmp_path):
     assert np.isfinite(truth.T_world_camera[[0, 1, 3, 4]]).all()
     assert not truth.mask(2).any()
     own = record_frame(prepare(spec_of(path={"frames": 5}, sensor={"model": "ideal"})), 2)
-    assert np.abs(truth.depth_m(2) - own.depth_m).mean() > 0.05
-    assert len(open_recording(tmp_path / "r", None).given_trajectory.stamps_ns) == 5
+    assert np.abs(present(truth.depth_m(2)) - own.depth_m).mean() > 0.05
+    assert len(present(open_recording(tmp_path / "r", None).given_trajectory).stamps_ns) == 5
 
 
-def test_unregistered_colour_is_shifted_and_mis_scaled_depth_is_scaled():
+def test_unregistered_colour_is_shifted_and_mis_scaled_depth_is_scaled() -> None:
     registered, beside = (
         record_frame(prepare(spec_of(sensor={"model": "ideal", "color_registered": flag})), 0)
         for flag in (True, False)
@@ -171,7 +179,7 @@ def test_unregistered_colour_is_shifted_and_mis_scaled_depth_is_scaled():
     assert np.array_equal(scaled.depth_m, registered.depth_m)
 
 
-def test_a_cut_recording_is_cut_and_its_truth_is_whole(tmp_path):
+def test_a_cut_recording_is_cut_and_its_truth_is_whole(tmp_path: Path) -> None:
     simulate(spec_of(format="bag_compressed"), tmp_path / "whole.bag")
     simulate(spec_of(format="bag_compressed", faults={"cut_share": 0.4}), tmp_path / "cut.bag")
     whole, short = (tmp_path / "whole.bag").read_bytes(), (tmp_path / "cut.bag").read_bytes()
@@ -193,7 +201,9 @@ def test_a_cut_recording_is_cut_and_its_truth_is_whole(tmp_path):
         (("surface.npz", None), "no readable truth"),
     ],
 )
-def test_damaged_truth_gives_one_line(ideal, tmp_path, damage, says):
+def test_damaged_truth_gives_one_line(
+    ideal: tuple[SimulationSpec, Path], tmp_path: Path, damage: tuple[str, str | None], says: str
+) -> None:
     folder = tmp_path / "damaged"
     folder.mkdir()
     for name, data in files(truth_folder(ideal[1])).items():
@@ -208,7 +218,7 @@ def test_damaged_truth_gives_one_line(ideal, tmp_path, damage, says):
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_simulated_recording_is_not_overwritten(tmp_path):
+def test_what_is_no_simulated_recording_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "photo.jpg").write_text("dear")
     (tmp_path / "theirs.truth").mkdir()
@@ -228,7 +238,7 @@ def test_what_is_no_simulated_recording_is_not_overwritten(tmp_path):
     assert files(tmp_path) == before
 
 
-def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path):
+def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path: Path) -> None:
     (tmp_path / "r").mkdir()
     (tmp_path / ".r.12.part").write_text("left by a run that was killed")
     simulate(spec_of(), tmp_path / "r")
@@ -237,7 +247,7 @@ def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r", "r.truth"]
 
 
-def test_wrong_stamps_leave_the_given_trajectory_alone(tmp_path):
+def test_wrong_stamps_leave_the_given_trajectory_alone(tmp_path: Path) -> None:
     spec = spec_of(path={"frames": 4}, faults={"swapped_stamps": 1})
     simulate(spec, tmp_path / "r")
     rows = np.loadtxt(tmp_path / "r" / "groundtruth.txt")
@@ -246,7 +256,7 @@ def test_wrong_stamps_leave_the_given_trajectory_alone(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["benchmark.yaml", "demo/benchmark.yaml"])
-def test_the_benchmarks_name_the_real_recording_first_and_then_those_that_are_made(name):
+def test_the_benchmarks_name_the_real_recording_first_and_then_those_that_are_made(name: str) -> None:
     path = ROOT / name
     settings = BenchmarkSettings.model_validate(yaml.safe_load(path.read_text()))
     made = {ROOT / "recordings" / n for n in presets.SAMPLES} | {
@@ -259,7 +269,7 @@ def test_the_benchmarks_name_the_real_recording_first_and_then_those_that_are_ma
 
 
 @pytest.mark.parametrize("name", presets.SAMPLES)
-def test_the_stored_samples_are_the_ones_that_are_made(name):
+def test_the_stored_samples_are_the_ones_that_are_made(name: str) -> None:
     truth = read_truth(truth_folder(ROOT / "recordings" / name))
     simulation = prepare(presets.SAMPLES[name])
     mesh = simulation.subject.mesh.transformed(simulation.T_world_object)
@@ -268,7 +278,7 @@ def test_the_stored_samples_are_the_ones_that_are_made(name):
     assert np.allclose(truth.T_world_camera, simulation.T_world_camera)
 
 
-def test_every_frame_of_the_samples_shows_the_subject():
+def test_every_frame_of_the_samples_shows_the_subject() -> None:
     for spec in {**presets.SAMPLES, **presets.DEMO}.values():
         simulation = prepare(spec)
         for index in range(0, spec.path.frames, 15):
@@ -279,7 +289,7 @@ def test_every_frame_of_the_samples_shows_the_subject():
 
 
 @pytest.mark.parametrize("registered", [True, False])
-def test_a_rolling_shutter_takes_each_row_when_it_is_read(registered):
+def test_a_rolling_shutter_takes_each_row_when_it_is_read(registered: bool) -> None:
     """Row k of the depth is that of a frame taken at once when row k is read; the colour's, 20 ms later."""
     turning = {"turn_rad": 0.5, "turn_rad_per_s": 2.5, "shake_m": 0.0, "frames": 8, "rate_hz": 30.0}
     sensor = {"model": "ideal", "color_delay_s": 0.02, "color_registered": registered, "readout_s": 0.03}

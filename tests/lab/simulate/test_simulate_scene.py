@@ -1,12 +1,15 @@
 """Surroundings: they hide nothing of the subject, and hold what the settings say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.mesh import box_mesh
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject
-from kinectbench.lab.simulate.scene import CLEARANCE_M, make_scene
+from kinectbench.lab.simulate.scene import CLEARANCE_M, Item, make_scene
 from kinectbench.lab.simulate.spec import SceneSettings
 
 BOX = box_mesh(OrientedBox((0, 0, 0.4), (0.8, 0.5, 0.8)))
@@ -14,23 +17,23 @@ SUBJECT = Subject("box", (Piece("box", BOX, (0.5, 0.4, 0.3), 0.2),), BOX, "exact
 REACH_M = 2.4
 
 
-def scene_of(seed=0, **settings):
+def scene_of(seed: int = 0, **settings: Any) -> list[Item]:
     return make_scene(SUBJECT, 0.7, REACH_M, SceneSettings(**settings), np.random.default_rng(seed))
 
 
-def outline(item):
+def outline(item: Item) -> NDArray[np.float64]:
     """Points on the outline of a box seen from above, (n, 2)."""
     corners = item.mesh.vertices[[0, 2, 6, 4], :2]
     share = np.linspace(0, 1, 41)[:, None, None]
     return (corners * share + np.roll(corners, 1, axis=0) * (1 - share)).reshape(-1, 2)
 
 
-def radius(items):
-    return np.linalg.norm(np.concatenate([item.mesh.vertices for item in items])[:, :2], axis=1).max()
+def radius(items: list[Item]) -> float:
+    return float(np.linalg.norm(np.concatenate([item.mesh.vertices for item in items])[:, :2], axis=1).max())
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_clutter_is_low_and_apart_or_behind_the_camera(seed):
+def test_clutter_is_low_and_apart_or_behind_the_camera(seed: int) -> None:
     items = scene_of(seed, clutter=4)
     subject = [item for item in items if item.role == "subject"]
     assert [item.albedo for item in subject] == [0.2]
@@ -48,7 +51,7 @@ def test_clutter_is_low_and_apart_or_behind_the_camera(seed):
         assert np.linalg.norm(outline(wall), axis=1).min() >= max(3.0, REACH_M + 0.5) - 1e-9
 
 
-def test_outdoors_there_are_no_walls():
+def test_outdoors_there_are_no_walls() -> None:
     items = scene_of(place="outdoor", clutter=0)
     assert {item.role for item in items} == {"subject", "floor"}
     assert {item.role for item in scene_of(walls=0, clutter=0)} == {"subject", "floor"}
@@ -56,7 +59,7 @@ def test_outdoors_there_are_no_walls():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_neighbour_touches(seed):
+def test_a_neighbour_touches(seed: int) -> None:
     items = scene_of(seed, touching=True, clutter=0, walls=0)
     assert [item.role for item in items] == ["subject", "floor", "clutter"]
     turned, box = items[0].mesh.vertices, items[2].mesh.vertices
@@ -74,7 +77,7 @@ SMALL = Subject("cup", (Piece("cup", CUP, (0.5, 0.4, 0.3), 0.2),), CUP, "exact")
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_table_carries_the_subject_and_the_clutter(seed):
+def test_a_table_carries_the_subject_and_the_clutter(seed: int) -> None:
     settings = SceneSettings(stands_on="table", clutter=4, walls=0)
     cup, floor, top, *rest = make_scene(SMALL, 0.7, REACH_M, settings, np.random.default_rng(seed))
     legs, things = rest[:4], rest[4:]
@@ -93,7 +96,7 @@ def test_a_table_carries_the_subject_and_the_clutter(seed):
         assert np.linalg.norm(outline(thing), axis=1).min() > radius([cup]) + 0.04
 
 
-def test_the_seed_decides():
+def test_the_seed_decides() -> None:
     first, again, other = scene_of(3), scene_of(3), scene_of(4)
     assert all(np.array_equal(a.mesh.vertices, b.mesh.vertices) for a, b in zip(first, again, strict=True))
     assert len(first) != len(other) or any(

@@ -13,21 +13,21 @@ BOUNDS = {
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family], steady_m=0.02)
     check_thickness(drawn(family, seed), 0.012)
 
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_most_of_its_box_is_air(family, seed):
+def test_most_of_its_box_is_air(family: str, seed: int) -> None:
     subject = drawn(family, seed)
     low, high = subject.mesh.vertices.min(axis=0), subject.mesh.vertices.max(axis=0)
     points = np.random.default_rng(0).uniform(low, high, (4000, 3))
     assert 0.001 < is_solid(subject, points).mean() < 0.15
 
 
-def test_some_clothes_horses_carry_clothes_and_every_easel_a_board():
+def test_some_clothes_horses_carry_clothes_and_every_easel_a_board() -> None:
     cloths = [sum(p.name == "cloth" for p in drawn("clothes_horse", seed).pieces) for seed in SEEDS]
     assert min(cloths) == 0 and max(cloths) > 0
     for seed in SEEDS:
@@ -38,5 +38,5 @@ def test_some_clothes_horses_carry_clothes_and_every_easel_a_board():
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_they_vary(family):
+def test_they_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from raising import raises
 
 from kinectbench.core.errors import SettingsError
@@ -14,6 +15,7 @@ from kinectbench.lab.simulate.time_of_flight import (
     AZURE_KINECT,
     PHONE_LIDAR,
     SENSORS,
+    TimeOfFlight,
     draw_time_of_flight,
     measure_time_of_flight,
     multipath_m,
@@ -25,7 +27,12 @@ CAMERAS = {"azure_kinect": AZURE, "phone_lidar": PHONE}
 ALBEDO = 0.6
 
 
-def rendering(depth_m, camera, cosine=1.0, albedo=ALBEDO):
+def rendering(
+    depth_m: float | NDArray[np.float64],
+    camera: Camera,
+    cosine: float | NDArray[np.float64] = 1.0,
+    albedo: float = ALBEDO,
+) -> Rendering:
     shape = (camera.height, camera.width)
     depth, cosines, albedos = (
         np.broadcast_to(np.asarray(values, np.float32), shape).copy() for values in (depth_m, cosine, albedo)
@@ -33,13 +40,19 @@ def rendering(depth_m, camera, cosine=1.0, albedo=ALBEDO):
     return Rendering(depth, np.zeros((*shape, 3), np.uint8), np.zeros(shape, bool), cosines, albedos)
 
 
-def measured(exact, model="azure_kinect", distortion=0.0, sunlight=0.0, seed=0):
+def measured(
+    exact: Rendering,
+    model: str = "azure_kinect",
+    distortion: float = 0.0,
+    sunlight: float = 0.0,
+    seed: int = 0,
+) -> NDArray[np.float64]:
     camera = CAMERAS[model]
     device = draw_time_of_flight(model, camera, distortion, sunlight, np.random.default_rng(seed))
     return measure_time_of_flight(exact, camera, device, np.random.default_rng(seed + 1)).astype(np.float64)
 
 
-def plane(model, depth_m, **settings):
+def plane(model: str, depth_m: float, **settings: float) -> NDArray[np.float64]:
     """Errors (frames, height, width) of a plane at a depth, NaN where there is none, without the border."""
     changed = {key: settings.pop(key) for key in ("cosine", "albedo") if key in settings}
     exact = rendering(depth_m, CAMERAS[model], **changed)
@@ -47,15 +60,17 @@ def plane(model, depth_m, **settings):
     return np.where(found > 0, found - np.float32(depth_m), np.nan)
 
 
-def expected_sigma_m(sensor, depth_m, albedo=ALBEDO, sunlight=0.0):
+def expected_sigma_m(
+    sensor: TimeOfFlight, depth_m: float, albedo: float = ALBEDO, sunlight: float = 0.0
+) -> float:
     """Lange & Seitz: the square root of all light over the light that carries the distance."""
     signal = albedo / depth_m**2
-    return sensor.noise_m * np.sqrt(signal + sensor.ambient + sensor.sun * sunlight * albedo) / signal
+    return float(sensor.noise_m * np.sqrt(signal + sensor.ambient + sensor.sun * sunlight * albedo) / signal)
 
 
 @pytest.mark.parametrize("model", SENSORS)
 @pytest.mark.parametrize("depth_m", [0.7, 1.0, 2.0, 3.4])
-def test_a_plane_has_the_published_error(model, depth_m):
+def test_a_plane_has_the_published_error(model: str, depth_m: float) -> None:
     error_m = plane(model, depth_m, distortion=1.0)
     still_m = plane(model, depth_m)
     assert np.isfinite(still_m).mean() > 0.99
@@ -75,14 +90,14 @@ def test_a_plane_has_the_published_error(model, depth_m):
         assert np.nanmean(np.abs(neighbours)) < 0.001
 
 
-def test_the_specified_noise_holds_for_the_darkest_that_is_specified():
+def test_the_specified_noise_holds_for_the_darkest_that_is_specified() -> None:
     # 15 % reflectivity at the end of the range.
     assert 0.012 < expected_sigma_m(AZURE_KINECT, 3.86, albedo=0.15) < 0.017
     assert expected_sigma_m(AZURE_KINECT, 1.0) == pytest.approx(0.0011, rel=0.02)
     assert expected_sigma_m(PHONE_LIDAR, 1.0) == pytest.approx(0.004, rel=0.02)
 
 
-def test_noise_grows_as_albedo_falls():
+def test_noise_grows_as_albedo_falls() -> None:
     full, half = (np.nanstd(plane("azure_kinect", 2.0, albedo=albedo)) for albedo in (0.6, 0.3))
     # Between the root of two, where all noise is the light's own, and two, where none is.
     assert np.sqrt(2) < half / full < 2
@@ -91,9 +106,9 @@ def test_noise_grows_as_albedo_falls():
     )
 
 
-def test_what_is_too_dark_too_near_too_far_or_in_the_sun_is_lost():
-    def kept(model="azure_kinect", depth_m=1.0, **settings):
-        return np.isfinite(plane(model, depth_m, **settings)).mean()
+def test_what_is_too_dark_too_near_too_far_or_in_the_sun_is_lost() -> None:
+    def kept(model: str = "azure_kinect", depth_m: float = 1.0, **settings: float) -> float:
+        return float(np.isfinite(plane(model, depth_m, **settings)).mean())
 
     assert kept(depth_m=0.45) == 0
     assert kept(depth_m=4.0) == 0
@@ -107,7 +122,7 @@ def test_what_is_too_dark_too_near_too_far_or_in_the_sun_is_lost():
 
 
 @pytest.mark.parametrize("model", SENSORS)
-def test_edges_have_flying_pixels_between_the_two_depths(model):
+def test_edges_have_flying_pixels_between_the_two_depths(model: str) -> None:
     camera = CAMERAS[model]
     near_m, far_m, at = 1.0, 1.5, camera.width // 2
     depth_m = np.full(camera.width, far_m)
@@ -126,7 +141,7 @@ def test_edges_have_flying_pixels_between_the_two_depths(model):
     assert (found[:, : at - 4] > 0).mean() > 0.99
 
 
-def corner(camera, deep_m):
+def corner(camera: Camera, deep_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Two walls at right angles, seen along the line that halves the angle: depth, cosine."""
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy
@@ -135,7 +150,7 @@ def corner(camera, deep_m):
     return depth_m, (1 + np.abs(x)) / np.sqrt(2) / rays
 
 
-def integrated_late_m(camera, deep_m, u, sensor):
+def integrated_late_m(camera: Camera, deep_m: float, u: int, sensor: TimeOfFlight) -> float:
     """The same by an integral over the other wall in its own coordinates: along the edge, away from it."""
     x = (u - camera.cx) / camera.fx
     z = deep_m / (1 + abs(x))
@@ -158,10 +173,10 @@ def integrated_late_m(camera, deep_m, u, sensor):
     got = ALBEDO * cosine / far**2 * arriving * leaving / (np.pi * r**2) * step_m**2
     own = np.linalg.norm(p)
     part = sensor.multipath * got.sum() / (-(p @ normal_p) / own**3)
-    return part / (1 + part) * (got * (far + r - own)).sum() / got.sum() / 2 * z / own
+    return float(part / (1 + part) * (got * (far + r - own)).sum() / got.sum() / 2 * z / own)
 
 
-def test_a_concave_corner_seems_too_far_by_the_light_of_the_other_wall():
+def test_a_concave_corner_seems_too_far_by_the_light_of_the_other_wall() -> None:
     depth_m, cosine = corner(AZURE, 1.5)
     exact = rendering(depth_m, AZURE, cosine)
     late_m = multipath_m(exact, AZURE, AZURE_KINECT)
@@ -178,7 +193,7 @@ def test_a_concave_corner_seems_too_far_by_the_light_of_the_other_wall():
     assert 0.5 < dark_m[middle, 90] / late_m[middle, 90] < 0.6
 
 
-def test_a_plane_and_a_convex_corner_have_no_multipath():
+def test_a_plane_and_a_convex_corner_have_no_multipath() -> None:
     assert np.abs(multipath_m(rendering(1.0, AZURE), AZURE, AZURE_KINECT)).max() < 1e-6
     x = (np.arange(AZURE.width) - AZURE.cx) / AZURE.fx
     convex_m = np.broadcast_to(1.0 / (1 - np.abs(x)), (AZURE.height, AZURE.width))
@@ -186,7 +201,7 @@ def test_a_plane_and_a_convex_corner_have_no_multipath():
     assert not multipath_m(rendering(0.0, AZURE), AZURE, AZURE_KINECT).any()
 
 
-def test_noise_comes_from_the_frame_and_the_systematic_error_from_the_device():
+def test_noise_comes_from_the_frame_and_the_systematic_error_from_the_device() -> None:
     exact = rendering(1.5, AZURE)
     first, again, other = (measured(exact, distortion=1.0, seed=seed) for seed in (0, 0, 1))
     assert np.array_equal(first, again)
@@ -196,8 +211,8 @@ def test_noise_comes_from_the_frame_and_the_systematic_error_from_the_device():
     assert np.allclose(first * 1000, np.rint(first * 1000), atol=1e-3)
 
 
-def test_images_have_the_sensors_own_size_unless_it_is_said():
-    def camera(**sensor):
+def test_images_have_the_sensors_own_size_unless_it_is_said() -> None:
+    def camera(**sensor: str | int) -> Camera:
         return SimulationSpec.model_validate({"sensor": sensor}).camera
 
     assert (camera().width, camera().height, camera().fx) == (640, 480, 525.0)
@@ -218,7 +233,7 @@ def test_images_have_the_sensors_own_size_unless_it_is_said():
 
 
 @pytest.mark.parametrize("model", SENSORS)
-def test_a_chair_is_recorded(model):
+def test_a_chair_is_recorded(model: str) -> None:
     size = ["sensor.width=160", f"sensor.height={160 * NATIVE[model][2] // NATIVE[model][1]}"]
     spec = preset_spec("orbit-v1", {"path": {"frames": 3}}, [f"sensor.model={model}", *size])
     recorded = record_frame(prepare(spec), 1)

@@ -14,13 +14,13 @@ THICK_M = {"toy_car": 0.0119, "helmet": 0.0079}
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family], steady_m=0.02)
     check_thickness(drawn(family, seed), THICK_M[family])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_toy_car_stands_on_its_wheels_alone(seed):
+def test_a_toy_car_stands_on_its_wheels_alone(seed: int) -> None:
     pieces = drawn("toy_car", seed).pieces
     wheels = [piece for piece in pieces if piece.name == "wheel"]
     assert len(wheels) in (4, 6)
@@ -29,7 +29,7 @@ def test_a_toy_car_stands_on_its_wheels_alone(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_head_fits_into_a_helmet_from_below(seed):
+def test_a_head_fits_into_a_helmet_from_below(seed: int) -> None:
     subject = drawn("helmet", seed)
     shell = next(piece.mesh.vertices for piece in subject.pieces if piece.name == "shell")
     middle = (shell.min(axis=0) + shell.max(axis=0)) / 2
@@ -42,5 +42,5 @@ def test_a_head_fits_into_a_helmet_from_below(seed):
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_they_vary(family):
+def test_they_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.25)

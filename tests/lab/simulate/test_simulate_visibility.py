@@ -15,7 +15,7 @@ NO_TEXTURE = np.zeros((512, 512), np.float32)
 BOX = box_mesh(OrientedBox((0, 0, 0.25), (0.4, 0.2, 0.5)))
 
 
-def test_samples_are_spread_by_area_and_lie_on_the_surface():
+def test_samples_are_spread_by_area_and_lie_on_the_surface() -> None:
     points, normals = sample_surface(BOX.vertices, BOX.faces, 20_000, np.random.default_rng(0))
     beside = np.abs(np.abs(points - [0, 0, 0.25]) - [0.2, 0.1, 0.25])
     assert beside.min(axis=1).max() < 1e-12
@@ -25,7 +25,7 @@ def test_samples_are_spread_by_area_and_lie_on_the_surface():
     assert (np.sum((points - [0, 0, 0.25]) * normals, axis=1) > 0).all()
 
 
-def test_a_camera_sees_the_sides_that_face_it_unless_something_stands_before_them():
+def test_a_camera_sees_the_sides_that_face_it_unless_something_stands_before_them() -> None:
     points, normals = sample_surface(BOX.vertices, BOX.faces, 4000, np.random.default_rng(0))
     T_room_camera = look_at(np.array([0.0, -2.0, 1.5]), np.array([0.0, 0.0, 0.25]))
     alone = Renderer([Item("subject", BOX, (0.5, 0.5, 0.5), 0.0)], NO_TEXTURE)

@@ -4,11 +4,13 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from raising import raises
+from read_pictures import read_picture
 from written_frames import (
     BAGS,
     COLOR,
@@ -147,7 +149,8 @@ def test_depth_in_native_units(tmp_path: Path, name: str) -> None:
     found = read(open_recording(write(tmp_path / "r", name, made), SETTINGS.get(name)))
     tum, millimetres = [6173, 0, 0, 0, 5002, 10000], [1235, 14000, 0, 0, 1000, 2000]
     tenths = [12346, 0, 0, 0, 10004, 20000]
-    assert found[0].depth[0, :6].tolist() == {5000: tum, 1000: millimetres, 10_000: tenths}[SCALE[name]]
+    wanted = {5000.0: tum, 1000.0: millimetres, 10_000.0: tenths}[SCALE[name]]
+    assert found[0].depth[0, :6].tolist() == wanted
 
 
 @pytest.mark.parametrize("name", formats())
@@ -198,7 +201,7 @@ def test_tum_lists_are_in_the_order_of_the_frames_and_colour_has_its_own_stamps(
     ]
     assert [row.split()[0] for row in rows["rgb"]] == [seconds(f.color_stamp_ns) for f in made]
     assert rows["rgb"][3] == "1400000000.130457 rgb/1400000000.130457_2.jpg"
-    last = cv2.imread(str(out / "depth/1400000000.123456_2.png"), cv2.IMREAD_UNCHANGED)
+    last = read_picture(out / "depth/1400000000.123456_2.png", cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(last, made[3].depth_native(5000))
 
 
@@ -220,10 +223,10 @@ def test_open3d_reads_the_plain_folder_alike(tmp_path: Path) -> None:
     import open3d as o3d
 
     out = write(tmp_path / "r", "folder", [frame(i, registered=False) for i in range(3)], registered=False)
-    intrinsic = o3d.io.read_pinhole_camera_intrinsic(str(out / "camera_intrinsic.json"))
+    intrinsic = o3d.io.read_pinhole_camera_intrinsic(out / "camera_intrinsic.json")
     assert (intrinsic.width, intrinsic.height) == (64, 48)
     np.testing.assert_array_equal(intrinsic.intrinsic_matrix, DEPTH.K)
-    log = o3d.io.read_pinhole_camera_trajectory(str(out / "trajectory.log"))
+    log = o3d.io.read_pinhole_camera_trajectory(out / "trajectory.log")
     for i, parameters in enumerate(log.parameters):
         # Open3D's extrinsic is world to camera.
         np.testing.assert_allclose(parameters.extrinsic @ pose(i), np.eye(4), atol=1e-12)
@@ -232,10 +235,10 @@ def test_open3d_reads_the_plain_folder_alike(tmp_path: Path) -> None:
 
 def test_seven_scenes_marks_no_measurement_as_the_data_set_does(tmp_path: Path) -> None:
     out = write(tmp_path / "r", "7scenes", [frame(0)])
-    depth = cv2.imread(str(out / "frame-000000.depth.png"), cv2.IMREAD_UNCHANGED)
+    depth = read_picture(out / "frame-000000.depth.png", cv2.IMREAD_UNCHANGED)
     assert (depth[:4, :6] == 65535).all()
     np.testing.assert_array_equal(np.loadtxt(out / "frame-000000.pose.txt"), pose(0))
-    color = cv2.imread(str(out / "frame-000000.color.png"))
+    color = read_picture(out / "frame-000000.color.png")
     np.testing.assert_array_equal(color[..., ::-1], frame(0).color_rgb)
 
 
@@ -249,7 +252,7 @@ def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, dela
     made = [frame(i, registered, delay_ns=delay_ns) for i in range(3)]
     out = write(tmp_path / "r.bag", name, made, registered)
     store = get_typestore(Stores.ROS1_NOETIC)
-    messages: dict[str, list[tuple[int, object]]] = {}
+    messages: dict[str, list[tuple[int, Any]]] = {}
     with Reader(out) as bag:
         for connection, stamp_ns, data in bag.messages():
             message = store.deserialize_ros1(data, connection.msgtype)

@@ -16,14 +16,14 @@ HOLLOW = {"wheelbarrow": "tray", "trough": "trough", "watering_can": "body"}
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_one_watertight_solid_of_true_size(family, seed):
+def test_it_is_one_watertight_solid_of_true_size(family: str, seed: int) -> None:
     check_solid(drawn(family, seed), *BOUNDS[family], steady_m=0.02)
     check_thickness(drawn(family, seed), THICK_M[family])
 
 
 @pytest.mark.parametrize("family", BOUNDS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_its_cavity_is_air_and_open_above(family, seed):
+def test_its_cavity_is_air_and_open_above(family: str, seed: int) -> None:
     subject = drawn(family, seed)
     vessel = next(piece.mesh.vertices for piece in subject.pieces if piece.name == HOLLOW[family])
     low, high = vessel.min(axis=0), vessel.max(axis=0)
@@ -38,7 +38,7 @@ def test_its_cavity_is_air_and_open_above(family, seed):
         assert reach_m(subject, at - [0, 0, 0.1 * (high - low)[2]], way) < 1.2
 
 
-def test_a_wheelbarrow_stands_on_a_wheel_and_two_props():
+def test_a_wheelbarrow_stands_on_a_wheel_and_two_props() -> None:
     for seed in SEEDS:
         pieces = drawn("wheelbarrow", seed).pieces
         names = [piece.name for piece in pieces]
@@ -49,5 +49,5 @@ def test_a_wheelbarrow_stands_on_a_wheel_and_two_props():
 
 
 @pytest.mark.parametrize("family", BOUNDS)
-def test_they_vary(family):
+def test_they_vary(family: str) -> None:
     check_variety(family, SEEDS, 1.15)

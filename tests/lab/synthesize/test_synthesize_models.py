@@ -1,6 +1,7 @@
 """Finding, checking and dealing models: layouts, every kind of bad mesh, proportions."""
 
 from collections import Counter
+from collections.abc import Sequence as Rows
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from kinectbench.release.exchange.layouts import synset_of
 BOX = mesh_of(trimesh.creation.box([0.5, 0.4, 0.3]))
 
 
-def test_shapenet_layouts(tmp_path: Path):
+def test_shapenet_layouts(tmp_path: Path) -> None:
     models, left_out = folder_models(write_shapenet(tmp_path), ())
     assert [model.label for model in models] == [
         "chair/c0", "chair/c1", "chair/c2", "table/t0", "table/t1", "table/t2"
@@ -37,7 +38,7 @@ def test_shapenet_layouts(tmp_path: Path):
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off", "glb"])
-def test_flat_folders(suffix: str, tmp_path: Path):
+def test_flat_folders(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "stool").mkdir()
     asymmetric().export(tmp_path / "stool" / f"one.{suffix}")
     (tmp_path / "stool" / "notes.txt").write_text("no mesh")
@@ -48,7 +49,7 @@ def test_flat_folders(suffix: str, tmp_path: Path):
     assert checked.mesh.volume_m3 == pytest.approx(asymmetric().volume, rel=1e-5)
 
 
-def test_what_is_left_out_at_first_sight(tmp_path: Path):
+def test_what_is_left_out_at_first_sight(tmp_path: Path) -> None:
     write_shapenet(tmp_path, 1, 1)
     (tmp_path / "03001627" / "empty").mkdir()
     (tmp_path / "02828884").mkdir()
@@ -63,7 +64,7 @@ def test_what_is_left_out_at_first_sight(tmp_path: Path):
     ]
 
 
-def test_no_models(tmp_path: Path):
+def test_no_models(tmp_path: Path) -> None:
     with raises(SettingsError, "settings.no-file", match="no folder"):
         folder_models(tmp_path / "none", ())
     with raises(SettingsError, "settings.no-file", match="no models"):
@@ -72,7 +73,7 @@ def test_no_models(tmp_path: Path):
         folder_models(write_shapenet(tmp_path), ["sofa"])
 
 
-def test_families_and_synsets():
+def test_families_and_synsets() -> None:
     models = family_models(["table", "chair"], 2)
     assert [model.label for model in models] == [
         "chair/chair-00000", "chair/chair-00001", "table/table-00000", "table/table-00001"
@@ -84,7 +85,7 @@ def test_families_and_synsets():
     assert (synset_of("couch"), synset_of("stool")) == ("04256520", "00000000")
 
 
-def test_closed_meshes_are_filled_by_winding():
+def test_closed_meshes_are_filled_by_winding() -> None:
     assert check_mesh(mesh_of(asymmetric()), 100).rule == "winding"
     soup = BOX.vertices[BOX.faces].reshape(-1, 3)  # every triangle with vertices of its own
     loose = check_mesh(TriangleMesh(soup, np.arange(36, dtype=np.int32).reshape(-1, 3)), 100)
@@ -100,7 +101,7 @@ def test_closed_meshes_are_filled_by_winding():
     assert check_mesh(mesh_of(pair), 100).rule == "winding"
 
 
-def test_other_meshes_are_filled_by_the_authors_rule():
+def test_other_meshes_are_filled_by_the_authors_rule() -> None:
     assert check_mesh(mesh_of(open_box()), 100).rule == "six-rays"
     flipped = BOX.faces.copy()
     flipped[3] = flipped[3][::-1]
@@ -122,12 +123,12 @@ def test_other_meshes_are_filled_by_the_authors_rule():
         (mesh_of(trimesh.creation.icosphere(2)), "320 faces, more than 100"),
     ],
 )
-def test_bad_meshes(mesh: TriangleMesh, reason: str):
+def test_bad_meshes(mesh: TriangleMesh, reason: str) -> None:
     with raises(ShapeError, "shape.bad-mesh", match=reason):
         check_mesh(mesh, 100)
 
 
-def test_collapsed_triangles_are_noted():
+def test_collapsed_triangles_are_noted() -> None:
     faces = np.concatenate([BOX.faces, [[1, 1, 2]]]).astype(np.int32)
     checked = check_mesh(TriangleMesh(BOX.vertices, faces), 100)
     assert (checked.rule, len(checked.mesh.faces)) == ("winding", 12)
@@ -136,7 +137,7 @@ def test_collapsed_triangles_are_noted():
 
 @pytest.mark.parametrize("content", [b"", b"\x00\x01\x02", b"v 1 2\nf 1 2 3\n", b"v a b c\nf 1 1 1\n"])
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off", "glb"])
-def test_unreadable_files(content: bytes, suffix: str, tmp_path: Path):
+def test_unreadable_files(content: bytes, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"bad.{suffix}"
     path.write_bytes(content)
     with pytest.raises(ShapeError) as error:
@@ -144,7 +145,7 @@ def test_unreadable_files(content: bytes, suffix: str, tmp_path: Path):
     assert "\n" not in str(error.value)
 
 
-def test_missing_materials_are_noted(tmp_path: Path):
+def test_missing_materials_are_noted(tmp_path: Path) -> None:
     path = tmp_path / "model.obj"
     asymmetric().export(path)
     text = "\n".join(line for line in path.read_text().splitlines() if not line.startswith("mtllib"))
@@ -170,12 +171,12 @@ def test_missing_materials_are_noted(tmp_path: Path):
         (0, (0, 0, 0)),
     ],
 )
-def test_shares(available: int, expected: tuple[int, int, int]):
+def test_shares(available: int, expected: tuple[int, int, int]) -> None:
     counts = shares({"train": 220, "validation": 12, "test": 40}, available)
     assert tuple(counts.values()) == expected
 
 
-def test_a_split_that_nobody_asked_for_stays_empty():
+def test_a_split_that_nobody_asked_for_stays_empty() -> None:
     assert shares({"train": 0, "validation": 1, "test": 9}, 5) == {"train": 0, "validation": 1, "test": 4}
 
 
@@ -183,12 +184,12 @@ def models_of(category: str, count: int) -> list[Model]:
     return [Model(category, f"{category}{n:02d}", "x") for n in range(count)]
 
 
-def test_bad_models_are_replaced_while_there_are_others():
+def test_bad_models_are_replaced_while_there_are_others() -> None:
     models = models_of("chair", 20) + models_of("table", 4)
     settings = SynthesisSettings(train=4, validation=2, test=2)
     asked: list[Model] = []
 
-    def check(batch):
+    def check(batch: Rows[Model]) -> list[str | None]:
         asked.extend(batch)
         return ["bad" if model.name.endswith(("1", "2", "3")) else None for model in batch]
 
@@ -201,7 +202,7 @@ def test_bad_models_are_replaced_while_there_are_others():
     assert len(asked) == len(set(asked)) == 24 - chairs.unused
 
 
-def test_the_seed_draws_the_models_and_nothing_else_does():
+def test_the_seed_draws_the_models_and_nothing_else_does() -> None:
     models = models_of("chair", 30)
     good = lambda batch: [None] * len(batch)  # noqa: E731
     settings = SynthesisSettings(train=3, validation=1, test=2)

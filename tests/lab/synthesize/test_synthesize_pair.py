@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 from references import occupy, shell_of
 from synthesis_shapes import asymmetric, inside_asymmetric, mesh_of, open_box
 
@@ -48,7 +49,7 @@ def seen() -> tuple[np.ndarray, np.ndarray, Grid]:
     return DepthCamera(mesh, CAMERA).depth_m(pose), pose, object_cube(mesh.vertices, pose)
 
 
-def test_depth_of_a_ball_through_integer_pixel_centres():
+def test_depth_of_a_ball_through_integer_pixel_centres() -> None:
     ball = trimesh.creation.icosphere(6, radius=0.5)
     pose = rigid(np.eye(3), [0.03, -0.02, -1.5])
     depth_m = DepthCamera(mesh_of(ball), CAMERA).depth_m(pose)
@@ -63,7 +64,9 @@ def test_depth_of_a_ball_through_integer_pixel_centres():
     np.testing.assert_allclose(depth_m[sure], expected[sure], atol=6e-4)
 
 
-def test_partial_is_depth_voxelised_and_reduced_by_any(seen):
+def test_partial_is_depth_voxelised_and_reduced_by_any(
+    seen: tuple[NDArray[np.float32], NDArray[np.float64], Grid],
+) -> None:
     depth_m, pose, grid = seen
     fine, coarse = partial_grids(depth_m, CAMERA, pose, grid)
     expected = occupy(depth_cells(depth_m, depth_m > 0, CAMERA, pose, grid), grid.shape)
@@ -72,7 +75,9 @@ def test_partial_is_depth_voxelised_and_reduced_by_any(seen):
     np.testing.assert_array_equal(unpack(coarse), reduce_blocks(unpack(fine), "any"))
 
 
-def test_visible_cells_are_those_before_the_depth_of_their_pixel(seen):
+def test_visible_cells_are_those_before_the_depth_of_their_pixel(
+    seen: tuple[NDArray[np.float32], NDArray[np.float64], Grid],
+) -> None:
     depth_m, pose, grid = seen
     cells = unpack(seen_cells(depth_m, CAMERA, pose, grid, noisy=False))
     index = np.random.default_rng(0).integers(0, 256, (200_000, 3))
@@ -87,7 +92,9 @@ def test_visible_cells_are_those_before_the_depth_of_their_pixel(seen):
     assert 0.05 < expected.mean() < 0.95
 
 
-def test_cells_outside_the_image_are_not_seen(seen):
+def test_cells_outside_the_image_are_not_seen(
+    seen: tuple[NDArray[np.float32], NDArray[np.float64], Grid],
+) -> None:
     depth_m, pose, grid = seen
     near = Grid(grid.shape, grid.voxel_size_m, pose @ rigid(np.eye(3), [-0.5, -0.5, 0.05]))
     everywhere = np.full_like(depth_m, 9)
@@ -99,7 +106,7 @@ def test_cells_outside_the_image_are_not_seen(seen):
     assert not cells[0, 128, 0] and cells[128, 128].all()
 
 
-def test_full_is_the_shape_in_the_views_axes(pair):
+def test_full_is_the_shape_in_the_views_axes(pair: Pair) -> None:
     index = np.random.default_rng(0).integers(0, 256, (500_000, 3))
     centres = transform_points(pair.T_world_grid, (index + 0.5) * pair.voxel_size_m)
     inside = inside_asymmetric(centres)
@@ -108,20 +115,20 @@ def test_full_is_the_shape_in_the_views_axes(pair):
     assert unpack(pair.known).all() and pair.surface_sigma_m == 0 and pair.occupancy_rule == "winding"
 
 
-def test_a_pair_passes_the_checks_of_a_release(pair):
+def test_a_pair_passes_the_checks_of_a_release(pair: Pair) -> None:
     problems = pair_problems(pair, min_containment=0.999, framing="object", partial_rule="any")
     assert list(problems) == []
     partial = unpack(pair.partial)
     assert partial.sum() > 500 and (unpack(pair.seen)[unpack(pair.partial_256)]).mean() > 0.98
 
 
-def test_the_longest_side_spans_252_cells_of_256(pair):
+def test_the_longest_side_spans_252_cells_of_256(pair: Pair) -> None:
     used = [np.flatnonzero(unpack(pair.full).any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
     assert max(line[-1] - line[0] + 1 for line in used) == 252
     assert all(abs(line[0] + line[-1] - 255) <= 1 for line in used)
 
 
-def test_the_partial_has_no_sampling_holes():
+def test_the_partial_has_no_sampling_holes() -> None:
     """A wall seen face on: every 64-cell of its front is hit, at the far side of the image too."""
     wall = trimesh.creation.box([1.0, 1.0, 0.02])
     front = pair_of(wall, ViewAngles((0, 0, 0), 5))
@@ -130,7 +137,7 @@ def test_the_partial_has_no_sampling_holes():
     np.testing.assert_array_equal(unpack(front.partial).any(axis=2), covered)
 
 
-def test_an_open_mesh_is_filled_by_the_authors_rule():
+def test_an_open_mesh_is_filled_by_the_authors_rule() -> None:
     pair = pair_of(open_box(), ViewAngles((0, 0, 0), 5))
     assert pair.occupancy_rule == "six-rays"
     # Walls of one or two cells, not the box's volume.
@@ -173,7 +180,7 @@ def test_an_open_mesh_has_no_seeable_solid() -> None:
     assert checked.notes[-1] == "is not closed: what a camera could see of it is not asked"
 
 
-def test_walls_thinner_than_a_cell_are_refused():
+def test_walls_thinner_than_a_cell_are_refused() -> None:
     sheet = mesh_of(trimesh.creation.box([1.0, 1.0, 1e-5]))
     checked = CheckedMesh(TriangleMesh(sheet.vertices, sheet.faces), "winding")
     eye = DepthCamera(checked.mesh, CAMERA)
@@ -181,7 +188,7 @@ def test_walls_thinner_than_a_cell_are_refused():
     assert reasons and all(reason for reason in reasons)
 
 
-def test_the_cube_of_framing_view_tells_nothing_of_the_hidden_part():
+def test_the_cube_of_framing_view_tells_nothing_of_the_hidden_part() -> None:
     """Two boxes that look alike from the front, one of them twice as deep: the same cube before both."""
     settings = SynthesisSettings(up="y", framing="view")
     front = ViewAngles((0, 0, 0), 5)
@@ -198,7 +205,7 @@ def test_the_cube_of_framing_view_tells_nothing_of_the_hidden_part():
     assert unpack(pairs[1].full).sum() == pytest.approx(2 * unpack(pairs[0].full).sum(), rel=0.05)
 
 
-def test_a_view_whose_cube_cuts_the_shape_is_refused():
+def test_a_view_whose_cube_cuts_the_shape_is_refused() -> None:
     beam = trimesh.creation.box([0.1, 0.1, 1.0])
     _, refused = made(beam, ViewAngles((0, 0, 0), 5), SynthesisSettings(up="y", framing="view"))
     assert refused is not None and "cuts off" in refused

@@ -24,7 +24,7 @@ def pairs() -> list[Pair]:
 
 
 @pytest.mark.parametrize("n", range(len(VIEWS)))
-def test_the_loading_rule_gives_our_grids_back(n: int, pairs: list[Pair]):
+def test_the_loading_rule_gives_our_grids_back(n: int, pairs: list[Pair]) -> None:
     pair = pairs[n]
     seen_file, full_file = recgan_bytes(pair)
     assert theirs(seen_file).shape == theirs(full_file).shape
@@ -38,7 +38,7 @@ def test_the_loading_rule_gives_our_grids_back(n: int, pairs: list[Pair]):
     assert shift != (0, 0, 0) or (back_64 == unpack(pair.partial)).all()
 
 
-def test_no_mirror_image_would_pass(pairs: list[Pair]):
+def test_no_mirror_image_would_pass(pairs: list[Pair]) -> None:
     """The shape tells every other order and direction of the axes apart, by far."""
     back = load(recgan_bytes(pairs[1])[1])
     full = unpack(pairs[1].full)
@@ -48,7 +48,7 @@ def test_no_mirror_image_would_pass(pairs: list[Pair]):
         assert overlap > 0.9 if flips == (1, 1, 0) else overlap < 0.7
 
 
-def test_back_projection_in_their_axes_falls_onto_the_shape():
+def test_back_projection_in_their_axes_falls_onto_the_shape() -> None:
     """x = -(u - w/2) z / f and y = -(v - h/2) z / f, z forward: their points lie in their cells."""
     checked = check_mesh(mesh_of(asymmetric()), 100)
     camera = virtual_camera(320)
@@ -69,7 +69,7 @@ def test_back_projection_in_their_axes_falls_onto_the_shape():
     assert np.count_nonzero(marked != partial) < 0.01 * np.count_nonzero(partial)
 
 
-def test_folders_and_names():
+def test_folders_and_names() -> None:
     view = ViewAngles((0, 1, 2), 6)
     model = "2d1ea225c279836cd67b3c7873295e75"
     assert recgan_path("25d", "bench", "test", view.n**3, f"{model}_{view.name}") == (

@@ -15,7 +15,8 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.lab.synthesize import make
-from kinectbench.lab.synthesize.models import SynthesisSettings
+from kinectbench.lab.synthesize.mesh_check import CheckedMesh, load_model
+from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.synthesize import Report, synthesize
 from kinectbench.release.check.verify import verify
 from kinectbench.release.release import Release, open_release
@@ -63,7 +64,7 @@ def release(report: Report) -> Release:
     return open_release(report.folder)
 
 
-def test_the_release_verifies(report: Report, release: Release):
+def test_the_release_verifies(report: Report, release: Release) -> None:
     assert verify(report.folder) == []
     assert release.benchmark_sha256 == report.benchmark_sha256
     assert (report.models, report.pairs) == (6, len(release.targets)) == (6, 2 * (8 + 9 + 9))
@@ -74,7 +75,7 @@ def test_the_release_verifies(report: Report, release: Release):
     assert not (report.folder.parent / "out.work").exists()
 
 
-def test_framing_view_and_few_views(models: Path, tmp_path: Path):
+def test_framing_view_and_few_views(models: Path, tmp_path: Path) -> None:
     """The views are drawn by the model alone, so that other framings have the same."""
     found = {}
     for framing in ("view", "object"):
@@ -84,13 +85,17 @@ def test_framing_view_and_few_views(models: Path, tmp_path: Path):
         release = open_release(report.folder)
         assert release.metadata.framing == framing
         rows = [ViewsFile.read(folder) for folder in sorted((report.folder / "views").iterdir())]
-        assert all(len(file.views) + len(file.refused) == min(3, file.steps_per_turn**3) for file in rows)
-        found[framing] = [{row.steps for row in (*file.views, *file.refused)} for file in rows]
+        for file in rows:
+            assert isinstance(file.steps_per_turn, int)
+            assert len(file.views) + len(file.refused) == min(3, file.steps_per_turn**3)
+        found[framing] = [
+            {row.steps for row in file.views} | {row.steps for row in file.refused} for file in rows
+        ]
     assert found["view"] == found["object"]
     assert len({frozenset(steps) for steps in found["view"] if len(steps) == 3}) > 1
 
 
-def test_noise_is_in_the_settings_and_in_the_card(models: Path, tmp_path: Path):
+def test_noise_is_in_the_settings_and_in_the_card(models: Path, tmp_path: Path) -> None:
     report = synthesize(settings(models, noise="kinect", most_views=1), tmp_path / "noisy")
     assert verify(report.folder) == [] and report.pairs > 0
     stored = json.loads((report.folder / "benchmark.json").read_text())["settings"]["synthesis"]
@@ -99,14 +104,14 @@ def test_noise_is_in_the_settings_and_in_the_card(models: Path, tmp_path: Path):
     assert line in report.lines and line in (report.folder / "README.md").read_text()
 
 
-def test_the_files_say_which_rule_filled_them(release: Release):
+def test_the_files_say_which_rule_filled_them(release: Release) -> None:
     for target in release.targets:
         expected = "six-rays" if target.object == "t0" else "winding"
         assert read_pair(release.pair_path(target)).occupancy_rule == expected
         assert release.metadata.recordings[target.recording].quality.method == expected
 
 
-def test_views_json_has_the_angles(report: Report, release: Release):
+def test_views_json_has_the_angles(report: Report, release: Release) -> None:
     target = release.targets[-1]
     content = json.loads((report.folder / "views" / target.recording / "views.json").read_text())
     row = next(row for row in content["views"] if row["view"] == target.view)
@@ -117,7 +122,7 @@ def test_views_json_has_the_angles(report: Report, release: Release):
     assert content["camera"]["fx"] == pair.K[0, 0]
 
 
-def test_nothing_is_left_out_silently(report: Report, models: Path):
+def test_nothing_is_left_out_silently(report: Report, models: Path) -> None:
     assert [bad.model for bad in report.left_out] == ["chair/broken", "chair/void"]
     assert (
         "chair: 3 models for the 2 train, 1 validation, 1 test asked for: dealt in proportion" in report.lines
@@ -132,7 +137,7 @@ def test_nothing_is_left_out_silently(report: Report, models: Path):
     assert str(models) not in (report.folder / "benchmark.json").read_text() + text
 
 
-def test_it_can_be_scored_and_gives_thresholds(release: Release, tmp_path: Path):
+def test_it_can_be_scored_and_gives_thresholds(release: Release, tmp_path: Path) -> None:
     write_baselines(release, tmp_path / "baselines", ("empty",))
     for target in release.targets:
         if target.split != "train":
@@ -146,11 +151,11 @@ def test_it_can_be_scored_and_gives_thresholds(release: Release, tmp_path: Path)
 
 def test_the_result_depends_on_neither_jobs_nor_interruptions(
     models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    original, made = make.load_model, []
+) -> None:
+    original, made = load_model, []
     tables = settings(models, categories=["table"], sv_steps=1)
 
-    def stop_at_the_third(model, max_faces):
+    def stop_at_the_third(model: Model, max_faces: int) -> CheckedMesh | None:
         made.append(model)
         if len(made) == 3:
             raise KeyboardInterrupt
@@ -176,7 +181,7 @@ def test_the_result_depends_on_neither_jobs_nor_interruptions(
     assert hashes(tmp_path / "again") == hashes(out)
 
 
-def test_layout_recgan(models: Path, tmp_path: Path):
+def test_layout_recgan(models: Path, tmp_path: Path) -> None:
     report = synthesize(settings(models, layout="recgan", categories=["chair"]), tmp_path / "out")
     names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.npz")}
     folders = Counter(name.rpartition("/")[0] for name in names)
@@ -191,14 +196,14 @@ def test_layout_recgan(models: Path, tmp_path: Path):
     assert {row["quality"]["method"] for row in content["models"].values()} == {"winding"}
 
 
-def test_what_else_lies_there_is_not_replaced(models: Path, tmp_path: Path):
+def test_what_else_lies_there_is_not_replaced(models: Path, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with raises(SettingsError, "settings.other-content"):
         synthesize(settings(models), tmp_path)
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
-def test_not_one_good_model(models: Path, tmp_path: Path):
+def test_not_one_good_model(models: Path, tmp_path: Path) -> None:
     folder = tmp_path / "models"
     shutil.copytree(models / "03001627" / "void", folder / "chair" / "void")
     with raises(KinectBenchError, "run.no-model"):
@@ -206,7 +211,7 @@ def test_not_one_good_model(models: Path, tmp_path: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_parametric_furniture(tmp_path: Path):
+def test_parametric_furniture(tmp_path: Path) -> None:
     chosen = SynthesisSettings(
         categories=("table",), train=1, validation=0, test=1, sv_steps=1, cv_steps=1, image_px=96
     )

@@ -1,5 +1,7 @@
 """Viewing angles and the virtual camera: against hand-turned vectors and a ball that must just fit."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +13,7 @@ CENTRE = np.array([0.1, -0.2, 0.3])
 BALL = np.asarray(trimesh.creation.icosphere(4, radius=0.4).vertices) + CENTRE
 
 
-def test_counts_and_names():
+def test_counts_and_names() -> None:
     views = all_views(5)
     assert len(views) == 125 and len(all_views(6)) == 216
     assert [view.name for view in views[:6]] == ["0_0_0", "0_0_1", "0_0_2", "0_0_3", "0_0_4", "0_1_0"]
@@ -29,13 +31,13 @@ def test_counts_and_names():
         ((1, 1, 0), {"x": [0, 0, -1], "y": [1, 0, 0], "z": [0, -1, 0]}),  # roll first, then pitch
     ],
 )
-def test_quarter_turns(steps, turned):
+def test_quarter_turns(steps: tuple[int, int, int], turned: dict[str, list[int]]) -> None:
     rotation = ViewAngles(steps, 4).rotation
     for column, axis in enumerate("xyz"):
         np.testing.assert_allclose(rotation[:, column], turned[axis], atol=1e-15)
 
 
-def test_same_and_cross_viewing_share_one_orientation():
+def test_same_and_cross_viewing_share_one_orientation() -> None:
     """Both count from zero; of the 216 half are doubled, since (r, p, y) = (r + pi, pi - p, y + pi)."""
     sv = np.array([view.rotation for view in all_views(5)])
     cv = np.array([view.rotation for view in all_views(6)])
@@ -47,7 +49,7 @@ def test_same_and_cross_viewing_share_one_orientation():
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_the_first_view_is_upright(up):
+def test_the_first_view_is_upright(up: Literal["y", "z"]) -> None:
     pose = camera_pose(BALL, ViewAngles((0, 0, 0), 5), virtual_camera(320), up)
     upwards = np.array([0, 1, 0] if up == "y" else [0, 0, 1])
     ahead = np.array([0, 0, -1] if up == "y" else [0, 1, 0])
@@ -56,13 +58,13 @@ def test_the_first_view_is_upright(up):
     np.testing.assert_allclose(np.cross(ahead, upwards), pose[:3, 0], atol=1e-15)
 
 
-def test_authors_intrinsics():
+def test_authors_intrinsics() -> None:
     camera = virtual_camera(480)
     assert (camera.width, camera.height, camera.cx, camera.cy) == (480, 480, 240, 240)
     assert camera.fx == camera.fy == pytest.approx(480 / (2 * np.tan(np.radians(49.124) / 2)))
 
 
-def test_a_ball_just_fits_from_everywhere():
+def test_a_ball_just_fits_from_everywhere() -> None:
     camera = virtual_camera(320)
     for view in all_views(5)[::7]:
         pose = camera_pose(BALL, view, camera, "y")
@@ -71,7 +73,7 @@ def test_a_ball_just_fits_from_everywhere():
         assert np.linalg.norm(pose[:3, 3] - CENTRE) == pytest.approx(0.4 / np.sin(0.427), rel=0.01)
 
 
-def test_hull_corners_have_the_same_boxes():
+def test_hull_corners_have_the_same_boxes() -> None:
     vertices = np.asarray(asymmetric().subdivide().vertices)
     corners = hull_corners(vertices)
     assert len(corners) < len(vertices) / 4

@@ -7,7 +7,7 @@ import re
 import struct
 from collections.abc import Callable
 from random import Random
-from typing import Any
+from typing import Any, Literal
 
 from fuzz.members import OPENERS
 
@@ -48,7 +48,8 @@ def of_bytes(draw: Random, content: bytes) -> tuple[bytes, str]:
         for _ in range(draw.randint(1, 8)):
             data[(at + draw.randint(0, 16)) % len(data)] ^= 1 << draw.randrange(8)
     elif kind == "number":
-        size, order = draw.choice((1, 2, 4, 8)), draw.choice(("little", "big"))
+        orders: tuple[Literal["little", "big"], ...] = ("little", "big")
+        size, order = draw.choice((1, 2, 4, 8)), draw.choice(orders)
         value = draw.choice(NUMBERS) if draw.random() < 0.8 else draw.getrandbits(64)
         data[at : at + size] = (value % (1 << 8 * size)).to_bytes(size, order)
     elif kind == "cut":

@@ -116,7 +116,7 @@ def add_bomb(archive: zipfile.ZipFile, buffer: io.BytesIO, info: zipfile.ZipInfo
     archive.filelist.append(info)
     archive.NameToInfo[info.filename] = info
     archive.start_dir = buffer.tell()
-    archive._didModify = True
+    archive._didModify = True  # type: ignore[attr-defined]  # of the standard library, not public
 
 
 def _flagged(draw: Random, content: bytes) -> bytes:

@@ -68,7 +68,12 @@ def serve(connection: Connection, told: Path, call: Call) -> None:
             message = connection.recv()
         except EOFError:
             return
-        connection.send(_limit() if message == "limit" else _run(*message, told, call))
+        if message == "limit":
+            _limit()
+            connection.send(None)
+        else:
+            folder, arguments = message
+            connection.send(_run(folder, arguments, told, call))
 
 
 def _limit() -> None:

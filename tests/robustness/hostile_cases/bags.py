@@ -33,8 +33,8 @@ def cases() -> Iterator[Case]:
                 "inspect r\ningest --jobs 1",
                 Case("H6", f"{whole}: {name}", "", _defined(definition), whole, (0, 1, 3)),
             )
-        for make, file in ((_ros1_definition, "a.bag"), (_mcap_definition, "a.mcap")):
-            yield from _cases("H6", f"{file}: {name}", file, make(definition))
+        for defined, file in ((_ros1_definition, "a.bag"), (_mcap_definition, "a.mcap")):
+            yield from _cases("H6", f"{file}: {name}", file, defined(definition))
     yield from _cases("H1", "metadata.yaml that is a billion laughs", "bag", _metadata)
     for name, blocks in (("blocks", _blocks), ("clusters", _clusters)):
         yield from on(

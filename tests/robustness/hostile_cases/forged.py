@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fuzz.releases import seal
 
 from hostile_cases.case import Case, on
@@ -22,8 +23,8 @@ Change = Callable[[dict[str, Any]], object]
 
 def cases() -> Iterator[Case]:
     # What stands nowhere else is believed: its identity is another.
-    def believed(said):
-        return said["packages"].update(numpy="0.1")
+    def believed(said: dict[str, Any]) -> None:
+        said["packages"].update(numpy="0.1")
 
     yield from on(VERIFY, _release("packages", _benchmark(believed), 0, "all well"))
     yield from on(VERIFY, *(_release(name, make, 1, says) for name, (make, says) in RELEASES.items()))
@@ -75,7 +76,7 @@ def _less_known(folder: Path) -> None:
     from kinectbench.core.voxels.pair_file import pair_bytes, read_pair
 
     pair = read_pair(folder / PAIR)
-    (folder / PAIR).write_bytes(pair_bytes(replace(pair, known=pair.known & 0xF0)))
+    (folder / PAIR).write_bytes(pair_bytes(replace(pair, known=pair.known & np.uint8(0xF0))))
 
 
 def _mesh(times: float) -> Callable[[Path], object]:

@@ -47,11 +47,19 @@ def cases() -> Iterator[Case]:
     )
 
 
-def _of(group, name, make, statuses=REFUSED, *, errors=2, before=""):  # type: ignore[no-untyped-def]
+def _of(
+    group: str,
+    name: str,
+    make: Callable[[Path], object],
+    statuses: tuple[int, ...] = REFUSED,
+    *,
+    errors: int = 2,
+    before: str = "",
+) -> Case:
     return Case(group, name, "", make, "release", statuses, errors=errors, before=before)
 
 
-def _mesh(group: str, name: str, kind: str, data) -> Case:  # type: ignore[no-untyped-def]
+def _mesh(group: str, name: str, kind: str, data: Callable[[], bytes]) -> Case:
     def make(folder: Path) -> None:
         (folder / f"{PREDICTION}.npy").unlink()
         (folder / f"{PREDICTION}.{kind}").write_bytes(data())

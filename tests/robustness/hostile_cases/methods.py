@@ -14,7 +14,8 @@ import numpy as np
 from fuzz.members import BOMB_MB, add_bomb
 
 from hostile_cases.case import Case
-from hostile_cases.settings import HEAD, bomb_yaml
+from hostile_cases.releases import bomb_yaml
+from hostile_cases.settings import HEAD
 
 METHOD = "method"
 TRAIN = "train {} --data benchmark --out run --device cpu"
@@ -145,7 +146,7 @@ CHECKPOINTS: dict[str, Callable[[Path], object]] = {
 }
 
 
-def _arrays(**arrays: np.ndarray[Any, Any]) -> Callable[[Path], None]:
+def _arrays(**arrays: Any) -> Callable[[Path], None]:
     def damage(path: Path) -> None:
         np.savez_compressed(path, **arrays)
 

@@ -105,9 +105,9 @@ def _with_member(
                 archive.writestr(one, content)
     with zipfile.ZipFile(buffer, "a", method) as archive:
         archive.writestr(name, data)
-    content = bytearray(buffer.getvalue())
-    content[content.rindex(b"PK\1\2") + 8] |= flags
-    path.write_bytes(content)
+    whole = bytearray(buffer.getvalue())
+    whole[whole.rindex(b"PK\1\2") + 8] |= flags
+    path.write_bytes(whole)
 
 
 def _bomb(path: Path) -> None:
@@ -129,7 +129,7 @@ def _two_bombs(path: Path) -> None:
     buffer = io.BytesIO(path.read_bytes())
     with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive:
         for name in ("more.npy", "yet_more.npy"):
-            archive.fp.seek(archive.start_dir)  # type: ignore[union-attr, attr-defined]
+            archive.fp.seek(archive.start_dir)  # type: ignore[union-attr]
             add_bomb(archive, buffer, zipfile.ZipInfo(name), _npy((BOMB_MB << 10, 1 << 10)))
     path.write_bytes(buffer.getvalue())
 

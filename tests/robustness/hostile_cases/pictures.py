@@ -66,8 +66,8 @@ def cases() -> Iterator[Case]:
             READ, Case("M6", f"{whole}: 300 MB of zeros behind it", "", _zeros_behind, whole, ADVICE)
         )
         yield from on(READ, Case("M6", f"{whole}: numbers of 2^32", "", _large_numbers, whole, ADVICE))
-    for name, data in VIDEOS.items():
-        yield from on(READ, _video(f"rgb.mp4: {name}", data))
+    for name, video in VIDEOS.items():
+        yield from on(READ, _video(f"rgb.mp4: {name}", video))
     for name, said in CAMERAS.items():
         yield from on("inspect r\nbuild --jobs 1", _camera(name, said))
     yield from on(READ, Case("L", "JPEGs with bits flipped", "", _flipped, "tum", ADVICE))

@@ -20,6 +20,7 @@ from analytic_release import (
 )
 from made_once import made_once
 from raising import raises
+from read_pictures import read_picture
 from synthetic_release import RECORDINGS, synthetic_settings
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
@@ -93,13 +94,13 @@ def test_plain_files_are_metric(published: Release, tmp_path: Path) -> None:
         camera = json.loads((folder / "camera.json").read_text())
         assert camera["color"] == "none: the recording's colour is not registered to its depth"
         assert (camera["width"], camera["height"]) == (320, 240) and "method" not in camera
-        depth = cv2.imread(str(folder / "depth.png"), cv2.IMREAD_UNCHANGED)
+        depth = read_picture(folder / "depth.png", cv2.IMREAD_UNCHANGED)
         depth_m, points = np.load(folder / "depth_m.npy"), np.load(folder / "pointmap_cv.npy")
         assert depth.dtype == np.uint16 and depth_m.dtype == points.dtype == np.float32
         np.testing.assert_allclose(depth_m, depth / 1000, rtol=0, atol=1e-6)
         measured = depth > 0
         assert np.isnan(points[~measured]).all() and np.isfinite(points[measured]).all()
-        mask = cv2.imread(str(folder / "mask.png"), cv2.IMREAD_UNCHANGED) > 0
+        mask = read_picture(folder / "mask.png", cv2.IMREAD_UNCHANGED) > 0
         on_floor = transform_points(T_floor_camera(int(target.view)), points[mask & measured])
         # Depth is in whole millimetres, along z.
         assert surface_distance_m(target.category, on_floor).max() < 0.6 * MM
@@ -116,10 +117,10 @@ def test_registered_colour_lies_on_depth(published: Release, tmp_path: Path) -> 
     color[view.mask] = (200, 20, 10)
     colored = replace(view, color=color, color_words=REGISTERED)
     write_plain(published, colored, tmp_path)
-    found = cv2.imread(str(tmp_path / "rgb.png"))[..., ::-1]
+    found = read_picture(tmp_path / "rgb.png")[..., ::-1]
     np.testing.assert_array_equal(found, color)
     ADAPTERS["sam3d"].write(published, colored, tmp_path)
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "image.png"))[..., ::-1], color)
+    np.testing.assert_array_equal(read_picture(tmp_path / "image.png")[..., ::-1], color)
 
 
 @pytest.mark.parametrize(

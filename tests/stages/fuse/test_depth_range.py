@@ -1,13 +1,16 @@
 """How far depth makes surface: ranges by hand, cavities seen from afar, noise wider than the truncation."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from analytic_scenes import CAMERA, MemoryFrames, depth_of, look_at, plane, ring, trajectory_of
+from analytic_scenes import CAMERA, MemoryFrames, depth_of, plane, ring, trajectory_of
 
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.geometry import Camera, Grid, rigid
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse import fuse, observe
 from kinectbench.stages.fuse.depth_range import (
@@ -115,7 +118,7 @@ def test_the_far_wall_of_a_cavity_carves_it(
     assert bool(seen.surface.any()) == (max_depth_m is None)
 
 
-def test_what_is_recorded_from_afar_is_fused_and_written(tmp_path) -> None:
+def test_what_is_recorded_from_afar_is_fused_and_written(tmp_path: Path) -> None:
     """A floor seen from 3.5 m: nothing of it lies within 3 m of a camera."""
     poses = ring(6, 3.5, elevations_rad=(0.9,))
     floor = plane((0.0, 0.0, 1.0), 0.0)

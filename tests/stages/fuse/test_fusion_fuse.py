@@ -1,6 +1,7 @@
 """The stage `fuse` and `observe`: analytic shapes seen by exact depth."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,7 +11,6 @@ from analytic_scenes import (
     FurnitureFrames,
     box,
     depth_of,
-    look_at,
     plane,
     ring,
     scene_of,
@@ -24,9 +24,11 @@ from raising import raises
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import Grid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry.mesh import TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M, Trajectory
 from kinectbench.core.voxels.observation import merge
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings, TrackingSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.mesh import extract_mesh
@@ -37,24 +39,24 @@ CENTER, RADIUS_M = (0.01, -0.02, 0.03), 0.2
 
 
 @pytest.fixture(scope="module")
-def ball():
+def ball() -> tuple[Sequence, Trajectory]:
     poses = ring(20, 0.75, CENTER, (0.3, -0.5, 0.9, -1.1))
     return scene_of([sphere(CENTER, RADIUS_M)], poses)
 
 
 @pytest.fixture(scope="module")
-def ball_mesh(ball):
+def ball_mesh(ball: tuple[Sequence, Trajectory]) -> TriangleMesh:
     return fuse(*ball, SETTINGS).mesh
 
 
-def test_sphere_within_the_bar(ball_mesh):
+def test_sphere_within_the_bar(ball_mesh: TriangleMesh) -> None:
     error_mm = 1000 * (np.linalg.norm(ball_mesh.vertices - CENTER, axis=1) - RADIUS_M)
     assert abs(error_mm.mean()) <= 0.2
     assert error_mm.std() <= 0.6
     assert np.abs(error_mm).max() < 5
 
 
-def test_sphere_across_bricks_is_closed_and_outward(ball_mesh):
+def test_sphere_across_bricks_is_closed_and_outward(ball_mesh: TriangleMesh) -> None:
     mesh = closed(ball_mesh)
     assert mesh.body_count == 1
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * RADIUS_M**3, rel=0.005)
@@ -64,7 +66,7 @@ def test_sphere_across_bricks_is_closed_and_outward(ball_mesh):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_sphere_is_where_it_is(axis):
+def test_sphere_is_where_it_is(axis: int) -> None:
     """From one side only a half-pixel error would shift it across by 1.4 mm."""
     poses = np.stack(
         [look_at(np.array([0.1 * k - 0.2, -0.75, 0.05 * k]) + CENTER, np.array(CENTER)) for k in range(5)]
@@ -79,7 +81,7 @@ def test_sphere_is_where_it_is(axis):
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.1, 0.2, 0.97)])
-def test_plane_within_the_bar(normal):
+def test_plane_within_the_bar(normal: tuple[float, float, float]) -> None:
     unit = np.array(normal) / np.linalg.norm(normal)
     turns = np.linspace(0, 6, 10)
     poses = np.stack([look_at(np.array([0.4 * np.cos(a), 0.4 * np.sin(a), 0.9]), np.zeros(3)) for a in turns])
@@ -90,7 +92,7 @@ def test_plane_within_the_bar(normal):
     assert error_mm.std() <= 0.6
 
 
-def test_box_faces():
+def test_box_faces() -> None:
     """Edges seen at a slant pull a little at the faces beside them (projective distances)."""
     low, high = np.array([-0.2, -0.15, -0.1]), np.array([0.2, 0.15, 0.1])
     poses = ring(16, 0.8, elevations_rad=(0.7, -0.7))
@@ -106,7 +108,7 @@ def test_box_faces():
 
 
 @pytest.mark.parametrize("thick_m", [0.012, 0.016, 0.02])
-def test_panels_are_as_thick_as_they_are(thick_m):
+def test_panels_are_as_thick_as_they_are(thick_m: float) -> None:
     """An upright panel thinner than the truncation: from either side the other's air is hidden."""
     half = np.array([thick_m / 2, 0.25, 0.2])
     panel, poses = box(tuple(-half), tuple(half)), ring(24, 0.9, elevations_rad=(0.1, 0.5, -0.3))
@@ -117,7 +119,7 @@ def test_panels_are_as_thick_as_they_are(thick_m):
     assert abs(outside_mm.mean()) < 0.3 and np.abs(outside_mm).max() < 1.5
 
 
-def test_noise_makes_a_panel_no_thicker():
+def test_noise_makes_a_panel_no_thicker() -> None:
     """With noise of half its thickness each face lies 1.5 mm too far out; cut at 2 sigma, 2.1 mm."""
     half, rng = np.array([0.006, 0.3, 0.25]), np.random.default_rng(3)
     panel, poses = box(tuple(-half), tuple(half)), ring(60, 1.9, elevations_rad=(0.1, 0.5, -0.3))
@@ -132,7 +134,7 @@ def test_noise_makes_a_panel_no_thicker():
     assert abs(outside_mm.mean()) < 1.7
 
 
-def test_slats_are_no_thicker_than_they_are():
+def test_slats_are_no_thicker_than_they_are() -> None:
     """Two slats, seen from all around also through the gap between them."""
     half = np.array([0.2, 0.02, 0.01])
     centers = np.array([[0, 0, -0.04], [0, 0, 0.04]])
@@ -146,20 +148,20 @@ def test_slats_are_no_thicker_than_they_are():
     assert outside_mm.mean() < 0.6 and np.quantile(outside_mm, 0.95) < 1.6
 
 
-def test_depth_out_of_range_is_not_fused(ball):
+def test_depth_out_of_range_is_not_fused(ball: tuple[Sequence, Trajectory]) -> None:
     sequence, trajectory = ball
     near_only = FusionSettings(scene_voxel_size_m=0.01, max_depth_m=0.5)
     assert len(fuse(sequence, trajectory, near_only).mesh.faces) == 0
 
 
-def test_no_poses():
+def test_no_poses() -> None:
     sequence = sequence_of([np.ones((240, 320), np.float32)] * 2)
     nowhere = Trajectory(sequence.stamps_ns, np.full((2, 4, 4), np.nan), "trust")
     with raises(TrackingError, "tracking.no-trajectory"):
         fuse(sequence, nowhere, SETTINGS)
 
 
-def test_same_input_same_bytes(ball, tmp_path):
+def test_same_input_same_bytes(ball: tuple[Sequence, Trajectory], tmp_path: Path) -> None:
     sequence, trajectory = ball
     few = trajectory_of(np.where(np.arange(20)[:, None, None] < 3, trajectory.T_world_camera, np.nan))
     written = []
@@ -179,7 +181,7 @@ GRID = Grid(
 )
 
 
-def test_observe_tells_inside_from_outside(ball):
+def test_observe_tells_inside_from_outside(ball: tuple[Sequence, Trajectory]) -> None:
     seen = observe(*ball, range(20), GRID, SETTINGS)
     centers = np.stack(np.meshgrid(*[(np.arange(96) + 0.5) * 0.005] * 3, indexing="ij"), -1)
     world = centers @ GRID.T_world_grid[:3, :3].T + GRID.T_world_grid[:3, 3]
@@ -194,7 +196,7 @@ def test_observe_tells_inside_from_outside(ball):
 
 
 @pytest.mark.parametrize(("wall_m", "before"), [(2.0, True), (3.1, False)])
-def test_depth_out_of_range_is_free_before_it(wall_m, before):
+def test_depth_out_of_range_is_free_before_it(wall_m: float, before: bool) -> None:
     """A wall beyond the fused range, and one farther away than twice that."""
     sequence = sequence_of([np.full((240, 320), wall_m, np.float32)])
     grid = Grid((16, 16, 120), 0.02, rigid(np.eye(3), [-0.16, -0.16, 0.4]))
@@ -205,7 +207,7 @@ def test_depth_out_of_range_is_free_before_it(wall_m, before):
     assert (seen.tsdf[seen.weight > 0] > 0).all() and not seen.surface.any()
 
 
-def test_merge_of_halves_is_fusing_all(ball):
+def test_merge_of_halves_is_fusing_all(ball: tuple[Sequence, Trajectory]) -> None:
     sequence, trajectory = ball
     halves = [observe(sequence, trajectory, range(start, 20, 2), GRID, SETTINGS) for start in (0, 1)]
     whole, together = observe(sequence, trajectory, range(20), GRID, SETTINGS), merge(*halves)
@@ -217,7 +219,7 @@ def test_merge_of_halves_is_fusing_all(ball):
     assert not together.tsdf[together.weight == 0].any()
 
 
-def test_uncertain_poses_weigh_less_and_widen_the_band(ball):
+def test_uncertain_poses_weigh_less_and_widen_the_band(ball: tuple[Sequence, Trajectory]) -> None:
     """A frame whose pose may be off by s gets 1 / (sigma(d)^2 + s^2), and truncation at least 3 s."""
     sequence, trajectory = ball
     unsure = replace(trajectory, pose_sigma_m=np.array([0.0, 0.009] + 18 * [np.nan]))
@@ -233,7 +235,7 @@ def test_uncertain_poses_weigh_less_and_widen_the_band(ball):
     assert sure_seen.tsdf.min() == pytest.approx(-0.02, abs=0.001)
 
 
-def test_an_unchecked_pose_weighs_as_the_largest_plausible_error(ball):
+def test_an_unchecked_pose_weighs_as_the_largest_plausible_error(ball: tuple[Sequence, Trajectory]) -> None:
     """A frame without a figure weighs as 20 mm; its votes and the truncation are those of a usual frame."""
     sequence, trajectory = ball
     assert UNCHECKED_POSE_SIGMA_M * 1000 == 20 and TrackingSettings().max_disagreement_m > 0.02
@@ -254,7 +256,7 @@ def test_an_unchecked_pose_weighs_as_the_largest_plausible_error(ball):
     assert 0 < seen.weight.max() < checked.weight.max() / 20
 
 
-def test_usual_pose_error_is_of_checked_poses(ball):
+def test_usual_pose_error_is_of_checked_poses(ball: tuple[Sequence, Trajectory]) -> None:
     """Poses without a figure neither lower nor raise the median; without any figure there is none."""
     sequence, trajectory = ball
     sigma_m = np.where(np.arange(20) < 3, 0.004, np.nan)
@@ -269,7 +271,7 @@ def test_usual_pose_error_is_of_checked_poses(ball):
     assert seen.tsdf.min() == pytest.approx(-0.02, abs=0.001)
 
 
-def test_vertices_take_the_colour_of_what_they_show():
+def test_vertices_take_the_colour_of_what_they_show() -> None:
     """A red box and a green floor; each pixel has the colour of the surface it measures."""
     surfaces = [box((-0.15, -0.15, 0.0), (0.15, 0.15, 0.3)), plane((0.0, 0.0, 1.0), 0.0)]
     poses = ring(8, 1.1, (0, 0, 0.15), (0.5,))
@@ -296,11 +298,13 @@ def test_vertices_take_the_colour_of_what_they_show():
 
 
 @pytest.mark.parametrize(("width_mm", "voxel_mm"), [(3.0, 7.5), (7.4, 7.5), (7.6, 10.0), (20.0, 10.0)])
-def test_scene_is_as_fine_as_the_rays(width_mm, voxel_mm):
+def test_scene_is_as_fine_as_the_rays(width_mm: float, voxel_mm: float) -> None:
     assert 1000 * scene_voxel_size_m(width_mm / 1000) == pytest.approx(voxel_mm)
 
 
-def test_recording_decides_how_fine_the_scene_is_unless_settings_say(ball):
+def test_recording_decides_how_fine_the_scene_is_unless_settings_say(
+    ball: tuple[Sequence, Trajectory],
+) -> None:
     sequence, trajectory = ball
     assert fuse(sequence, trajectory, FusionSettings()).volume.voxel_size_m == 0.0075
     loose = replace(trajectory, pose_sigma_m=np.full(len(trajectory.T_world_camera), 0.005))

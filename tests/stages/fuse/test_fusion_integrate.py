@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from analytic_scenes import CAMERA, box, depth_of, look_at, plane, sphere
+from analytic_scenes import CAMERA, box, depth_of, plane, sphere
+from numpy.typing import NDArray
 from slow import slow
 
 from kinectbench.core.geometry import (
@@ -15,6 +16,7 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.fuse.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
@@ -60,7 +62,12 @@ def slants(depth_m: np.ndarray) -> np.ndarray:
     return result
 
 
-def reference(volume, frames, farthest_m=np.inf, closely=True):
+def reference(
+    volume: BlockVolume,
+    frames: list[tuple[NDArray[np.float32], NDArray[np.float64]]],
+    farthest_m: float = np.inf,
+    closely: bool = True,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """tsdf, weight, free, surface by the definitions; and where rounding to a pixel or vote is a toss-up."""
     centers = voxel_centers_world(volume)
     shape = centers.shape[:-1]
@@ -95,7 +102,7 @@ def reference(volume, frames, farthest_m=np.inf, closely=True):
     return np.where(weight > 0, total / np.maximum(weight, 1e-30), 0), weight, free, surface, tie
 
 
-def random_frames(count: int) -> list:
+def random_frames(count: int) -> list[tuple[NDArray[np.float32], NDArray[np.float64]]]:
     """Depth without any smoothness and with holes: a neighbour's pixel would be noticed."""
     rng = np.random.default_rng(5)
     frames = []
@@ -107,7 +114,11 @@ def random_frames(count: int) -> list:
     return frames
 
 
-def fused(frames, farthest_m=np.inf, closely=True) -> BlockVolume:
+def fused(
+    frames: list[tuple[NDArray[np.float32], NDArray[np.float64]]],
+    farthest_m: float = np.inf,
+    closely: bool = True,
+) -> BlockVolume:
     blocks = blocks_of_grid(Grid((48, 32, 48), VOXEL_M, T_WORLD_GRID))
     volume = empty_volume(blocks, VOXEL_M, T_WORLD_GRID)
     posed = [
@@ -122,7 +133,7 @@ def fused(frames, farthest_m=np.inf, closely=True) -> BlockVolume:
     ("count", "farthest_m", "closely"),
     [(4, np.inf, True), (4, 1.2, True), (4, 1.2, False), (BATCH_FRAMES + 3, 1.2, True)],
 )
-def test_kernel_against_numpy(count, farthest_m, closely):
+def test_kernel_against_numpy(count: int, farthest_m: float, closely: bool) -> None:
     frames = random_frames(count)
     volume = fused(frames, farthest_m, closely)
     tsdf, weight, free, surface, tie = reference(volume, frames, farthest_m, closely)
@@ -135,7 +146,7 @@ def test_kernel_against_numpy(count, farthest_m, closely):
     np.testing.assert_allclose(volume.tsdf[sure], tsdf[sure], atol=5e-6)
 
 
-def test_camera_inside_the_volume_fuses_nothing_behind_it():
+def test_camera_inside_the_volume_fuses_nothing_behind_it() -> None:
     T_world_camera = rigid(np.eye(3), [0.1, 0.0, 1.0])
     frames = [(np.full((SMALL.height, SMALL.width), 0.3, np.float32), T_world_camera)]
     volume = fused(frames)
@@ -146,7 +157,7 @@ def test_camera_inside_the_volume_fuses_nothing_behind_it():
 
 
 @pytest.mark.parametrize("slant_deg", [0.0, 40.0, 70.0])
-def test_weight_of_a_slanted_plane(slant_deg):
+def test_weight_of_a_slanted_plane(slant_deg: float) -> None:
     """At the principal point the weight is (cos / sigma)^2, in 1/mm^2."""
     camera = Camera(49, 37, 120.0, 120.0, 24.0, 18.0)
     normal = (np.sin(np.radians(slant_deg)), 0.0, np.cos(np.radians(slant_deg)))
@@ -159,13 +170,13 @@ def test_weight_of_a_slanted_plane(slant_deg):
     assert weight == pytest.approx((normal[2] / sigma_mm) ** 2, rel=0.02)
 
 
-def test_frames_without_depth_change_nothing():
+def test_frames_without_depth_change_nothing() -> None:
     volume = fused([(np.zeros((SMALL.height, SMALL.width), np.float32), np.eye(4))])
     for values in (volume.tsdf, volume.weight, volume.free, volume.surface):
         assert not values.any()
 
 
-def test_the_order_of_frames_does_not_matter():
+def test_the_order_of_frames_does_not_matter() -> None:
     frames = random_frames(3)
     one, other = fused(frames), fused(frames[::-1])
     np.testing.assert_array_equal(one.free, other.free)
@@ -173,7 +184,7 @@ def test_the_order_of_frames_does_not_matter():
 
 
 @pytest.mark.parametrize("seed", [0, slow(1)])
-def test_open3d_agrees(seed):
+def test_open3d_agrees(seed: int) -> None:
     """One frame, the same truncation; Open3D's voxels lie on integers and its pixels begin at integers."""
     import open3d as o3d
 
@@ -184,7 +195,12 @@ def test_open3d_agrees(seed):
     depth_m = depth_of(surfaces, CAMERA, T_world_camera)
     tensor = o3d.core.Tensor.from_numpy
     theirs = o3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), ((1), (1)), voxel_m, 16, 2000
+        ("tsdf", "weight"),
+        (o3d.core.float32, o3d.core.float32),
+        (o3d.core.SizeVector([1]), o3d.core.SizeVector([1])),
+        voxel_m,
+        16,
+        2000,
     )
     K = CAMERA.K
     K[:2, 2] += 0.5
@@ -214,7 +230,7 @@ def test_open3d_agrees(seed):
     assert same.mean() > 0.999  # the rest: pixels chosen differently where a projection falls on a border
 
 
-def test_blocks_of_grid_and_dense_grid_are_inverse():
+def test_blocks_of_grid_and_dense_grid_are_inverse() -> None:
     grid = Grid((48, 16, 32), 0.01, np.eye(4))
     blocks = blocks_of_grid(grid)
     dense = np.arange(48 * 16 * 32).reshape(grid.shape)
@@ -226,7 +242,7 @@ def test_blocks_of_grid_and_dense_grid_are_inverse():
     assert not cube[:, :16].any()
 
 
-def test_in_cubes_puts_each_block_in_its_place():
+def test_in_cubes_puts_each_block_in_its_place() -> None:
     cubes = np.array([[-2, 0, 1], [3, -1, 0]], np.int32)
     blocks = (cubes[:, None] * 2 + np.array(list(np.ndindex(2, 2, 2)), np.int32)).reshape(-1, 3)
     voxels = np.stack(np.meshgrid(*[np.arange(BLOCK_VOXELS)] * 3, indexing="ij"), -1)
@@ -239,13 +255,13 @@ def test_in_cubes_puts_each_block_in_its_place():
     assert (values == expected).mean() == 15 / 16 and not values[values != expected].any()
 
 
-def test_unique_blocks_sorts_and_keeps_signs():
+def test_unique_blocks_sorts_and_keeps_signs() -> None:
     rows = np.array([[3, -2, 1], [-1000, 5, 0], [3, -2, 1], [3, -3, 900]])
     np.testing.assert_array_equal(unique_blocks(rows), np.unique(rows, axis=0))
 
 
 @pytest.mark.parametrize("near_share", [0.0, 0.7])
-def test_blocks_near_a_surface_hold_the_truncation_band(near_share):
+def test_blocks_near_a_surface_hold_the_truncation_band(near_share: float) -> None:
     """Of all points within the margin of a pixel's depth, at most 1 % lie in a block that was missed.
 
     Also of a frame that mostly shows something near.
@@ -267,7 +283,7 @@ def test_blocks_near_a_surface_hold_the_truncation_band(near_share):
     assert missed <= 0.01 * total
 
 
-def test_blocks_behind_the_surface_are_left_out_and_no_others():
+def test_blocks_behind_the_surface_are_left_out_and_no_others() -> None:
     """A near wall before a far one: what the plain reference changes is in blocks that count as visible."""
     depth_m = np.full((SMALL.height, SMALL.width), 1.5, np.float32)
     depth_m[:, :20] = 0.7
@@ -280,7 +296,7 @@ def test_blocks_behind_the_surface_are_left_out_and_no_others():
     assert len(seen) < 1.5 * len(told_about) < len(volume.blocks)
 
 
-def test_votes_stop_at_what_they_can_hold():
+def test_votes_stop_at_what_they_can_hold() -> None:
     """65,535 each: one more of `free` would be one of `surface`, and one more of that would be none."""
     volume = empty_volume(np.zeros((1, 3), np.int32), VOXEL_M, rigid(np.eye(3), [-0.08, -0.08, 0.9]))
     frames = [DepthFrame(np.ones((36, 48), np.float32), np.eye(4), 0.0, 0.0)] * (2 * BATCH_FRAMES)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from object_checks import closed
 from raising import raises
 
@@ -16,17 +17,20 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.mesh import isosurface, read_own_ply, write_ply
-from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, blocks_of_grid, empty_volume
+from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, blocks_of_grid, empty_volume
 from kinectbench.stages.fuse.mesh import BRICK_BLOCKS, extract_mesh
 
 
-def distance_field(shape, center, radius):
+def distance_field(
+    shape: tuple[int, int, int], center: tuple[float, float, float] | NDArray[np.float64], radius: float
+) -> NDArray[np.float32]:
     """Signed distance of a ball, in cells."""
     x, y, z = (np.arange(n) - c for n, c in zip(shape, center, strict=True))
-    return np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2).astype(np.float32) - np.float32(radius)
+    distance = np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2)
+    return np.asarray(distance.astype(np.float32) - np.float32(radius))
 
 
-def test_isosurface_lies_on_cell_centres_in_array_order():
+def test_isosurface_lies_on_cell_centres_in_array_order() -> None:
     center = (12.25, 9.5, 16.75)
     mesh = isosurface(distance_field((24, 20, 32), center, 6.0))
     distance = np.linalg.norm(mesh.vertices - center, axis=1)
@@ -36,12 +40,12 @@ def test_isosurface_lies_on_cell_centres_in_array_order():
     )  # positive: faces look outward
 
 
-def test_isosurface_of_an_empty_field():
+def test_isosurface_of_an_empty_field() -> None:
     mesh = isosurface(np.ones((8, 8, 8), np.float32))
     assert mesh.vertices.shape == (0, 3) and mesh.faces.shape == (0, 3)
 
 
-def test_no_faces_where_a_corner_was_unobserved():
+def test_no_faces_where_a_corner_was_unobserved() -> None:
     """Against a plain walk over all cells: those with a sign change and eight observed corners have faces."""
     field = distance_field((16, 16, 16), (7.3, 7.6, 7.1), 4.4)
     observed = np.random.default_rng(1).random(field.shape) > 0.15
@@ -56,7 +60,13 @@ def test_no_faces_where_a_corner_was_unobserved():
     assert 50 < len(expected) < 400
 
 
-def ball_volume(radius_voxels, center_voxels, blocks_side, T_world_grid, voxel_m=0.01):
+def ball_volume(
+    radius_voxels: float,
+    center_voxels: tuple[float, float, float],
+    blocks_side: int,
+    T_world_grid: NDArray[np.float64],
+    voxel_m: float = 0.01,
+) -> BlockVolume:
     side = blocks_side * BLOCK_VOXELS
     grid = Grid((side,) * 3, voxel_m, T_world_grid)
     volume = empty_volume(blocks_of_grid(grid), voxel_m, T_world_grid)
@@ -68,7 +78,7 @@ def ball_volume(radius_voxels, center_voxels, blocks_side, T_world_grid, voxel_m
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.25, 0.5])
-def test_bricks_join_without_seams(offset):
+def test_bricks_join_without_seams(offset: float) -> None:
     """A ball across eight bricks; offsets put its surface on voxel centres and brick borders, too."""
     T = rigid(rotation_from_quaternion_xyzw([0.1, -0.3, 0.2, 0.9]), [1.0, -2.0, 0.5])
     middle = BRICK_BLOCKS * BLOCK_VOXELS + offset
@@ -85,7 +95,7 @@ def test_bricks_join_without_seams(offset):
     assert shell.volume > 0
 
 
-def test_voxels_of_less_weight_count_as_unobserved():
+def test_voxels_of_less_weight_count_as_unobserved() -> None:
     volume = ball_volume(10.0, (24.2, 24.3, 24.1), 6, np.eye(4))
     volume.weight[volume.blocks[:, 2] < 2] = 0.1
     mesh = extract_mesh(volume, min_weight=0.5)
@@ -94,7 +104,7 @@ def test_voxels_of_less_weight_count_as_unobserved():
     assert len(extract_mesh(volume, min_weight=2.0).faces) == 0
 
 
-def test_keep_faces_drops_unused_vertices_and_keeps_colours():
+def test_keep_faces_drops_unused_vertices_and_keeps_colours() -> None:
     vertices = np.arange(15.0).reshape(5, 3)
     colors = np.arange(15, dtype=np.uint8).reshape(5, 3)
     mesh = TriangleMesh(vertices, np.array([[0, 1, 2], [2, 3, 4]], np.int32), colors)
@@ -104,7 +114,7 @@ def test_keep_faces_drops_unused_vertices_and_keeps_colours():
     np.testing.assert_array_equal(kept.colors, colors[2:])
 
 
-def test_ply_round_trip(tmp_path: Path):
+def test_ply_round_trip(tmp_path: Path) -> None:
     mesh = isosurface(distance_field((16, 16, 16), (7.3, 7.6, 7.1), 4.4))
     path = tmp_path / "mesh.ply"
     write_ply(mesh, path)
@@ -117,7 +127,7 @@ def test_ply_round_trip(tmp_path: Path):
 
 
 @pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut"])
-def test_damaged_ply(tmp_path: Path, damage: str):
+def test_damaged_ply(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "mesh.ply"
     write_ply(isosurface(distance_field((16, 16, 16), (7.3, 7.6, 7.1), 4.4)), path)
     whole = path.read_bytes()

@@ -12,6 +12,8 @@ import pytest
 from ingest_writers import every_frame, jpeg
 from kinectbench_plugins.formats.matroska import _calibration as simulated_calibration
 from raising import raises
+from read_pictures import decoded_picture
+from typed import noted, present
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
@@ -101,11 +103,11 @@ def stored(index: int, mode: str) -> bytes:
     if mode == "MJPG":
         return jpeg(bgr)
     if mode == "BGRA":
-        return cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA).tobytes()
+        return bytes(cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA).tobytes())
     planes = cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420).reshape(-1)
     y, u, v = planes[: 64 * 48].reshape(48, 64), planes[64 * 48 : 64 * 60], planes[64 * 60 :]
     if mode == "NV12":
-        return y.tobytes() + np.stack([u, v], axis=1).tobytes()
+        return bytes(y.tobytes() + np.stack([u, v], axis=1).tobytes())
     u, v = (np.repeat(plane.reshape(24, 32), 2, axis=0) for plane in (u, v))
     packed = np.empty((48, 64, 2), np.uint8)
     packed[..., 0], packed[:, 0::2, 1], packed[:, 1::2, 1] = y, u, v
@@ -207,7 +209,7 @@ def test_lens_distortion_is_taken_out_and_what_lies_beyond_has_no_depth(tmp_path
 def test_colour_that_is_raw(tmp_path: Path, mode: str) -> None:
     frame = open_recording(write(tmp_path / "r.mkv", calibration(), mode=mode)).frame(2)
     assert frame.color is not None and frame.color[0] == ".png"
-    bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+    bgr = decoded_picture(frame.color[1])
     assert np.abs(bgr.astype(int) - smooth(2)).max() <= 4
 
 
@@ -260,8 +262,8 @@ def test_of_files_of_other_kinds_hardly_anything_is_read(
     asked: list[int] = []
 
     class Counted(io.FileIO):
-        def read(self, size: int = -1, /) -> bytes:
-            asked.append(size)
+        def read(self, size: int | None = -1, /) -> bytes:
+            asked.append(present(size))
             return super().read(size)
 
     monkeypatch.setattr(azure_kinect, "open_plain", lambda path: Counted(path, "r"))
@@ -272,6 +274,7 @@ def test_of_files_of_other_kinds_hardly_anything_is_read(
 def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "r.mkv", calibration())
     recording = open_recording(path)
+    assert isinstance(recording, AzureKinectRecording)
     with path.open("r+b") as file:
         file.truncate(recording.places[2].depth.start + 1000)
     assert recording.frame(1).depth.any()
@@ -305,9 +308,8 @@ def test_a_track_of_an_unknown_codec_is_refused(tmp_path: Path) -> None:
 def test_no_more_images_are_looked_for_than_a_recording_may_have(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, looked = write(tmp_path / "r.mkv", calibration(), frames=60), []
-    start = azure_kinect._start
-    monkeypatch.setattr(azure_kinect, "_start", lambda *of: looked.append(of) or start(*of))
+    path, looked = write(tmp_path / "r.mkv", calibration(), frames=60), list[object]()
+    monkeypatch.setattr(azure_kinect, "_start", noted(azure_kinect._start, looked))
     monkeypatch.setattr(sources, "MOST_FRAMES", 20)
     with raises(RecordingError, "recording.too-large", match="the 20 frames"):
         open_recording(path)

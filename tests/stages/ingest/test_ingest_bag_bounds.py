@@ -5,14 +5,17 @@ import tempfile
 import tracemalloc
 from contextlib import closing
 from pathlib import Path
+from typing import IO
 
 import pytest
 import zstandard
 from raising import raises
 from test_ingest_untrusted_bags import A_TOPIC, MESSAGES, TOPICS, database
+from typed import noted
 
 from kinectbench.core import untrusted
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import copy_bounded
 from kinectbench.stages.ingest.bags import bag_reader, rosbag2, rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.ros_messages import (
     BagTopic,
@@ -48,10 +51,12 @@ def test_a_folder_of_bombs_has_the_budget_of_one(tmp_path: Path, monkeypatch: py
     for number in range(24):
         (tmp_path / f"r/a_{number}.mcap.zstd").write_bytes(bomb)
     written: list[int] = []
-    usual = rosbag2.copy_bounded
-    monkeypatch.setattr(
-        rosbag2, "copy_bounded", lambda s, t, most: (usual(s, t, most), written.append(t.tell()))
-    )
+
+    def measured(source: IO[bytes], target: IO[bytes], most: int) -> None:
+        copy_bounded(source, target, most)
+        written.append(target.tell())
+
+    monkeypatch.setattr(rosbag2, "copy_bounded", measured)
     with raises(RecordingError, "recording.malformed", match=r"bag of its size|can be saved"):
         open_recording(tmp_path / "r")
     assert sum(written) <= (2 << 20) + 100 * 24 * len(bomb) and written
@@ -68,10 +73,10 @@ def test_a_bag_has_a_thousand_files_at_most(tmp_path: Path) -> None:
 def test_chunks_are_not_unpacked_for_each_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two chunks, each larger than what is kept, whose messages take turns."""
     monkeypatch.setattr(bag_reader, "CACHED_BYTES", 1000)
-    unpacked: list[int] = []
+    unpacked: list[object] = []
     path = tmp_path / "r.bag"
     path.write_bytes(b"")
-    reader = bag_reader.BagReader(path, lambda file, at: unpacked.append(at) or bytes(900))
+    reader = bag_reader.BagReader(path, noted(lambda file, at: bytes(900), unpacked))
     for chunk in (1, 2):
         reader.keep(chunk, bytes(900))
     reader.start_reading(100)

@@ -1,6 +1,7 @@
 """Which of several CameraInfo of a bag is that of the depth, and what is said where two contradict."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ WIDE = {**OTHER, "width": 128}
 def opened(
     root: Path,
     depth: str,
-    infos: dict[str, tuple[dict[str, object], str]],
+    infos: dict[str, tuple[dict[str, Any], str]],
     frame_ids: tuple[str, str] = ("color", "color"),
     settings: CameraSettings | None = None,
     other_images: str = "",
@@ -100,7 +101,7 @@ def test_beside_comes_before_the_frame(tmp_path: Path) -> None:
 def test_nothing_is_said_where_nothing_contradicts(
     tmp_path: Path,
     depth: str,
-    infos: dict[str, tuple[dict[str, object], str]],
+    infos: dict[str, tuple[dict[str, Any], str]],
     frame_ids: tuple[str, str] | None,
 ) -> None:
     recording = opened(tmp_path, depth, infos, frame_ids or ("color", "color"))

@@ -35,7 +35,7 @@ from kinectbench.stages.ingest.readers import (
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-SMALL = Camera(**CAMERA)  # type: ignore[arg-type]
+SMALL = Camera(**CAMERA)
 
 
 def raw_frames(recording: Recording) -> list[RawFrame]:
@@ -219,7 +219,7 @@ def test_plain_folder_paired_by_order(tmp_path: Path) -> None:
 def test_plain_folder_intrinsics(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "camera_intrinsic.json").unlink()
-    np.savetxt(folder / "intrinsics.txt", [[60.0, 0, 31.5], [0, 61.0, 23.5], [0, 0, 1]])
+    np.savetxt(folder / "intrinsics.txt", np.array([[60.0, 0, 31.5], [0, 61.0, 23.5], [0, 0, 1]]))
     assert open_recording(folder).camera == SMALL
     text = json.dumps({**CAMERA, "depth_scale": 4000, "color_registered": False})
     (folder / "intrinsics.json").write_text(text)

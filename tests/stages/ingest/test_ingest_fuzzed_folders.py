@@ -58,7 +58,8 @@ def test_fuzzed_folders_neither_crash_nor_allocate(
     shutil.copytree(whole / name, folder)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     texts = [path for path in files if path.suffix not in (".png", ".jpg")]
-    path = data.draw(st.sampled_from(texts) if texts and data.draw(st.booleans()) else st.sampled_from(files))
+    among_texts = bool(texts) and data.draw(st.booleans())
+    path = data.draw(st.sampled_from(texts if among_texts else files))
     content = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         # Headers of images are in front.

@@ -6,7 +6,6 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -26,6 +25,7 @@ from ingest_writers import (
     png,
 )
 from raising import raises
+from read_pictures import decoded_picture
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -74,7 +74,7 @@ def sens(frames: int = 10, *, color: int = 2, packed: int = 1, lost: tuple[int, 
 
 def bgr(frame: RawFrame) -> np.ndarray:
     assert frame.color is not None
-    return cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+    return decoded_picture(frame.color[1])
 
 
 @pytest.mark.parametrize("raw", [True, False])
@@ -102,7 +102,7 @@ def test_klg_without_colour_and_with_red_and_blue_exchanged(tmp_path: Path) -> N
     np.testing.assert_array_equal(bgr(swapped.frame(1)), color_image(1)[..., ::-1])
     (tmp_path / "j.klg").write_bytes(klg())
     swapped = open_recording(tmp_path / "j.klg", CameraSettings(**CAMERA, swap_red_blue=True))
-    plain = cv2.imdecode(np.frombuffer(jpeg(color_image(1)), np.uint8), cv2.IMREAD_COLOR)
+    plain = decoded_picture(jpeg(color_image(1)))
     np.testing.assert_array_equal(bgr(swapped.frame(1)), plain[..., ::-1])
 
 
@@ -130,9 +130,7 @@ def test_sens(tmp_path: Path, color: int, packed: int) -> None:
     frame = recording.frame(7)
     np.testing.assert_array_equal(frame.depth, depth(7))
     assert frame.stamp_ns == (START_US + 33_333 * 7) * 1000
-    expected = (
-        cv2.imdecode(np.frombuffer(jpeg(color_image(7)), np.uint8), 1) if color == 2 else color_image(7)
-    )
+    expected = decoded_picture(jpeg(color_image(7)), 1) if color == 2 else color_image(7)
     np.testing.assert_array_equal(bgr(frame), expected)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from read_pictures import read_picture
 
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
@@ -29,7 +30,7 @@ def recorded(folder: Path, layout: str, **path: object) -> Path:
 
 
 def true_mask(recording: Path, index: int) -> np.ndarray:
-    image = cv2.imread(str(truth_folder(recording) / "masks" / f"{index:06d}.png"), cv2.IMREAD_GRAYSCALE)
+    image = read_picture(truth_folder(recording) / "masks" / f"{index:06d}.png", cv2.IMREAD_GRAYSCALE)
     return np.asarray(image) > 0
 
 

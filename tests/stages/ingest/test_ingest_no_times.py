@@ -4,7 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import depth_image, every_frame, quaternion, translation, write_folder, write_tum
+from ingest_writers import (
+    depth_image,
+    quaternion,
+    translation,
+    whole_frames,
+    write_folder,
+    write_tum,
+)
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.stamps import no_times
@@ -42,7 +49,7 @@ def test_rows_of_a_tum_folder_are_counted(tmp_path: Path, wrong: str) -> None:
     (warning,) = recording.warnings
     assert "its stamps are no times (they " in warning and warning.endswith("its rows are counted instead")
     assert recording.stamps_ns.tolist() == [i * 10**9 for i in range(FRAMES)]
-    for i, frame in enumerate(every_frame(recording)):
+    for i, frame in enumerate(whole_frames(recording)):
         np.testing.assert_array_equal(frame.depth, depth_image(i))
         assert frame.color == (".jpg", (tmp_path / f"r/rgb/{i}.jpg").read_bytes())
     given = recording.given_trajectory

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from ingest_writers import START_NS, STEP_NS, depth_image, jpeg, png, seconds
 from raising import raises
+from read_pictures import decoded_picture, read_picture
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -72,7 +73,7 @@ def test_stray_scanner(tmp_path: Path) -> None:
         expected = np.where(confidence() == 2, depth_image(i, 1000.0), 0)
         np.testing.assert_array_equal(frame.depth, expected)
         assert frame.color is not None
-        bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), 1).astype(int)
+        bgr = decoded_picture(frame.color[1], 1).astype(int)
         # Video loses some; frames differ by 40 in blue.
         assert np.abs(bgr - big_color(i)[::4, ::4]).mean() < 6
         assert abs(bgr[..., 0].mean() - 40 * i) < 8
@@ -142,7 +143,7 @@ def test_scanner_app(tmp_path: Path) -> None:
     assert recording.frame(2).color is None
     color = recording.frame(3).color
     assert color is not None
-    bgr = cv2.imdecode(np.frombuffer(color[1], np.uint8), 1).astype(int)
+    bgr = decoded_picture(color[1], 1).astype(int)
     assert np.abs(bgr - big_color(3)[::4, ::4]).max() < 12
     given = recording.given_trajectory
     assert given is not None
@@ -201,7 +202,7 @@ def test_bop_scene_with_masks(tmp_path: Path) -> None:
     assert frame.stamp_ns == 30 * 10**9
     np.testing.assert_array_equal(frame.depth, depth_image(30, 10_000.0))
     assert frame.mask is not None
-    assert (frame.mask.sum(), frame.mask[:5].all()) == (5 * 64, True)
+    assert frame.mask.sum() == 5 * 64 and frame.mask[:5].all()
     given = recording.given_trajectory
     assert given is not None
     np.testing.assert_allclose(given.T_world_camera[2][:3, :3], ROTATION, atol=1e-12)
@@ -236,7 +237,7 @@ def cut(folder: Path, whole: Path) -> Path:
         cameras[str(number)]["cam_K"][2] -= x
         cameras[str(number)]["cam_K"][5] -= y
         for file in folder.glob(f"*/{number:06d}*.png"):
-            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            image = read_picture(file, cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(file), image[y : y + 40, x : x + 48])
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
     return folder

@@ -8,7 +8,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import cv2
 import imagecodecs
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ingest_writers import CAMERA, depth_image, every_frame, jpeg
 from raising import raises
+from read_pictures import decoded_picture
 from test_ingest_phones_bop import BIG, K_BIG, QUATERNION_XYZW, SMALL, big_color, confidence
 
 from kinectbench.core.errors import RecordingError
@@ -87,7 +87,7 @@ def test_a_recording_of_record3d(tmp_path: Path, least: int) -> None:
             frame = one.frame(i)
             np.testing.assert_array_equal(frame.depth, expected(i, least))
             assert frame.color is not None
-            bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), 1).astype(int)
+            bgr = decoded_picture(frame.color[1], 1).astype(int)
             assert np.abs(bgr - big_color(i)[::4, ::4]).max() < 12
     trajectory = recording.given_trajectory
     assert trajectory is not None
@@ -111,10 +111,12 @@ def test_intrinsics_of_every_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize("portrait", [True, False])
 def test_an_older_file_that_does_not_say_the_size_of_depth(tmp_path: Path, portrait: bool) -> None:
     shape, size = ((256, 192), {"w": 720, "h": 960}) if portrait else ((192, 256), {"w": 960, "h": 720})
-    depth = {f"rgbd/{i}.depth": lzfse(np.full(shape, 1.5, "<f4")) for i in range(4)}
-    gone: dict[str, bytes | None] = {f"rgbd/{i}.conf": None for i in range(4)}
+    members: dict[str, bytes | None] = {
+        f"rgbd/{i}.depth": lzfse(np.full(shape, 1.5, "<f4")) for i in range(4)
+    }
+    members |= {f"rgbd/{i}.conf": None for i in range(4)}
     K = [700.0, 0, 0, 0, 700, 0, size["w"] / 2, size["h"] / 2, 1]
-    path = r3d(tmp_path / "r.r3d", {"dw": None, "dh": None, "K": K} | size, depth | gone)
+    path = r3d(tmp_path / "r.r3d", {"dw": None, "dh": None, "K": K} | size, members)
     recording = open_recording(path)
     assert (recording.camera.height, recording.camera.width) == shape
     assert (recording.frame(0).depth == 7500).all()
@@ -131,7 +133,7 @@ def test_members_that_are_missing(tmp_path: Path) -> None:
     assert recording.given_trajectory.T_world_camera[0][0, 3] == 0.5
     assert recording.frame(0).color is None
     np.testing.assert_array_equal(recording.frame(1).depth, expected(2, 0))
-    without = {f"rgbd/{i}.depth": None for i in range(4)}
+    without: dict[str, bytes | None] = {f"rgbd/{i}.depth": None for i in range(4)}
     with raises(RecordingError, "recording.no-depth"):
         open_recording(r3d(tmp_path / "b.r3d", members=without))
     with raises(RecordingError, "recording.malformed", match="no metadata"):

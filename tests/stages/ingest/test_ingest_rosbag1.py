@@ -24,6 +24,7 @@ from ingest_writers import (
     write_tum,
 )
 from raising import raises
+from read_pictures import decoded_picture
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -127,7 +128,7 @@ def test_raw_integer_depth(tmp_path: Path, encoding: str, padding: int, big_endi
     for i, frame in enumerate(raw_frames(recording)):
         np.testing.assert_array_equal(frame.depth, depth_image(i, 1000.0))
         assert frame.color is not None
-        decoded = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+        decoded = decoded_picture(frame.color[1])
         np.testing.assert_array_equal(decoded, color_image(i))
 
 
@@ -163,7 +164,7 @@ def test_raw_colour(tmp_path: Path, encoding: str, order: list[int]) -> None:
     frame = raw_frames(open_recording(tmp_path / "r.bag"))[0]
     assert frame.color is not None
     assert frame.color[0] == ".png"
-    decoded = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+    decoded = decoded_picture(frame.color[1])
     expected = color_image(0) if encoding != "mono8" else np.repeat(color_image(0)[..., 1:2], 3, axis=2)
     np.testing.assert_array_equal(decoded, expected)
 
@@ -298,7 +299,7 @@ def test_distortion_is_removed(tmp_path: Path) -> None:
     assert np.abs(frame.depth.astype(int) - expected)[inside].max() <= 10
     assert frame.color is not None
     assert frame.color[0] == ".png"
-    color = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_GRAYSCALE).astype(int)
+    color = decoded_picture(frame.color[1], cv2.IMREAD_GRAYSCALE).astype(int)
     assert np.abs(color - (expected // 8).astype(np.uint8))[8:-8, 8:-8].max() <= 6
 
 

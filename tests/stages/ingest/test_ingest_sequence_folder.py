@@ -352,7 +352,7 @@ def test_masks_come_along(tmp_path: Path) -> None:
     assert sequence.masks is not None
     mask = sequence.masks(1)
     assert mask is not None
-    assert (mask.dtype, mask.sum(), mask[:5].all()) == (np.bool_, 5 * 64, True)
+    assert mask.dtype == np.bool_ and mask.sum() == 5 * 64 and mask[:5].all()
 
 
 def test_colour_with_a_calibration_is_registered(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ingest_writers import depth_image, jpeg, png, write_folder
 from raising import raises
+from read_pictures import decoded_picture
 from test_ingest_phones_bop import BIG, ROTATION, SMALL, big_color, confidence
 
 from kinectbench.core.errors import RecordingError
@@ -63,7 +64,7 @@ def test_transforms_with_depth(tmp_path: Path) -> None:
         assert frame.stamp_ns == place * 10**9
         np.testing.assert_array_equal(frame.depth, depth_image(i, 1000.0))
         assert frame.color is not None
-        bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), 1).astype(int)
+        bgr = decoded_picture(frame.color[1], 1).astype(int)
         assert np.abs(bgr - big_color(i % 6)[::4, ::4]).max() < 12
     given = recording.given_trajectory
     assert given is not None
@@ -230,7 +231,7 @@ def test_polycams_raw_data(tmp_path: Path, least: int) -> None:
     frame = recording.frame(2)
     np.testing.assert_array_equal(frame.depth, np.where(confidence() >= least, depth_image(2, 1000.0), 0))
     assert frame.color is not None
-    bgr = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), 1).astype(int)
+    bgr = decoded_picture(frame.color[1], 1).astype(int)
     assert np.abs(bgr - big_color(2)[::4, ::4]).max() < 12
     given = recording.given_trajectory
     assert given is not None

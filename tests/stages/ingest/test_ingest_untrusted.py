@@ -18,6 +18,7 @@ from bounds import within
 from ingest_writers import color_image, every_frame, png, write_folder, write_seven_scenes, write_tum
 from raising import raises
 from test_ingest_fuzzed_folders import MAKERS
+from typed import noted
 
 from kinectbench.core import untrusted
 from kinectbench.core.errors import RecordingError
@@ -26,11 +27,13 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest import sources
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers import find_recordings, open_recording, source_files
+from kinectbench.stages.ingest.recording import FileRecording
 
 
 def refused(path: Path, match: str, **options: bool) -> None:
     """Both ways in say so, in one line and at once."""
-    for ask in (open_recording, source_files):
+    ways: tuple[Callable[..., object], ...] = (open_recording, source_files)
+    for ask in ways:
         with within(10):
             with pytest.raises(RecordingError, match=match) as error:
                 ask(path, **options)
@@ -176,7 +179,9 @@ def test_a_mask_beside_the_recording_is_not_its_own(tmp_path: Path) -> None:
     (folder / "depth.txt").write_text(text.replace("depth/", ""))
     (tmp_path / "masks").mkdir()
     (tmp_path / "masks/0.png").write_bytes(png(color_image(0)))
-    assert all(place.mask is None for place in open_recording(folder).places)
+    recording = open_recording(folder)
+    assert isinstance(recording, FileRecording)
+    assert all(place.mask is None for place in recording.places)
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -190,14 +195,12 @@ def test_every_file_that_is_read_is_in_the_content_hash(
         if path.parent.is_dir() or beside.startswith(".."):
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(b"x")
-    opened: list[Path] = []
-    usual = untrusted.os.open
-    monkeypatch.setattr(
-        untrusted.os, "open", lambda path, *rest: opened.append(Path(path)) or usual(path, *rest)
-    )
+    calls: list[tuple[str, int]] = []
+    monkeypatch.setattr(os, "open", noted(os.open, calls))
     settings = CameraSettings(fx=60, fy=60, cx=31, cy=23) if name == "7scenes" else None
     assert list(every_frame(open_recording(folder, settings)))
     monkeypatch.undo()
+    opened = [Path(path) for path, *_ in calls]
     assert len(opened) > 5
     assert {path.resolve() for path in opened} <= {path.resolve() for path in source_files(folder)}
 
@@ -301,7 +304,7 @@ def test_numbers_that_no_camera_has(tmp_path: Path, said: str) -> None:
         open_recording(folder)
     key, value = said.replace('"', "").split(": ")
     with pytest.raises(RecordingError, match=r"are no camera's|units of 16-bit depth"):
-        open_recording(write_tum(tmp_path / "s"), CameraSettings(**{key: float(value)}))
+        open_recording(write_tum(tmp_path / "s"), CameraSettings.model_validate({key: float(value)}))
 
 
 def test_a_file_that_is_mostly_a_hole_is_not_read(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from raising import raises
 from rosbags.typesys import Stores, get_typestore
 from test_ingest_realsense import write as write_realsense
 from test_ingest_rosbag2 import check, messages, write_bag
+from typed import noted
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES
@@ -108,14 +110,11 @@ def test_of_messages_that_do_not_decode_a_thousand_are_tried(
     endless = ENDLESS.replace("FROM c)", "FROM c WHERE x < 30000)")
     rows = f"INSERT INTO messages {endless} SELECT x, 1, x, x'00' FROM c"
     path = database(tmp_path / "r.db3", (TOPICS, A_TOPIC, MESSAGES, rows))
-    tried: list[int] = []
-    usual = ros_messages.RosBag.decode
-    monkeypatch.setattr(
-        ros_messages.RosBag, "decode", lambda bag, topic, at: tried.append(at) or usual(bag, topic, at)
-    )
+    tried: list[tuple[object, str, int]] = []
+    monkeypatch.setattr(ros_messages.RosBag, "decode", noted(ros_messages.RosBag.decode, tried))
     with raises(RecordingError, "recording.no-depth"):
         open_recording(path)
-    assert max(tried) == 999
+    assert max(at for _, _, at in tried) == 999
 
 
 def test_a_message_larger_than_the_file_is_not_read(tmp_path: Path) -> None:
@@ -145,8 +144,8 @@ def test_a_file_is_never_opened_to_write_its_schema(tmp_path: Path, monkeypatch:
     statements: list[str] = []
     usual = sqlite3.connect
 
-    def watched(*args: object, **options: object) -> sqlite3.Connection:
-        made = usual(*args, **options)
+    def watched(*args: Any, **options: Any) -> sqlite3.Connection:
+        made: sqlite3.Connection = usual(*args, **options)
         made.set_trace_callback(statements.append)
         assert "mode=ro&immutable=1" in str(args[0])
         return made
@@ -184,14 +183,12 @@ def test_a_bomb_does_not_fill_the_disk(
     path.write_bytes(zstandard.ZstdCompressor().compress(bomb) if nested else bomb)
     largest: list[int] = []
     usual = shutil.rmtree
-    monkeypatch.setattr(
-        shutil,
-        "rmtree",
-        lambda folder, *rest, **more: (
-            largest.extend(file.stat().st_size for file in Path(folder).iterdir()),
-            usual(folder, *rest, **more),
-        ),
-    )
+
+    def measured(folder: str, *rest: Any, **more: Any) -> None:
+        largest.extend(file.stat().st_size for file in Path(folder).iterdir())
+        usual(folder, *rest, **more)
+
+    monkeypatch.setattr(shutil, "rmtree", measured)
     with raises(RecordingError, "recording.malformed", match="unpacks to more|no ROS 2 bag"):
         open_recording(path)
     assert list((tmp_path / "t").iterdir()) == []

@@ -48,7 +48,7 @@ def test_a_scene_with_its_masks(tmp_path: Path) -> None:
     assert frame.stamp_ns == 10 * 10**9
     np.testing.assert_array_equal(frame.depth, depth_image(10, 1000.0))
     assert frame.mask is not None and frame.color is not None
-    assert (frame.mask.sum(), frame.mask[:11].all()) == (11 * WIDTH, True)
+    assert frame.mask.sum() == 11 * WIDTH and frame.mask[:11].all()
     given = recording.given_trajectory
     assert given is not None
     np.testing.assert_allclose(given.T_world_camera[3][:3, :3], ROTATION, atol=1e-12)

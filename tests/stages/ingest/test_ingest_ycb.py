@@ -31,7 +31,8 @@ def moved(x_m: float, turned_deg: float = 0.0) -> np.ndarray:
 
 def on_table(angle: int) -> np.ndarray:
     """The place of NP5's colour camera on the turntable."""
-    return moved(0, angle) @ moved(0.7)
+    table: np.ndarray = moved(0, angle) @ moved(0.7)
+    return table
 
 
 def ycb(folder: Path, sensors: tuple[str, ...] = ("NP3", "NP5")) -> Path:

@@ -1,14 +1,18 @@
 """Pairs of a simulated chair: every array against its definition, and the shape back in the world."""
 
 from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import open3d as o3d
 import pytest
 from chair_model import Chair
 from chair_model import chair as make_chair
+from numpy.typing import NDArray
 from references import shell_of
 from scipy import ndimage
+from typed import present
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.artefacts.views import PairsFile
@@ -19,6 +23,7 @@ from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, read_pair,
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
 from kinectbench.stages.pairs import MadePair, full_shape, make_pair, pair_row
 from kinectbench.stages.sample_views.views import View, sample_views
+from kinectbench.stages.segment.object_model import ObjectModel
 
 pytestmark = pytest.mark.xdist_group("chair_model")
 PACKED = ("partial", "partial_256", "full", "shell", "known", "seen")
@@ -30,19 +35,19 @@ def chair() -> Chair:
 
 
 @pytest.fixture(scope="module")
-def view(chair) -> View:
+def view(chair: Chair) -> View:
     settings = (ViewSettings(count=1, seed=1), SegmentationSettings(), PairSettings())
     return sample_views(chair.recorded.sequence, chair.trajectory, chair.model, *settings).views[0]
 
 
-def made(chair: Chair, view: View, model=None, **settings) -> MadePair:
+def made(chair: Chair, view: View, model: ObjectModel | None = None, **settings: Any) -> MadePair:
     return make_pair(
         view, chair.recorded.sequence, full_shape(model or chair.model), PairSettings(**settings)
     )
 
 
 @pytest.fixture(scope="module", params=["object", "view"])
-def pair(request, chair, view) -> Pair:
+def pair(request: pytest.FixtureRequest, chair: Chair, view: View) -> Pair:
     result = made(chair, view, framing=request.param)
     assert result.pair is not None and result.reason is None
     return result.pair
@@ -57,7 +62,7 @@ def world_of(pair: Pair, cells: np.ndarray) -> np.ndarray:
     return transform_points(pair.T_world_grid, (cells + 0.5) * pair.voxel_size_m)
 
 
-def test_shapes_and_plain_values(pair, view, chair, tmp_path):
+def test_shapes_and_plain_values(pair: Pair, view: View, chair: Chair, tmp_path: Path) -> None:
     for name in PACKED:
         side = 64 if name == "partial" else 256
         assert getattr(pair, name).shape == (side, side, side // 8)
@@ -72,14 +77,14 @@ def test_shapes_and_plain_values(pair, view, chair, tmp_path):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(pair, field.name))
 
 
-def test_axes_are_the_views(pair):
+def test_axes_are_the_views(pair: Pair) -> None:
     np.testing.assert_allclose(pair.T_world_grid[:3, :3], pair.T_world_camera[:3, :3], atol=1e-12)
     T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
     np.testing.assert_allclose(T_camera_grid[:3, :3], np.eye(3), atol=1e-12)
     assert T_camera_grid[2, 3] > 0  # the cube is ahead of the camera
 
 
-def test_the_partial_is_the_masked_depth(pair, view, chair):
+def test_the_partial_is_the_masked_depth(pair: Pair, view: View, chair: Chair) -> None:
     """Each pixel's point, straight from K, falls into a cell that is set; no other cell is."""
     depth_m = chair.recorded.sequence.depth_m(view.frame).astype(np.float64)
     v, u = np.nonzero(view.mask & (depth_m > 0))
@@ -96,14 +101,14 @@ def test_the_partial_is_the_masked_depth(pair, view, chair):
 
 
 @pytest.mark.parametrize("rule", ["any", "majority"])
-def test_reduction_by_the_named_rule(chair, view, rule):
-    pair = made(chair, view, partial_rule=rule).pair
+def test_reduction_by_the_named_rule(chair: Chair, view: View, rule: str) -> None:
+    pair = present(made(chair, view, partial_rule=rule).pair)
     assert pair.partial_rule == rule
     counts = unpack(pair.partial_256).reshape(64, 4, 64, 4, 64, 4).sum(axis=(1, 3, 5))
     np.testing.assert_array_equal(unpack(pair.partial), counts > (0 if rule == "any" else 32))
 
 
-def test_seen_by_its_definition(pair, view, chair, cells):
+def test_seen_by_its_definition(pair: Pair, view: View, chair: Chair, cells: NDArray[np.int64]) -> None:
     x, y, z = transform_points(invert_rigid(pair.T_world_camera), world_of(pair, cells)).T
     u, v = pair.K[0, 0] * x / z + pair.K[0, 2], pair.K[1, 1] * y / z + pair.K[1, 2]
     column, row = np.rint(u).astype(int), np.rint(v).astype(int)
@@ -119,7 +124,7 @@ def test_seen_by_its_definition(pair, view, chair, cells):
     assert 0.05 < expected.mean() < 0.95
 
 
-def test_known_by_its_definition(pair, chair, cells):
+def test_known_by_its_definition(pair: Pair, chair: Chair, cells: NDArray[np.int64]) -> None:
     """The label of the voxel that a cell's centre lies in: fine, else coarse, else unknown.
 
     `interior` is that label; that the underside of this chair is closed was said.
@@ -136,13 +141,13 @@ def test_known_by_its_definition(pair, chair, cells):
     known = unpack(pair.known)[tuple(cells.T)]
     np.testing.assert_array_equal(known[~tie], (labels != Label.UNKNOWN)[~tie])
     assert known.mean() > 0.1
-    interior = unpack(pair.interior)[tuple(cells.T)]
+    interior = unpack(present(pair.interior))[tuple(cells.T)]
     np.testing.assert_array_equal(interior[~tie], (labels == Label.INTERIOR)[~tie])
-    assert pair.interior.any() and not (pair.interior & ~pair.known).any()
-    assert pair.said.any() and not (pair.said & ~pair.known).any()
+    for packed in (present(pair.interior), present(pair.said)):
+        assert packed.any() and not (packed & ~pair.known).any()
 
 
-def test_known_without_what_was_said_is_known_without_the_word(chair, view):
+def test_known_without_what_was_said_is_known_without_the_word(chair: Chair, view: View) -> None:
     """Of an underside that nobody saw: with the word it is inside and known, without it unknown."""
     shape = chair.model.shape
     inside = shape.labels == Label.INTERIOR
@@ -150,25 +155,30 @@ def test_known_without_what_was_said_is_known_without_the_word(chair, view):
     labels = np.where(unseen, Label.UNKNOWN, shape.labels).astype(np.uint8)
     with_word = replace(shape, underside=unseen)
     without = replace(with_word, labels=labels)
-    said, unsaid = (made(chair, view, replace(chair.model, shape=of)).pair for of in (with_word, without))
-    np.testing.assert_array_equal(said.known & ~said.said, unsaid.known)
-    np.testing.assert_array_equal(said.known & ~said.interior, unsaid.known & ~unsaid.interior)
-    assert said.said.any() and not (said.said & ~said.interior).any() and (said.interior & ~said.said).any()
-    assert not unsaid.said.any()
+    said, unsaid = (
+        present(made(chair, view, replace(chair.model, shape=of)).pair) for of in (with_word, without)
+    )
+    np.testing.assert_array_equal(said.known & ~present(said.said), unsaid.known)
+    inside, inside_unsaid = present(said.interior), present(unsaid.interior)
+    np.testing.assert_array_equal(said.known & ~inside, unsaid.known & ~inside_unsaid)
+    word = present(said.said)
+    assert word.any() and not (word & ~inside).any() and (inside & ~word).any()
+    assert not present(unsaid.said).any()
 
 
-def test_shell_is_the_surface_of_full(pair):
+def test_shell_is_the_surface_of_full(pair: Pair) -> None:
     full, shell = unpack(pair.full), unpack(pair.shell)
     np.testing.assert_array_equal(pair.shell, shell_of(full))
     assert not (shell & ~full).any() and shell.sum() < full.sum()
 
 
-def test_full_put_back_into_the_world_is_the_true_chair(pair, chair):
+def test_full_put_back_into_the_world_is_the_true_chair(pair: Pair, chair: Chair) -> None:
     grid = np.stack(np.meshgrid(*[np.arange(0, 256, 5)] * 3, indexing="ij"), -1).reshape(-1, 3)
     full = unpack(pair.full)[tuple(grid.T)]
     true = chair.recorded.mesh_world
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(true.vertices.astype(np.float32), true.faces.astype(np.uint32))
+    tensor = o3d.core.Tensor.from_numpy
+    scene.add_triangles(tensor(true.vertices.astype(np.float32)), tensor(true.faces.astype(np.uint32)))
     scores = []
     for moved_m in (0.0, 0.02):
         points = world_of(pair, grid) + np.array([moved_m, 0, 0])
@@ -178,7 +188,7 @@ def test_full_put_back_into_the_world_is_the_true_chair(pair, chair):
     assert scores[1] < scores[0] - 0.1  # and nowhere else
 
 
-def test_full_is_the_stored_solid(pair, chair):
+def test_full_is_the_stored_solid(pair: Pair, chair: Chair) -> None:
     """The mesh voxelised anew agrees with the object's own volume."""
     shape = chair.model.shape
     # Away from the surface, which runs through the outermost voxels.
@@ -192,21 +202,21 @@ def test_full_is_the_stored_solid(pair, chair):
     assert unpack(pair.full)[tuple(cells[within].T)].mean() > 0.999
 
 
-def test_partial_lies_on_full_where_the_view_fits(pair):
+def test_partial_lies_on_full_where_the_view_fits(pair: Pair) -> None:
     inside = unpack(pair.full).reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5))
     partial = unpack(pair.partial)
     assert (partial & inside).sum() / partial.sum() > 0.8
 
 
-def test_the_object_cube_holds_the_whole_shape(chair, view):
+def test_the_object_cube_holds_the_whole_shape(chair: Chair, view: View) -> None:
     result = made(chair, view, framing="object")
     assert result.cut_share < 0.05
-    grid = result.pair.grid
+    grid = present(result.pair).grid
     local = transform_points(grid.T_grid_world, chair.model.shape.mesh.vertices) / grid.voxel_size_m
     assert local.min() == pytest.approx(2) and local.max() == pytest.approx(254)
 
 
-def hidden_part_changed(chair: Chair, view: View):
+def hidden_part_changed(chair: Chair, view: View) -> ObjectModel:
     """The same model, but what this view cannot see is pushed 40 mm deeper, along the view's rays.
 
     Only vertices move that lie 20 mm behind what is seen, as do all vertices of their faces: whatever is
@@ -228,20 +238,21 @@ def hidden_part_changed(chair: Chair, view: View):
     return replace(chair.model, shape=replace(chair.model.shape, mesh=changed))
 
 
-def test_framing_view_tells_nothing_of_the_hidden_part(chair, view):
+def test_framing_view_tells_nothing_of_the_hidden_part(chair: Chair, view: View) -> None:
     changed = hidden_part_changed(chair, view)
-    one, other = made(chair, view, framing="view").pair, made(chair, view, changed, framing="view").pair
+    one = present(made(chair, view, framing="view").pair)
+    other = present(made(chair, view, changed, framing="view").pair)
     np.testing.assert_array_equal(one.T_world_grid, other.T_world_grid)
     assert one.voxel_size_m == other.voxel_size_m
     for name in ("partial", "partial_256", "seen"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert np.count_nonzero(unpack(one.full) != unpack(other.full)) > 1000
     # The paper's framing does tell.
-    one, other = made(chair, view).pair, made(chair, view, changed).pair
+    one, other = (present(made(chair, view, *model).pair) for model in ((), (changed,)))
     assert not np.array_equal(one.T_world_grid, other.T_world_grid)
 
 
-def test_a_view_is_the_same_whatever_it_cannot_see(chair, view):
+def test_a_view_is_the_same_whatever_it_cannot_see(chair: Chair, view: View) -> None:
     """Pose and mask, which the framing is made of, come from the visible surface alone."""
     settings = (ViewSettings(count=1, seed=1), SegmentationSettings(), PairSettings())
     changed = hidden_part_changed(chair, view)
@@ -251,15 +262,15 @@ def test_a_view_is_the_same_whatever_it_cannot_see(chair, view):
     np.testing.assert_allclose(again.alignment.T_world_camera, view.alignment.T_world_camera, atol=1e-6)
 
 
-def test_a_mask_that_holds_something_else_is_refused(chair, view):
+def test_a_mask_that_holds_something_else_is_refused(chair: Chair, view: View) -> None:
     """A person's mask of the whole image has the floor in it; an empty one has nothing."""
     whole = made(chair, replace(view, mask=np.ones_like(view.mask)))
-    assert whole.pair is None and "of the masked partial lies in the shape" in whole.reason
+    assert whole.pair is None and "of the masked partial lies in the shape" in present(whole.reason)
     empty = made(chair, replace(view, mask=np.zeros_like(view.mask)))
-    assert empty.pair is None and "no pixel of the mask has depth" in empty.reason
+    assert empty.pair is None and "no pixel of the mask has depth" in present(empty.reason)
 
 
-def test_a_cube_that_cuts_the_shape_is_refused(chair, view):
+def test_a_cube_that_cuts_the_shape_is_refused(chair: Chair, view: View) -> None:
     """Seen through a keyhole: a small piece of the chair frames a small cube."""
     rows, columns = np.nonzero(view.mask)
     keyhole = np.zeros_like(view.mask)
@@ -268,25 +279,25 @@ def test_a_cube_that_cuts_the_shape_is_refused(chair, view):
     small = replace(view, mask=view.mask & keyhole)
     refused = made(chair, small, framing="view")
     assert refused.pair is None and refused.cut_share > 0.05
-    assert "framing view cuts off" in refused.reason
+    assert "framing view cuts off" in present(refused.reason)
     assert made(chair, small, framing="object").pair is not None
 
 
-def test_same_input_same_bytes(chair, view):
-    assert pair_bytes(made(chair, view).pair) == pair_bytes(made(chair, view).pair)
+def test_same_input_same_bytes(chair: Chair, view: View) -> None:
+    assert pair_bytes(present(made(chair, view).pair)) == pair_bytes(present(made(chair, view).pair))
 
 
-def test_row_of_the_table(chair, view):
+def test_row_of_the_table(chair: Chair, view: View) -> None:
     result = made(chair, view)
     row = pair_row(view, result).json_value()
     assert row["view"] == "000" and row["frame"] == view.frame
     assert row["containment"] == pytest.approx(view.fit.containment, abs=1e-4)
     assert row["cut_share"] == pytest.approx(result.cut_share, abs=1e-4)
-    full, known = unpack(result.pair.full), unpack(result.pair.known)
+    full, known = unpack(present(result.pair).full), unpack(present(result.pair).known)
     assert row["unknown_share"] == pytest.approx((full & ~known).sum() / full.sum(), abs=1e-4)
 
 
-def test_the_share_of_unknown_counts_cells_of_the_shape(pair):
+def test_the_share_of_unknown_counts_cells_of_the_shape(pair: Pair) -> None:
     """A board of 256 x 256 x 4 cells, a quarter of it not known; what is empty does not count."""
     full, known = np.zeros((256,) * 3, bool), np.zeros((256,) * 3, bool)
     full[:, :, 100:104] = True
@@ -297,13 +308,13 @@ def test_the_share_of_unknown_counts_cells_of_the_shape(pair):
     assert replace(pair, full=pack(np.zeros_like(full))).unknown_share == 0
 
 
-def test_files_without_the_share_of_unknown_stay_readable():
+def test_files_without_the_share_of_unknown_stay_readable() -> None:
     text = '{"pairs": [{"view": "000", "cut_share": 0.1}], "refused": []}'
     (row,) = PairsFile.parse(text, "pairs.json").pairs
     assert row.unknown_share is None and "unknown_share" not in row.json_value()
 
 
-def test_packing_of_full_is_along_z(pair):
+def test_packing_of_full_is_along_z(pair: Pair) -> None:
     full = unpack(pair.full)
     np.testing.assert_array_equal(pack(full), pair.full)
     assert full[:, :, 8:16].any() == pair.full[:, :, 1].any()

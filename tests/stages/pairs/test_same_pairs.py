@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from analytic_scenes import box, depth_of, plane, ring
 from numpy.typing import NDArray
+from read_pictures import decoded_picture
+from typed import present
 
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import BOX_FACES
@@ -66,7 +68,7 @@ def source() -> Source:
         mm = np.rint(np.where(depth_m < 6.5, depth_m, 0) * 1000).astype(np.uint16)
         bgr = np.dstack([u, v, np.full_like(u, 40 * i)]).astype(np.uint8)
         jpeg = cv2.imencode(".jpg", bgr)[1].tobytes()
-        rgb = np.ascontiguousarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1)[..., ::-1])
+        rgb = np.ascontiguousarray(decoded_picture(jpeg, 1)[..., ::-1])
         stamp_ns = START_NS + i * STEP_NS
         frames.append(Stored(stamp_ns, mm / np.float32(1000), stamp_ns, rgb, T, jpeg=jpeg))
     mask = depth_of([surface], CAMERA, poses[2]) > 0
@@ -75,7 +77,8 @@ def source() -> Source:
     mesh = TriangleMesh(CRATE.corners_floor(), BOX_FACES)
     grid = Grid((40, 40, 24), 0.05, rigid(np.eye(3), [-1.0, -1.0, -0.4]))
     known = known_grid(grid, np.ones(grid.shape, bool))
-    shape = FullShape(mesh, mesh.volume_m3, *[(known, known)] * 3, 0.001)
+    grids = (known, known)
+    shape = FullShape(mesh, mesh.volume_m3, grids, grids, grids, 0.001)
     made = make_pair(view, _in_memory(frames), shape, PairSettings())
     assert made.pair is not None and made.pair.partial.any()
     return Source(frames, view, shape, pair_bytes(made.pair))
@@ -102,7 +105,7 @@ def test_every_container_gives_the_same_pairs(source: Source, name: str, tmp_pat
     given = sequence.given_trajectory
     assert (given is None) == (name in WITHOUT_POSES)
     if given is not None:
-        poses = [frame.T_world_camera for frame in source.frames]
+        poses = [present(frame.T_world_camera) for frame in source.frames]
         np.testing.assert_allclose(given.T_world_camera, poses, rtol=0, atol=POSE_TOLERANCE)
     # By one trajectory and one object: all that a pair takes from its recording are the depth and the camera.
     made = make_pair(source.view, sequence, source.shape, PairSettings())

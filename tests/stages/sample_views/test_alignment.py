@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from analytic_scenes import CAMERA, box, depth_of, displaced, look_at, plane, sphere
+from analytic_scenes import CAMERA, box, depth_of, displaced, plane, sphere
 from chair_model import Chair
 from chair_model import chair as make_chair
+from numpy.typing import NDArray
 
 from kinectbench.core.geometry import (
     Camera,
@@ -18,6 +19,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M as UNCHECKED_M
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.sample_views.alignment import (
     HUBER_SIGMAS,
     OUTLIER_M,
@@ -38,7 +40,9 @@ FRAMES = (1, 8, 15, 21)
 WELL_COVERED = (8, 15)
 
 
-def reference(surface: OrientedPoints, depth_m, T, camera):
+def reference(
+    surface: OrientedPoints, depth_m: NDArray[np.float32], T: NDArray[np.float64], camera: Camera
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Point by point from the definition: r = (R n) . (q - T p), weights Huber over 2 sigma^2."""
     A, b, residuals = np.zeros((6, 6)), np.zeros(6), []
     for p, n, sigma in zip(surface.points, surface.normals, surface.sigma_m, strict=True):
@@ -62,12 +66,12 @@ def reference(surface: OrientedPoints, depth_m, T, camera):
     return A, b, np.array(residuals)
 
 
-def test_normal_equations_against_numpy():
+def test_normal_equations_against_numpy() -> None:
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(-0.8, 0.8, (400, 2)), rng.uniform(0.05, 1.5, 400)])
     normals = rng.normal(size=(400, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    surface = OrientedPoints(points, normals, depth_sigma_m(points[:, 2]))
+    surface = OrientedPoints(points, normals, np.asarray(depth_sigma_m(points[:, 2])))
     depth_m = rng.uniform(0.6, 1.3, (30, 40)).astype(np.float32)
     depth_m[rng.random(depth_m.shape) < 0.2] = 0
     T = rigid(rotation_from_quaternion_xyzw([0.05, -0.02, 0.1, 1.0]), [0.03, -0.02, 0.05])
@@ -80,7 +84,7 @@ def test_normal_equations_against_numpy():
     np.testing.assert_allclose(b, b_slow, rtol=1e-6, atol=1e-3)
 
 
-def test_gradient_is_that_of_the_residuals():
+def test_gradient_is_that_of_the_residuals() -> None:
     """The residual falls by J per unit of twist, by finite differences."""
     depth_m = depth_of(SURFACES, CAMERA, EYE)
     surface = oriented_points(depth_m, CAMERA, 12)
@@ -95,7 +99,7 @@ def test_gradient_is_that_of_the_residuals():
         assert (moved - base[2])[0] / 1e-5 == pytest.approx(-J[axis], abs=1e-3)
 
 
-def test_points_lie_on_the_surface_with_its_normals():
+def test_points_lie_on_the_surface_with_its_normals() -> None:
     depth_m = depth_of([plane((0.0, 0.0, 1.0), 0.0)], CAMERA, EYE)
     surface = oriented_points(depth_m, CAMERA, 8)
     assert len(surface.points) > 300
@@ -106,7 +110,7 @@ def test_points_lie_on_the_surface_with_its_normals():
     np.testing.assert_allclose(surface.sigma_m, depth_sigma_m(surface.points[:, 2]))
 
 
-def test_no_points_at_edges_or_holes():
+def test_no_points_at_edges_or_holes() -> None:
     depth_m = depth_of(SURFACES, CAMERA, EYE)
     depth_m[100:140, 100:200] = 0
     surface = oriented_points(depth_m, CAMERA, 1)
@@ -117,7 +121,7 @@ def test_no_points_at_edges_or_holes():
     assert not beside.any()
 
 
-def test_icp_recovers_a_known_motion():
+def test_icp_recovers_a_known_motion() -> None:
     target = depth_of(SURFACES, CAMERA, EYE)
     moved = displaced(EYE, (0.012, -0.008, 0.015), 0.7)
     surface = oriented_points(depth_of(SURFACES, CAMERA, moved), CAMERA, 4)
@@ -131,7 +135,7 @@ def test_icp_recovers_a_known_motion():
 
 
 @pytest.mark.parametrize(("times", "share"), [(0.0, 1.0), (1.0, 0.5), (3.0, 0.25)])
-def test_a_prior_as_strong_as_the_depth_halves_the_motion(times, share):
+def test_a_prior_as_strong_as_the_depth_halves_the_motion(times: float, share: float) -> None:
     """A wall 1 mm off, known to 1 mm and asked to stay to 1 mm: half-way, however often it is linearised."""
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
     at_m, off_m = np.full((48, 64), 1.0, np.float32), 0.001
@@ -143,7 +147,7 @@ def test_a_prior_as_strong_as_the_depth_halves_the_motion(times, share):
     assert motion[2, 3] / off_m == pytest.approx(share, rel=0.01)
 
 
-def test_a_correction_is_judged_by_the_same_points():
+def test_a_correction_is_judged_by_the_same_points() -> None:
     """Points that the motion takes off everything do not count before it either."""
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
     points = oriented_points(np.full((48, 64), 1.0, np.float32), camera, 1)
@@ -155,13 +159,13 @@ def test_a_correction_is_judged_by_the_same_points():
     assert helps(points, np.full_like(rendered_m, 1.001), ahead, camera)
 
 
-def test_twists():
+def test_twists() -> None:
     T = rigid_from_twist(np.array([0.0, 0.0, np.pi / 2, 1.0, 2.0, 3.0]))
     np.testing.assert_allclose(T, rigid([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [1, 2, 3]), atol=1e-12)
     assert rotation_angle_rad(T[:3, :3]) == pytest.approx(np.pi / 2)
 
 
-def test_every_second_point():
+def test_every_second_point() -> None:
     numbers = np.arange(7.0)
     surface = OrientedPoints(np.tile(numbers[:, None], 3), np.tile(numbers[:, None], 3), numbers)
     np.testing.assert_array_equal(surface.every_second(0).sigma_m, [0, 2, 4, 6])
@@ -174,12 +178,12 @@ def chair() -> Chair:
 
 
 @pytest.fixture(scope="module")
-def renderer(chair) -> DepthRenderer:
+def renderer(chair: Chair) -> DepthRenderer:
     """Of the true object, so that the true pose is the right answer."""
     return DepthRenderer(chair.recorded.mesh_world)
 
 
-def error_m(chair: Chair, frame: int, T_world_camera) -> float:
+def error_m(chair: Chair, frame: int, T_world_camera: NDArray[np.float64]) -> float:
     """How far the object's points in this frame are from where they belong, median."""
     depth_m = chair.recorded.sequence.depth_m(frame)
     on_object = chair.recorded.masks[frame] & (depth_m > 0)
@@ -190,7 +194,7 @@ def error_m(chair: Chair, frame: int, T_world_camera) -> float:
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_a_right_pose_stays(chair, renderer, frame):
+def test_a_right_pose_stays(chair: Chair, renderer: DepthRenderer, frame: int) -> None:
     truth = chair.recorded.simulation.T_world_camera[frame]
     sequence = chair.recorded.sequence
     alignment = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer, pose_sigma_m=0.0005)
@@ -212,7 +216,9 @@ def test_a_right_pose_stays(chair, renderer, frame):
         ((0.012, 0, 0.009), 0.8),
     ],
 )
-def test_a_wrong_pose_is_corrected(chair, renderer, frame, shift_m, turn_deg):
+def test_a_wrong_pose_is_corrected(
+    chair: Chair, renderer: DepthRenderer, frame: int, shift_m: tuple[float, float, float], turn_deg: float
+) -> None:
     """A pose off by 15 mm, turned by 0.8 degrees about the object, or both."""
     truth = chair.recorded.simulation.T_world_camera[frame]
     sequence = chair.recorded.sequence
@@ -233,7 +239,7 @@ def test_a_wrong_pose_is_corrected(chair, renderer, frame, shift_m, turn_deg):
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
 
 
-def test_too_little_to_align_by(chair, renderer):
+def test_too_little_to_align_by(chair: Chair, renderer: DepthRenderer) -> None:
     sequence = chair.recorded.sequence
     truth = chair.recorded.simulation.T_world_camera[0]
     for depth_m, pose in (
@@ -245,7 +251,7 @@ def test_too_little_to_align_by(chair, renderer):
         assert alignment.moved_m == 0 and alignment.turned_rad == 0
 
 
-def test_never_farther_than_allowed(chair, renderer):
+def test_never_farther_than_allowed(chair: Chair, renderer: DepthRenderer) -> None:
     """An error beyond the bounds is not half corrected: either the pose is as given, or within them."""
     sequence = chair.recorded.sequence
     for frame in FRAMES:

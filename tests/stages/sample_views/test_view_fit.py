@@ -20,7 +20,7 @@ def renderer() -> DepthRenderer:
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.25, 0.5, 0.9])
-def test_a_plate_cut_by_the_border(renderer, cut):
+def test_a_plate_cut_by_the_border(renderer: DepthRenderer, cut: float) -> None:
     """A plate 1 m away: the right border runs through it so that `cut` of its width lies beyond."""
     right_m = (319.5 - CAMERA.cx) / CAMERA.fx
     centre_m = right_m + 0.4 * (cut - 0.5) - (0.1 if cut == 0 else 0)
@@ -29,7 +29,7 @@ def test_a_plate_cut_by_the_border(renderer, cut):
     )
 
 
-def test_nothing_in_sight_is_not_cut(renderer):
+def test_nothing_in_sight_is_not_cut(renderer: DepthRenderer) -> None:
     assert truncated_share(CAMERA, rigid(np.eye(3), [0, 0, 1]), renderer) == 0.0
 
 
@@ -53,5 +53,5 @@ OUTLINE = "of the object's outline, less than 25%"
         ),
     ],
 )
-def test_gates(changed, reason):
+def test_gates(changed: dict[str, float], reason: str | None) -> None:
     assert refusal(ViewFit(**{**vars(GOOD), **changed}), ViewSettings(), PairSettings()) == reason

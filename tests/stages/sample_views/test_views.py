@@ -3,6 +3,7 @@
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,10 +11,14 @@ import pytest
 from chair_model import Chair
 from chair_model import chair as make_chair
 from raising import raises
+from read_pictures import read_picture
 from same_fields import assert_same_fields
+from typed import present
 
 from kinectbench.core.errors import SegmentationError, StorageError
+from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.settings.models import PairSettings, SegmentationSettings, ViewSettings
+from kinectbench.stages.sample_views.masks import GivenMasks
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import (
     Views,
@@ -32,7 +37,13 @@ def chair() -> Chair:
     return make_chair()
 
 
-def sample(chair: Chair, trajectory=None, masks=None, pairs=None, **settings) -> Views:
+def sample(
+    chair: Chair,
+    trajectory: Trajectory | None = None,
+    masks: GivenMasks | None = None,
+    pairs: PairSettings | None = None,
+    **settings: Any,
+) -> Views:
     return sample_views(
         chair.recorded.sequence,
         trajectory or chair.trajectory,
@@ -45,18 +56,18 @@ def sample(chair: Chair, trajectory=None, masks=None, pairs=None, **settings) ->
 
 
 @pytest.fixture(scope="module")
-def views(chair) -> Views:
+def views(chair: Chair) -> Views:
     return sample(chair, count=8, seed=3)
 
 
-def test_as_many_as_asked_for(views):
+def test_as_many_as_asked_for(views: Views) -> None:
     assert len(views.views) == 8 and not views.warnings
     assert [view.name for view in views.views] == [f"{k:03d}" for k in range(8)]
     frames = [view.frame for view in views.views] + [frame for frame, _ in views.refused]
     assert len(set(frames)) == len(frames)
 
 
-def test_the_draw_is_a_seeded_permutation(chair, views):
+def test_the_draw_is_a_seeded_permutation(chair: Chair, views: Views) -> None:
     order = np.random.default_rng(3).permutation(chair.trajectory.good_frames).tolist()
     taken = {view.frame for view in views.views}
     refused = {frame for frame, _ in views.refused}
@@ -64,7 +75,7 @@ def test_the_draw_is_a_seeded_permutation(chair, views):
     assert set(order[: len(taken) + len(refused)]) == taken | refused
 
 
-def test_the_same_seed_the_same_views(chair, views):
+def test_the_same_seed_the_same_views(chair: Chair, views: Views) -> None:
     again = sample(chair, count=8, seed=3)
     for one, other in zip(views.views, again.views, strict=True):
         assert (one.frame, one.fit, one.stamp_ns) == (other.frame, other.fit, other.stamp_ns)
@@ -75,7 +86,7 @@ def test_the_same_seed_the_same_views(chair, views):
     assert [v.frame for v in sample(chair, count=8, seed=4).views] != [v.frame for v in views.views]
 
 
-def test_masks_are_the_object(chair, views):
+def test_masks_are_the_object(chair: Chair, views: Views) -> None:
     for view in views.views:
         truth = chair.recorded.masks[view.frame] & (chair.recorded.sequence.depth_m(view.frame) > 0)
         iou = (view.mask & truth).sum() / (view.mask | truth).sum()
@@ -86,7 +97,7 @@ def test_masks_are_the_object(chair, views):
         assert view.stamp_ns == chair.recorded.sequence.stamps_ns[view.frame]
 
 
-def test_poses_stay_near_the_truth(chair, views):
+def test_poses_stay_near_the_truth(chair: Chair, views: Views) -> None:
     """The trajectory is exact: aligning to the fused object, coarse as it is here, must not move much."""
     moved_m = []
     for view in views.views:
@@ -96,7 +107,7 @@ def test_poses_stay_near_the_truth(chair, views):
     assert np.median(moved_m) < 0.004 and max(moved_m) < 0.015
 
 
-def test_fewer_frames_than_asked_for(chair):
+def test_fewer_frames_than_asked_for(chair: Chair) -> None:
     poses = chair.trajectory.T_world_camera.copy()
     poses[6:] = np.nan
     few = sample(chair, replace(chair.trajectory, T_world_camera=poses), count=50)
@@ -104,7 +115,7 @@ def test_fewer_frames_than_asked_for(chair):
     assert any("instead of 50" in warning and "6 good frames" in warning for warning in few.warnings)
 
 
-def test_refusals_are_recorded_and_do_not_shrink_the_set(chair):
+def test_refusals_are_recorded_and_do_not_shrink_the_set(chair: Chair) -> None:
     """Frames 0 to 5 get a pose half a metre off: they are refused, and others are taken."""
     poses = chair.trajectory.T_world_camera.copy()
     poses[:6, :3, 3] += 0.5
@@ -117,7 +128,7 @@ def test_refusals_are_recorded_and_do_not_shrink_the_set(chair):
         assert any(word in reason for word in ("pixels on the object", "off the object", "of the partial"))
 
 
-def test_limits_are_obeyed(chair):
+def test_limits_are_obeyed(chair: Chair) -> None:
     with raises(SegmentationError, "segmentation.no-view", match=r"fits.*24"):
         sample(chair, count=3, min_pixels=70_000)
     with raises(SegmentationError, "segmentation.no-view", match=r"fits.*mm \(median\)"):
@@ -131,7 +142,7 @@ def test_limits_are_obeyed(chair):
         assert "of the partial lies in the object" in str(error)
 
 
-def test_a_persons_masks_win(chair, views, tmp_path: Path):
+def test_a_persons_masks_win(chair: Chair, views: Views, tmp_path: Path) -> None:
     mask = np.zeros_like(views.views[0].mask)
     mask[50:60, 70:90] = True
     cv2.imwrite(str(tmp_path / "001.png"), mask.astype(np.uint8) * 255)
@@ -154,22 +165,22 @@ STORED_ROUNDED = {
 }
 
 
-def test_folder_round_trip(chair, views, tmp_path: Path):
+def test_folder_round_trip(chair: Chair, views: Views, tmp_path: Path) -> None:
     unknown = replace(views.views[2], fit=replace(views.views[2].fit, residual_m=float("nan")), blur=None)
     some = Views([*views.views[:2], unknown], [(7, "only 3 pixels on the object")], ["näh"])
     for view in views.views[:2]:
-        health = chair.trajectory.health.per_frame[view.frame]
+        health = present(chair.trajectory.health).per_frame[view.frame]
         assert (view.blur, view.pose_residual_m) == (health.blur, health.residual_m)
     write_views(some, chair.recorded.sequence, tmp_path)
     again = read_views(tmp_path)
     for one, other in zip(some.views, again, strict=True):
         assert_same_fields(one, other, STORED_ROUNDED)
-        depth_mm = cv2.imread(str(tmp_path / f"{one.name}.depth.png"), cv2.IMREAD_UNCHANGED)
+        depth_mm = read_picture(tmp_path / f"{one.name}.depth.png", cv2.IMREAD_UNCHANGED)
         assert depth_mm.dtype == np.uint16
         assert np.abs(depth_mm / 1000 - chair.recorded.sequence.depth_m(one.frame)).max() <= 0.00051
-        mask = cv2.imread(str(tmp_path / f"{one.name}.mask.png"), cv2.IMREAD_UNCHANGED)
+        mask = read_picture(tmp_path / f"{one.name}.mask.png", cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(mask, one.mask * np.uint8(255))
-        color = cv2.imread(str(tmp_path / f"{one.name}.color.jpg"))[..., ::-1]
+        color = read_picture(tmp_path / f"{one.name}.color.jpg")[..., ::-1]
         difference = np.abs(color.astype(int) - chair.recorded.sequence.color_rgb(one.frame))
         assert np.median(difference) <= 4
     stored = json.loads((tmp_path / "views.json").read_text())
@@ -187,11 +198,11 @@ def test_folder_round_trip(chair, views, tmp_path: Path):
         read_views(tmp_path)
 
 
-def test_depth_too_far_for_an_image_is_none_and_said(chair, views, tmp_path: Path):
+def test_depth_too_far_for_an_image_is_none_and_said(chair: Chair, views: Views, tmp_path: Path) -> None:
     sequence = chair.recorded.sequence
     far = replace(sequence, depth_scale=sequence.depth_scale / 30)  # 2.2 m becomes 66 m
     write_views(Views(views.views[:1], [], []), far, tmp_path)
-    depth_mm = cv2.imread(str(tmp_path / "000.depth.png"), cv2.IMREAD_UNCHANGED).astype(float)
+    depth_mm = read_picture(tmp_path / "000.depth.png", cv2.IMREAD_UNCHANGED).astype(float)
     depth_m = far.depth_m(views.views[0].frame)
     fits = depth_m * 1000 < 65_535.5
     assert (depth_m > 0)[~fits].any() and (depth_m > 0)[fits].any()

@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -89,7 +90,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return Scene(root / "scene", trajectory, both, crate)
 
 
-def views_of(sequence: Sequence, scene: Scene, model: ObjectModel, **settings: bool) -> Views:
+def views_of(sequence: Sequence, scene: Scene, model: ObjectModel, **settings: Any) -> Views:
     limits = PairSettings(min_visible_share=0.05)
     chosen = ViewSettings(count=6, min_pixels=100, **settings)
     return sample_views(sequence, scene.trajectory, model, chosen, SegmentationSettings(), limits)

@@ -2,13 +2,16 @@
 
 import functools
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from analytic_scenes import box, health_of, ring
 from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, table_of
+from numpy.typing import NDArray
 from raising import raises
+from typed import present
 
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
@@ -28,14 +31,14 @@ def warned(warnings: tuple[str, ...] | list[str], words: str) -> bool:
     return any(words in warning for warning in warnings)
 
 
-def test_nothing_is_said_of_a_good_recording():
+def test_nothing_is_said_of_a_good_recording() -> None:
     seen = plain().coverage_report()
     assert seen.warnings == ()
     assert seen.unseen_side.share == 0
     assert seen.moving.json_value() == {"judged": 24, "frames": [], "largest_share": 0.0}
 
 
-def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
+def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do() -> None:
     verdict = "not good for ground truth: frames agree within 14.0 mm (median)"
     health = health_of(24, grade="not good", verdict=verdict, recommended="refine")
     bad = replace(plain().trajectory, health=health)
@@ -50,7 +53,7 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do():
 
 
 @pytest.mark.parametrize("arc_deg", [300.0, 180.0, 120.0])
-def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg):
+def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg: float) -> None:
     turns = np.radians(np.linspace(-arc_deg / 2, arc_deg / 2, 13) + 70.0)
     poses = np.tile(np.eye(4), (13, 1, 1))
     poses[:, :3, 3] = np.array([2.0, -1.0, 0.3]) + np.column_stack([np.cos(turns), np.sin(turns), turns])
@@ -61,7 +64,7 @@ def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg):
     assert side.share == pytest.approx(max(0.0, 360 - arc_deg - 150) / 360)
 
 
-def test_one_side_never_seen():
+def test_one_side_never_seen() -> None:
     half = recorded([FLOOR, OBJECT], AROUND[:11])
     seen = half.coverage_report()
     assert warned(seen.warnings, "no frame looks at the object's side 110 degrees to the left of where")
@@ -71,7 +74,7 @@ def test_one_side_never_seen():
     assert seen.unseen_side.share == pytest.approx(60 / 360, abs=0.01)
 
 
-def test_two_objects_in_the_box():
+def test_two_objects_in_the_box() -> None:
     two = [FLOOR, box((-0.3, -0.1, 0), (-0.1, 0.1, 0.4)), box((0.1, -0.1, 0), (0.3, 0.1, 0.4))]
     pair = recorded(two)
     around_both = OrientedBox((0, 0, 0.25), (0.8, 0.4, 0.5))
@@ -82,13 +85,13 @@ def test_two_objects_in_the_box():
     assert warned(pair.coverage_report().warnings, "as near to where the cameras look")
 
 
-def test_a_box_that_cuts_the_object():
+def test_a_box_that_cuts_the_object() -> None:
     whole, half = OrientedBox((0, 0, 0.3), (1.0, 1.0, 0.6)), OrientedBox((-0.25, 0, 0.3), (0.5, 1.0, 0.6))
     assert plain().coverage_report(whole).warnings == ()
     assert warned(plain().coverage_report(half).warnings, "the box cuts through what it holds")
 
 
-def test_a_box_under_a_table_top_holds_what_ends_in_it():
+def test_a_box_under_a_table_top_holds_what_ends_in_it() -> None:
     """A stool beside a table: more of the table's top than of the stool lies in the box, but it runs on."""
 
     def plate(side_m: float, height_m: float) -> np.ndarray:
@@ -97,7 +100,7 @@ def test_a_box_under_a_table_top_holds_what_ends_in_it():
 
     stool, top = plate(0.3, 0.4), plate(0.9, 0.7)
     points = np.concatenate([stool, top])
-    in_box = (points[:, :2] < 0.4).all(axis=1)
+    in_box = np.asarray((points[:, :2] < 0.4).all(axis=1))
     chosen = select_in_box(points, in_box)
     assert (top[:, :2] < 0.4).all(axis=1).sum() > len(stool)
     np.testing.assert_array_equal(np.flatnonzero(chosen), np.arange(len(stool)))
@@ -105,7 +108,7 @@ def test_a_box_under_a_table_top_holds_what_ends_in_it():
     np.testing.assert_array_equal(select_in_box(top, in_box[len(stool) :]), in_box[len(stool) :])
 
 
-def test_cameras_whose_axes_part_look_ahead():
+def test_cameras_whose_axes_part_look_ahead() -> None:
     """Turned away from each other, they all come from a point behind them; what they look at is ahead."""
     T_world_camera = np.tile(np.eye(4), (9, 1, 1))
     for pose, turn in zip(T_world_camera, np.linspace(-0.5, 0.5, 9), strict=True):
@@ -116,7 +119,7 @@ def test_cameras_whose_axes_part_look_ahead():
     assert 2.0 < convergence_point(T_world_camera)[2] < 2.5
 
 
-def test_things_that_hardly_touch_are_not_one_object():
+def test_things_that_hardly_touch_are_not_one_object() -> None:
     """A gap of 75 mm between edges is bridged by cells of 30 mm."""
     close = [FLOOR, box((-0.3, -0.15, 0), (0.02, 0.15, 0.4)), *table_of((0.095, -0.2, 0), (0.5, 0.2, 0.4))]
     doubtful = recorded(close, ring(16, 1.3, (0, 0, 0.2), (0.5, 0.8)), **FINE)
@@ -125,15 +128,15 @@ def test_things_that_hardly_touch_are_not_one_object():
     assert all("kinectbench segment --suggest" in line for line in doubts)
 
 
-def test_an_object_too_large_to_be_one():
+def test_an_object_too_large_to_be_one() -> None:
     long = recorded([FLOOR, box((-1.4, -0.2, 0), (1.4, 0.2, 0.4))], ring(24, 2.2, (0, 0, 0.2), (0.4, 0.7)))
     doubts = long.segment().warnings
     # It is 2.8 m long; at its ends a pixel is 17 mm wide.
     assert warned(doubts, "2.8 m long") or warned(doubts, "2.9 m long")
 
 
-def test_a_person_walking_through():
-    def person(k):
+def test_a_person_walking_through() -> None:
+    def person(k: int) -> list[Callable[..., NDArray[np.float64]]]:
         x = -1.2 + 0.1 * k
         return [box((x - 0.2, -0.9, 0), (x + 0.2, -0.6, 1.7))]
 
@@ -150,7 +153,7 @@ def test_a_person_walking_through():
 
 
 @pytest.mark.parametrize("beside", [[], [box((0.9, 0.5, 0), (1.2, 0.8, 0.4))]])
-def test_an_object_without_depth(beside):
+def test_an_object_without_depth(beside: list[Callable[..., NDArray[np.float64]]]) -> None:
     """Nothing where the cameras look; with clutter, that is not taken for the object."""
     with raises(SegmentationError, "segmentation.no-object", match=r"object found.*gives"):
         recorded([FLOOR, *beside]).segment()
@@ -158,13 +161,13 @@ def test_an_object_without_depth(beside):
         recorded([FLOOR, *beside]).segment(OrientedBox((0, 0, 0.25), (0.5, 0.4, 0.5)))
 
 
-def test_an_object_cut_by_the_image_border():
+def test_an_object_cut_by_the_image_border() -> None:
     near = recorded([FLOOR, OBJECT], ring(12, 0.7, (0.0, 0.0, 0.1), (0.5,)))
     model = near.model()
     assert warned(near.views(model).warnings, "the image border cuts the object")
 
 
-def test_no_floor():
+def test_no_floor() -> None:
     hovering = recorded([OBJECT])
     with raises(SegmentationError, "segmentation.no-floor", match=r"box.*--suggest"):
         hovering.segment()
@@ -175,7 +178,7 @@ def test_no_floor():
     np.testing.assert_allclose(chosen.floor.plane_world, [0, 0, 1, 0], atol=0.06)
 
 
-def test_a_slope_is_no_floor():
+def test_a_slope_is_no_floor() -> None:
     """A ramp of 60 degrees: far from what the cameras call up."""
     from analytic_scenes import plane
 
@@ -185,7 +188,7 @@ def test_a_slope_is_no_floor():
 
 
 @pytest.mark.parametrize(("height_m", "told"), [(0.0, False), (-0.4, True), (-3.0, True)])
-def test_a_persons_plane_on_which_nothing_lies_is_told(height_m, told):
+def test_a_persons_plane_on_which_nothing_lies_is_told(height_m: float, told: bool) -> None:
     chosen = plain().segment(plane_world=np.array([0, 0, 1, -height_m]))
     assert chosen.floor.found
     assert warned(chosen.warnings, "nothing that was measured lies on the plane of `floor`") is told
@@ -199,36 +202,39 @@ def test_a_persons_plane_on_which_nothing_lies_is_told(height_m, told):
         ((np.sin(0.1), 0, np.cos(0.1), 0), "turned by 6 degrees"),
     ],
 )
-def test_a_plane_seen_right_beside_a_persons_is_told_with_its_numbers(plane_world, said):
+def test_a_plane_seen_right_beside_a_persons_is_told_with_its_numbers(
+    plane_world: tuple[float, float, float, float], said: str
+) -> None:
     model = plain().model(floor=plane_world)
-    (line,) = [line for line in model.quality.doubts if "`floor`" in line]
+    (line,) = [line for line in model.quality.doubts or () if "`floor`" in line]
     assert line in model.quality.warnings and said in line
     assert not warned(model.quality.warnings, "the floor found")
-    right = re.search(r"plane_world: \[(.*?)\]", line)[1]
+    right = present(re.search(r"plane_world: \[(.*?)\]", line))[1]
     np.testing.assert_allclose([float(number) for number in right.split(",")], [0, 0, 1, 0], atol=0.004)
-    assert not warned(plain().model(floor=tuple(map(float, right.split(",")))).quality.warnings, "`floor`")
+    a, b, c, d = map(float, right.split(","))
+    assert not warned(plain().model(floor=(a, b, c, d)).quality.warnings, "`floor`")
 
 
-def test_of_a_table_and_its_floor_a_person_says_which():
+def test_of_a_table_and_its_floor_a_person_says_which() -> None:
     top = recorded([FLOOR, *table_of((-0.4, -0.4, 0.0), (0.4, 0.4, 0.08)), OBJECT])
     for height_m in (0.0, 0.08):
         assert top.segment(plane_world=np.array([0, 0, 1, -height_m])).floor.against == ()
 
 
-def test_what_fails_on_a_persons_plane_names_the_plane_beside_it():
+def test_what_fails_on_a_persons_plane_names_the_plane_beside_it() -> None:
     fine = FUSION.model_copy(update={"voxel_size_m": 0.003})
     with raises(SegmentationError, "segmentation.too-large", match="60"):
         plain().model(floor=(0, 0, 1, 0.06), fusion=fine)
 
 
-def test_what_scatters_about_a_persons_plane_is_told_of_that_plane():
+def test_what_scatters_about_a_persons_plane_is_told_of_that_plane() -> None:
     chosen = plain().segment(plane_world=np.array([0, 0, 1, 0.0]))
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
     (line,) = plain().coverage_report_of(rough).choice_warnings
     assert "gives as `floor` scatters by 19 mm" in line and "give a box" not in line
 
 
-def test_a_floor_that_is_not_flat_may_be_something_else():
+def test_a_floor_that_is_not_flat_may_be_something_else() -> None:
     chosen = plain().segment()
     rough = replace(chosen, floor=replace(chosen.floor, noise_m=0.019))
     for each, told in ((chosen, False), (rough, True)):
@@ -237,7 +243,7 @@ def test_a_floor_that_is_not_flat_may_be_something_else():
         assert warned(found.choice_warnings, "the floor found scatters by 19 mm") is told
 
 
-def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts():
+def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts() -> None:
     """Each is a line of the warnings; the gate of `publish` counts them."""
     # The plane that is given lies below the true floor, where nothing was measured, and the object hangs.
     around = OrientedBox((0, 0, 0.67), (0.5, 0.4, 0.5))
@@ -251,7 +257,7 @@ def test_what_is_doubted_of_object_and_floor_is_stored_as_doubts():
     assert plain().coverage_report_of(chosen).choice_warnings == ("in words of its own",)
 
 
-def test_depth_of_the_object_that_is_out_of_range():
+def test_depth_of_the_object_that_is_out_of_range() -> None:
     """The box's middle is 1.4 m away from all cameras: what they see of it lies in part beyond 1.4 m."""
     chosen = plain().segment()
     whole, half = (plain().coverage_report_of(chosen, max_depth_m=each) for each in (3.0, 1.4))
@@ -263,7 +269,7 @@ def test_depth_of_the_object_that_is_out_of_range():
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
-def test_few_good_frames(frames):
+def test_few_good_frames(frames: int) -> None:
     few = recorded([FLOOR, OBJECT], AROUND[:frames])
     try:
         model = few.model()
@@ -275,12 +281,12 @@ def test_few_good_frames(frames):
     assert warned(few.views(model).warnings, f"all {frames} good frames were tried")
 
 
-def test_a_box_outside_the_volume():
+def test_a_box_outside_the_volume() -> None:
     with raises(SegmentationError, "segmentation.empty-box"):
         plain().segment(OrientedBox((4.0, 0, 0.25), (0.5, 0.4, 0.5)))
 
 
-def test_axes_that_meet_by_chance_do_not_shrink_the_scene():
+def test_axes_that_meet_by_chance_do_not_shrink_the_scene() -> None:
     """A camera that is moved sideways and shaken: its axes pass each other near it, the box is 1.4 m away."""
     middle = ring(1, 1.4, (0.0, 0.0, 0.25), (0.5,))[0]
     poses = np.tile(middle, (9, 1, 1))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from raising import raises
+from typed import present
 
 from kinectbench.core.artefacts.object import AnchoredBoxPart
 from kinectbench.core.errors import SegmentationError
@@ -17,7 +18,8 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import BoxSettings
 from kinectbench.stages.segment.find.box_anchor import anchor_of, check_anchor, reanchored
-from kinectbench.stages.segment.find.floor import Floor, floor_frame
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.planes import floor_frame
 
 BOX = OrientedBox((0.4, 1.5, 0.45), (0.6, 0.5, 0.9), 0.3)
 
@@ -97,14 +99,14 @@ def test_a_frame_without_a_pose_says_nothing() -> None:
 @pytest.mark.parametrize(("kept", "now"), [(range(5), 2), (range(1, 5), 1), (range(2, 3), 0)])
 def test_a_frame_is_found_where_the_recording_was_cut(kept: range, now: int) -> None:
     box = chosen()
-    assert reanchored(box, recording(kept)) == replace(box, anchor=box.anchor._replace(frame=now))
+    assert reanchored(box, recording(kept)) == replace(box, anchor=present(box.anchor)._replace(frame=now))
 
 
 def test_a_frame_that_was_cut_away_is_refused() -> None:
     with raises(SegmentationError, "segmentation.box-moved", match="number 2, whose"):
         reanchored(chosen(), recording(range(3, 5)))
     by_hand = replace(chosen(), anchor=None)
-    earlier = replace(chosen(), anchor=chosen().anchor._replace(depth_sha256=None))
+    earlier = replace(chosen(), anchor=present(chosen().anchor)._replace(depth_sha256=None))
     for box in (by_hand, earlier):
         assert reanchored(box, recording(range(3, 5))) == box
 

@@ -20,19 +20,19 @@ def carried(solid: np.ndarray, seen_empty: np.ndarray | None = None) -> np.ndarr
     return carried_up(solid, np.zeros_like(solid) if seen_empty is None else seen_empty, 2, VOXEL_M)
 
 
-def test_a_leg_is_carried_up_to_the_seat_and_nothing_else_is_filled():
+def test_a_leg_is_carried_up_to_the_seat_and_nothing_else_is_filled() -> None:
     expected = stool()
     expected[GAP] = True
     np.testing.assert_array_equal(carried(stool()), expected)
 
 
-def test_where_cameras_saw_through_the_gap_it_stays_open():
+def test_where_cameras_saw_through_the_gap_it_stays_open() -> None:
     seen_empty = np.zeros((40, 40, 80), dtype=bool)
     seen_empty[:, :, 55] = True
     np.testing.assert_array_equal(carried(stool(), seen_empty), stool())
 
 
-def test_columns_that_were_seen_through_are_left_out():
+def test_columns_that_were_seen_through_are_left_out() -> None:
     seen_empty = np.zeros((40, 40, 80), dtype=bool)
     seen_empty[10, :, 55] = True
     expected = stool()
@@ -40,7 +40,7 @@ def test_columns_that_were_seen_through_are_left_out():
     np.testing.assert_array_equal(carried(stool(), seen_empty), expected)
 
 
-def test_a_stick_beside_the_seat_a_speck_and_something_far_below_stay_as_they_are():
+def test_a_stick_beside_the_seat_a_speck_and_something_far_below_stay_as_they_are() -> None:
     beside = np.s_[36:39, 10:14, :50]
     speck = np.s_[10:14, 10:14, :8]
     far_below = np.s_[10:14, 10:14, :30]
@@ -48,11 +48,11 @@ def test_a_stick_beside_the_seat_a_speck_and_something_far_below_stay_as_they_ar
         np.testing.assert_array_equal(carried(stool(leg)), stool(leg))
 
 
-def test_what_hangs_is_no_leg():
+def test_what_hangs_is_no_leg() -> None:
     hanging = np.s_[10:14, 10:14, 30:50]
     np.testing.assert_array_equal(carried(stool(hanging)), stool(hanging))
 
 
-def test_one_piece_stays_as_it_is():
+def test_one_piece_stays_as_it_is() -> None:
     whole = stool(np.s_[10:14, 10:14, :60])
     assert carried(whole) is whole

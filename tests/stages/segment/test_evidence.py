@@ -22,6 +22,7 @@ from observed_boxes import (
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Underside
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import (
@@ -153,7 +154,7 @@ def slab() -> Observation:
 
 
 @pytest.mark.parametrize("word", ["unseen", "open", "closed"])
-def test_an_underside_that_nobody_saw_is_what_a_person_says(word: str) -> None:
+def test_an_underside_that_nobody_saw_is_what_a_person_says(word: Underside) -> None:
     rules = replace(RULES, underside=word)
     evidence, shape = classified(slab(), rules)
     inner = within((0.08, 0.07, 0.23), (0.24, 0.17, 0.26))

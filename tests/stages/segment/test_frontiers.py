@@ -43,7 +43,7 @@ LIMITS = SensorLimits(near_m=0.0)
 FLAT = np.eye(4)
 
 
-def mask(*boxes: tuple[slice, ...]) -> np.ndarray:
+def mask(*boxes: tuple[slice | int, ...]) -> np.ndarray:
     cells = np.zeros(CELLS, bool)
     for box in boxes:
         cells[box] = True
@@ -176,7 +176,7 @@ def test_little_behind_it_or_a_small_mouth_is_not_told() -> None:
     little = mask(np.s_[10:16, 12:18, 10:15])
     large = 180 / LEAST_SHARE
     for solid_cells, told in ((large - 400, True), (large + 400, False)):
-        solid = mask(np.s_[0:8]).cumsum().reshape(CELLS) <= solid_cells
+        solid = mask((slice(0, 8),)).cumsum().reshape(CELLS) <= solid_cells
         assert solid.sum() == solid_cells
         assert bool(found_of(little, mask(np.s_[10:16, 12:18, 15:40]), solid=solid)) == told
     # The same volume behind a mouth of that area, and of one cell less.
@@ -184,7 +184,7 @@ def test_little_behind_it_or_a_small_mouth_is_not_told() -> None:
     for mouth, told in ((cells - 1, False), (cells, True)):
         slot = mask(np.s_[10 : 10 + mouth, 12:15, 15:40])
         low = slot & (np.arange(CELLS[2]) < 16)
-        free = slot & ~low | mask(np.s_[10 : 10 + mouth, 12, 15:16])
+        free = slot & ~low | mask((slice(10, 10 + mouth), 12, slice(15, 16)))
         assert bool(found_of(mask(PIT), free)) == told
 
 

@@ -5,6 +5,7 @@ import pytest
 from evidence_by_hand import evidence_of
 
 from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Underside
 from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
 from kinectbench.stages.segment.solid.guess import (
     ENCLOSED,
@@ -24,7 +25,7 @@ VOXEL_M = 0.005
 SHAPE = (9, 9, 9)
 
 
-def cells(*boxes: tuple[slice, ...]) -> np.ndarray:
+def cells(*boxes: tuple[slice | int, ...]) -> np.ndarray:
     found = np.zeros(SHAPE, bool)
     for box in boxes:
         found[box] = True
@@ -43,7 +44,7 @@ def test_what_was_counted_is_a_probability_and_rises_with_enclosure() -> None:
 @pytest.mark.parametrize(("told_above", "enclosing"), [(True, 9), (False, 0)])
 def test_by_the_share_of_directions_that_meet_the_object(told_above: bool, enclosing: int) -> None:
     """A voxel in free space, far below a plate that all nine ways up meet, or below nothing."""
-    unknown = cells(np.s_[4, 4, 2])
+    unknown = cells((4, 4, 2))
     plate = cells(np.s_[:, :, 6:]) if told_above else cells()
     evidence = evidence_of(SHAPE, unseen=unknown, near_surface=plate, free=~unknown & ~plate)
     # Ways end in the free space right beside it.
@@ -73,7 +74,7 @@ def test_right_under_the_object_by_the_level_ways_out(open_side: bool) -> None:
 @pytest.mark.parametrize(
     ("word", "share"), [("unseen", UNDERSIDE_SHARE), ("open", OPEN_SHARE), ("closed", 1.0)]
 )
-def test_an_underside_by_what_a_person_says(word: str, share: float) -> None:
+def test_an_underside_by_what_a_person_says(word: Underside, share: float) -> None:
     under = cells(np.s_[1:8, 1:8, 2:6])
     closed = under if word == "closed" else cells()
     evidence = evidence_of(SHAPE, unseen=under, underside=under, closed=closed, free=~under)

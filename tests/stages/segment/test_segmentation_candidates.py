@@ -5,13 +5,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import yaml
 from analytic_scenes import CAMERA, box, depth_of, health_of, ring, sequence_of, trajectory_of
-from bad_scenes import FINE, FLOOR, OBJECT, SEGMENTATION, recorded, table_of
+from bad_scenes import FINE, FLOOR, OBJECT, SEGMENTATION, Recorded, recorded, table_of
 from raising import raises
+from read_pictures import read_picture
 
 from kinectbench.core.artefacts.object import CandidatesFile
 from kinectbench.core.artefacts.trajectory import FrameHealth
@@ -45,7 +45,7 @@ STOOL = ((0.1, 0.7, 0), (0.35, 0.95, 0.3))
 
 
 @functools.cache
-def three():
+def three() -> Recorded:
     return recorded(
         [FLOOR, box(*CHEST), *table_of(*TABLE), box(*STOOL)],
         ring(16, 1.4, (-0.1, 0.0, 0.2), (0.5, 0.8)),
@@ -58,7 +58,7 @@ def found() -> Candidates:
     return find_candidates(three().scene, three().trajectory, SEGMENTATION)
 
 
-def is_of(candidate, low, high) -> bool:
+def is_of(candidate: Candidate, low: tuple[float, float, float], high: tuple[float, float, float]) -> bool:
     """The candidate's box is the thing's, with the margin of 20 mm on each side."""
     corners = candidate.box.corners_floor()
     near_low = np.abs(corners.min(axis=0)[:2] - np.array(low[:2]) + 0.02).max() < 0.03
@@ -67,11 +67,11 @@ def is_of(candidate, low, high) -> bool:
 
 
 @pytest.mark.parametrize("thing", [CHEST, TABLE, STOOL])
-def test_each_thing_has_a_box(thing):
+def test_each_thing_has_a_box(thing: tuple[tuple[float, float, float], tuple[float, float, float]]) -> None:
     assert sum(is_of(candidate, *thing) for candidate in found().candidates) == 1
 
 
-def test_the_automatic_choice_comes_first_and_once():
+def test_the_automatic_choice_comes_first_and_once() -> None:
     marks = [candidate.automatic for candidate in found().candidates]
     assert marks[0] and sum(marks) == 1
     chosen = three().segment()
@@ -81,7 +81,7 @@ def test_the_automatic_choice_comes_first_and_once():
     assert distances == sorted(distances)
 
 
-def test_the_box_of_a_candidate_chooses_that_thing():
+def test_the_box_of_a_candidate_chooses_that_thing() -> None:
     (stool,) = (candidate for candidate in found().candidates if is_of(candidate, *STOOL))
     chosen = three().segment(stool.box)
     cells = (chosen.object_cells + 0.5) * 0.03
@@ -89,7 +89,7 @@ def test_the_box_of_a_candidate_chooses_that_thing():
     assert chosen.warnings == ()
 
 
-def test_a_thing_counts_once_though_its_feet_turn_its_box():
+def test_a_thing_counts_once_though_its_feet_turn_its_box() -> None:
     """Around a cross-shaped block with runners, too low for pieces, a box at 45 degrees is smaller."""
     block = [box((-0.3, -0.15, 0), (0.3, 0.15, 0.3)), box((-0.15, -0.3, 0), (0.15, 0.3, 0.3))]
     runners = [box((-0.34, -0.02, 0), (0.34, 0.02, 0.016)), box((-0.02, -0.34, 0), (0.02, 0.34, 0.016))]
@@ -98,13 +98,13 @@ def test_a_thing_counts_once_though_its_feet_turn_its_box():
     assert abs(found_once.box.yaw_rad) > 0.7
 
 
-def test_nothing_to_choose():
+def test_nothing_to_choose() -> None:
     bare = recorded([FLOOR])
     with raises(SegmentationError, "segmentation.no-candidates"):
         find_candidates(bare.scene, bare.trajectory, SEGMENTATION)
 
 
-def test_without_a_floor_there_are_candidates_none_of_them_automatic():
+def test_without_a_floor_there_are_candidates_none_of_them_automatic() -> None:
     hovering = recorded([OBJECT])
     without = find_candidates(hovering.scene, hovering.trajectory, SEGMENTATION)
     assert not without.scene.floor.found
@@ -120,7 +120,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return to
 
 
-def test_folder(folder: Path, tmp_path: Path):
+def test_folder(folder: Path, tmp_path: Path) -> None:
     listed = CandidatesFile.read(folder)
     assert [row.number for row in listed.candidates] == list(range(1, len(found().candidates) + 1))
     assert listed.floor_found
@@ -134,14 +134,14 @@ def test_folder(folder: Path, tmp_path: Path):
         given = BoxSettings.model_validate(pasted).box()
         np.testing.assert_allclose(given.center_m, candidate.box.center_m, atol=0.00051)
         np.testing.assert_allclose(given.size_m, candidate.box.size_m, atol=0.00051)
-        assert cv2.imread(str(folder / row.picture)).shape == (240, 320, 3)
-    assert cv2.imread(str(folder / listed.plan)).std() > 10
+        assert read_picture(folder / row.picture).shape == (240, 320, 3)
+    assert read_picture(folder / listed.plan).std() > 10
     write_candidates(found(), three().sequence, three().trajectory, tmp_path)
     for path in folder.iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes()
 
 
-def test_the_box_is_drawn_where_it_stands(folder: Path):
+def test_the_box_is_drawn_where_it_stands(folder: Path) -> None:
     """The middle of each edge that is in the image has the box's colour, of depth there is none."""
     number = next(k for k, c in enumerate(found().candidates, start=1) if is_of(c, *CHEST))
     candidate, floor = found().candidates[number - 1], found().scene.floor
@@ -150,7 +150,7 @@ def test_the_box_is_drawn_where_it_stands(folder: Path):
     corners = transform_points(T_camera_floor, candidate.box.corners_floor())
     edges = [(a, b) for a in range(8) for b in range(a) if (a ^ b).bit_count() == 1]
     middles = CAMERA.project(np.stack([(corners[a] + corners[b]) / 2 for a, b in edges]))
-    image = cv2.imread(str(folder / f"{number}.png"))[..., ::-1].astype(int)
+    image = read_picture(folder / f"{number}.png")[..., ::-1].astype(int)
     color = np.array(COLORS_RGB[number - 1])
     checked = 0
     for (u, v), (a, b) in zip(middles, edges, strict=True):
@@ -162,7 +162,7 @@ def test_the_box_is_drawn_where_it_stands(folder: Path):
     assert checked >= 2
 
 
-def test_the_best_frame_shows_the_whole_box_and_is_sharp():
+def test_the_best_frame_shows_the_whole_box_and_is_sharp() -> None:
     """A block whose top all frames see: one nearer by cuts its lower end, in one it is mostly hidden."""
     near = look_at(np.array([1.0, 0.0, 0.9]), np.array([0.0, 0.0, 0.72]))
     far = look_at(np.array([1.5, 0.0, 1.0]), np.array([0.0, 0.0, 0.25]))
@@ -184,7 +184,7 @@ def test_the_best_frame_shows_the_whole_box_and_is_sharp():
     assert best_frame(candidate.shown(floor), sequence, trajectory) == 0
 
 
-def test_parts_are_counted_where_they_come_apart():
+def test_parts_are_counted_where_they_come_apart() -> None:
     grid = np.stack(np.meshgrid(*[np.arange(0, 0.3, 0.01)] * 3, indexing="ij"), -1).reshape(-1, 3)
     apart = grid + np.array([0.36, 0, 0])
     assert separate_parts(grid) == 1
@@ -196,7 +196,7 @@ def test_parts_are_counted_where_they_come_apart():
     assert separate_parts(np.zeros((0, 3))) == 0
 
 
-def test_a_small_thing_that_stands_beside_the_rest_is_another_one_and_a_leg_below_it_is_not():
+def test_a_small_thing_that_stands_beside_the_rest_is_another_one_and_a_leg_below_it_is_not() -> None:
     top = np.stack(np.meshgrid(*[np.arange(0, 0.6, 0.01)] * 2, [0.01, 0.4], indexing="ij"), -1).reshape(-1, 3)
     post = np.stack(np.meshgrid([0.3], [0.3], np.arange(0, 0.4, 0.01), indexing="ij"), -1).reshape(-1, 3)
     block = np.stack(np.meshgrid(*[np.arange(0, 0.12, 0.01)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -213,7 +213,7 @@ def test_a_small_thing_that_stands_beside_the_rest_is_another_one_and_a_leg_belo
     assert things_beside(np.zeros((0, 3))) == 0
 
 
-def test_the_floor_below_a_table_that_fills_the_frames():
+def test_the_floor_below_a_table_that_fills_the_frames() -> None:
     """A table top of 1.6 x 1.6 m; of the floor a strip, a tenth as large, is in view."""
     rng = np.random.default_rng(0)
     from kinectbench.stages.segment.find.floor import find_floor
@@ -232,7 +232,7 @@ def test_the_floor_below_a_table_that_fills_the_frames():
     assert abs(floor.plane_world[3]) < 0.02
 
 
-def test_nearest_within():
+def test_nearest_within() -> None:
     rng = np.random.default_rng(0)
     points, asked = rng.uniform(-1, 1, (300, 3)), rng.uniform(1.05, 2, (9000, 3))
     from scipy.spatial import cKDTree
@@ -244,7 +244,7 @@ def test_nearest_within():
     assert nearest_within(cKDTree(points), asked, apart_m[least] - 1e-6) == (np.inf, None)
 
 
-def test_a_room_around_the_object_takes_no_time():
+def test_a_room_around_the_object_takes_no_time() -> None:
     """A surface as far away on all sides: without a bound each search visits all of it (9 s here)."""
     rng = np.random.default_rng(0)
     turn = rng.uniform(0, 2 * np.pi, 100_000)
@@ -258,7 +258,7 @@ def test_a_room_around_the_object_takes_no_time():
 
 
 @pytest.mark.parametrize("columns", [2, 3])
-def test_cells_have_numbers_in_their_order(columns):
+def test_cells_have_numbers_in_their_order(columns: int) -> None:
     cells = np.random.default_rng(0).integers(-7, 9, (500, columns))
     for by_row, by_number in zip(
         np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:],

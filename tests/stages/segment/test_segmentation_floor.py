@@ -1,15 +1,20 @@
 """The floor: below a larger table top, beside a wall, in any world frame."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from analytic_scenes import ring
 from bounds import within
+from numpy.random._generator import Generator
+from numpy.typing import NDArray
 from raising import raises
+from typed import present
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
-from kinectbench.stages.segment.find.floor import find_floor
-from kinectbench.stages.segment.find.floor_planes import REASONS, PlaneCandidate, PlaneChoice
+from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.stages.segment.find.floor_planes import REASONS, PlaneCandidate, PlaneChoice, Reason
 from kinectbench.stages.segment.find.planes import floor_frame
 
 CELL_M = 0.03
@@ -22,7 +27,14 @@ WORLDS = {
 }
 
 
-def patch(u, v, height, normal_axis, noise_m, rng):
+def patch(
+    u: tuple[float, float],
+    v: tuple[float, float],
+    height: float,
+    normal_axis: int,
+    noise_m: float,
+    rng: Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points every 30 mm on a rectangle at `height` along an axis, with noise along it; and normals."""
     a, b = np.meshgrid(np.arange(*u, CELL_M), np.arange(*v, CELL_M))
     points = np.insert(np.column_stack([a.ravel(), b.ravel()]), normal_axis, height, axis=1)
@@ -33,7 +45,9 @@ def patch(u, v, height, normal_axis, noise_m, rng):
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def room(noise_m=0.004, floor=True, seed=0):
+def room(
+    noise_m: float = 0.004, floor: bool = True, seed: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A floor of 1.8 x 1.8 m, a table top of 2.5 x 2 m at 0.55 m (larger), and a wall larger than both."""
     rng = np.random.default_rng(seed)
     parts = [
@@ -47,7 +61,13 @@ def room(noise_m=0.004, floor=True, seed=0):
     return points, normals
 
 
-def found_in(world, points, normals, cameras=CAMERAS, seed=0):
+def found_in(
+    world: str,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    cameras: NDArray[np.float64] = CAMERAS,
+    seed: int = 0,
+) -> Floor | None:
     T = WORLDS[world]
     return find_floor(
         transform_points(T, points), normals @ T[:3, :3].T, T @ cameras, transform_points(T, FOCUS), seed
@@ -56,12 +76,12 @@ def found_in(world, points, normals, cameras=CAMERAS, seed=0):
 
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("seed", [0, 7])
-def test_the_floor_is_found_below_a_larger_table(world, seed):
+def test_the_floor_is_found_below_a_larger_table(world: str, seed: int) -> None:
     points, normals = room(seed=seed)
-    floor = found_in(world, points, normals, seed=seed)
+    floor = present(found_in(world, points, normals, seed=seed))
     T = WORLDS[world]
     up = T[:3, :3] @ [0, 0, 1]
-    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.2
+    assert np.degrees(np.arccos(min(1.0, float(floor.plane_world[:3] @ up)))) < 0.2
     # Height of the true floor below the focus above the plane that was found.
     height_m = floor.plane_world[:3] @ transform_points(T, np.zeros(3)) + floor.plane_world[3]
     assert abs(height_m) < 0.003
@@ -70,23 +90,23 @@ def test_the_floor_is_found_below_a_larger_table(world, seed):
     assert floor.inlier_share == pytest.approx(3721 / len(points), abs=0.05)
 
 
-def test_same_seed_same_floor():
+def test_same_seed_same_floor() -> None:
     points, normals = room()
-    one, two = (found_in("tilted", points, normals) for _ in range(2))
+    one, two = (present(found_in("tilted", points, normals)) for _ in range(2))
     np.testing.assert_array_equal(one.plane_world, two.plane_world)
 
 
-def test_a_point_kilometres_away_costs_no_memory():
+def test_a_point_kilometres_away_costs_no_memory() -> None:
     """As of one frame whose pose is far off."""
     points, normals = room()
     far = np.append(points, [[3e5, -4e5, 0.0]], axis=0), np.append(normals, [[0.0, 0.0, 1.0]], axis=0)
     with within(20, megabytes=200):
-        floor = found_in("tilted", *far)
+        floor = present(found_in("tilted", *far))
     up = WORLDS["tilted"][:3, 2]
-    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.5
+    assert np.degrees(np.arccos(min(1.0, float(floor.plane_world[:3] @ up)))) < 0.5
 
 
-def test_no_floor():
+def test_no_floor() -> None:
     points, normals = room(floor=False)
     wall = normals[:, 1] > 0.5
     with raises(SegmentationError, "segmentation.no-floor", match=r"on.*plane_world"):
@@ -94,7 +114,7 @@ def test_no_floor():
 
 
 @pytest.mark.parametrize("low_cameras", [1, 3])
-def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_cameras):
+def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_cameras: int) -> None:
     points, normals = room()
     low = CAMERAS.copy()
     low[:low_cameras, 2, 3] = 0.05  # less than 0.1 m above the floor, as one whose pose is off
@@ -102,13 +122,13 @@ def test_a_floor_below_some_cameras_only_is_told_and_below_few_refused(low_camer
         with raises(SegmentationError, "segmentation.no-floor", match="cameras look"):
             found_in("upright", points, normals, low)
         return
-    floor = found_in("upright", points, normals, low)
+    floor = present(found_in("upright", points, normals, low))
     assert abs(floor.plane_world[3]) < 0.003
     assert any("only 92% of the cameras look down on the plane" in line for line in floor.choice.warnings())
-    assert found_in("upright", points, normals).choice.warnings() == ()
+    assert present(found_in("upright", points, normals)).choice.warnings() == ()
 
 
-def table_in_a_corner():
+def table_in_a_corner() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A table of 0.7 x 0.5 m, fronts of lower things behind it, and a wall at its left; no floor."""
     rng = np.random.default_rng(0)
     parts = [
@@ -117,26 +137,27 @@ def table_in_a_corner():
         patch((-0.3, 0.3), (-0.4, -0.1), 0.6, 0, 0.002, rng),
         patch((-1.0, 1.0), (-0.3, 0.9), -0.8, 0, 0.002, rng),  # the wall, normal along x
     ]
-    return tuple(np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    points, normals = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    return points, normals
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_a_refused_plane_makes_no_other_one_likelier(world):
+def test_a_refused_plane_makes_no_other_one_likelier(world: str) -> None:
     """Much lies lower than the table, nothing beyond the wall: it is the table, and that is told."""
     points, normals = table_in_a_corner()
     before = CAMERAS[CAMERAS[:, 0, 3] > -0.6]  # before the wall
-    floor = found_in(world, points, normals, before)
+    floor = present(found_in(world, points, normals, before))
     up = WORLDS[world][:3, :3] @ [0, 0, 1]
-    assert np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ up))) < 0.5
+    assert np.degrees(np.arccos(min(1.0, float(floor.plane_world[:3] @ up)))) < 0.5
     assert abs(floor.plane_world[:3] @ WORLDS[world][:3, 3] + floor.plane_world[3]) < 0.003
-    chosen, others = floor.choice.chosen, [each for each in floor.choice.candidates if each.reason]
+    chosen, others = present(floor.choice.chosen), [each for each in floor.choice.candidates if each.reason]
     assert chosen.reason == "" and chosen.plane[:3] @ up > 0.99
     assert others and all(each.reason in REASONS for each in others)
     lower = f"{chosen.below_share:.0%} of the surface lies lower than the plane"
     assert any(lower in line for line in floor.choice.warnings())
 
 
-def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
+def test_a_top_above_what_is_seen_right_below_it_is_no_floor() -> None:
     """A chair on a floor without depth: where its seat is its legs are, too."""
     rng = np.random.default_rng(0)
     seat = patch((-0.2, 0.2), (-0.2, 0.2), 0.45, 2, 0.002, rng)
@@ -146,10 +167,16 @@ def test_a_top_above_what_is_seen_right_below_it_is_no_floor():
         found_in("upright", points, normals)
 
 
-def candidate(reason, share, turn_deg=0.0, **figures):
+def candidate(reason: Reason, share: float, turn_deg: float = 0.0, **figures: float) -> PlaneCandidate:
     turn = np.radians(turn_deg)
     plane = np.array([np.sin(turn), 0.0, np.cos(turn), -0.7])
-    known = {"above_share": 1.0, "below_share": 0.0, "under_share": 0.0, "tilt_rad": turn, "way": 0}
+    known: dict[str, Any] = {
+        "above_share": 1.0,
+        "below_share": 0.0,
+        "under_share": 0.0,
+        "tilt_rad": turn,
+        "way": 0,
+    }
     return PlaneCandidate(plane, round(10_000 * share), share, **{**known, **figures}, reason=reason)
 
 
@@ -157,7 +184,9 @@ def candidate(reason, share, turn_deg=0.0, **figures):
 @pytest.mark.parametrize(
     "reason, figures", [("top", {"under_share": 0.2}), ("cameras", {"above_share": 0.79}), ("clutter", {})]
 )
-def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(reason, figures, turn_deg):
+def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(
+    reason: Reason, figures: dict[str, float], turn_deg: float
+) -> None:
     floor = candidate("", 0.012)
     (line,) = PlaneChoice(floor, (floor, candidate(reason, 0.6, turn_deg, **figures))).warnings()
     assert "1% of the surface lies on the plane that was taken for the floor, and 60% on" in line
@@ -174,12 +203,12 @@ def test_a_refused_plane_that_outweighs_the_floor_is_told_with_its_reason(reason
         candidate("lower", 0.6),
     ],
 )
-def test_a_refused_plane_that_is_none_is_not_told(other):
+def test_a_refused_plane_that_is_none_is_not_told(other: PlaneCandidate) -> None:
     floor = candidate("", 0.2)
     assert PlaneChoice(floor, (floor, other)).warnings() == ()
 
 
-def test_frame_of_the_floor():
+def test_frame_of_the_floor() -> None:
     normal = np.array([0.1, 0.2, 0.97])
     normal /= np.linalg.norm(normal)
     plane = np.append(normal, -0.35)
@@ -199,7 +228,7 @@ def test_frame_of_the_floor():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_degenerate_x_axis_uses_z(sign):
+def test_degenerate_x_axis_uses_z(sign: float) -> None:
     T_floor_world = floor_frame(np.array([sign, 0.0, 0.0, 0.4]))
     np.testing.assert_allclose(T_floor_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(T_floor_world[:3, :3] @ [1, 0, 0], [0, 0, sign], atol=1e-12)

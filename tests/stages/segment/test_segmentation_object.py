@@ -5,9 +5,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from analytic_scenes import CAMERA, depth_of, look_at, ring, scene_of, sphere
+from analytic_scenes import CAMERA, depth_of, ring, scene_of, sphere
 from analytic_scenes import box as box_surface
 from analytic_scenes import plane as plane_surface
+from numpy.typing import NDArray
 from raising import raises
 
 from kinectbench.core.errors import SegmentationError
@@ -16,7 +17,9 @@ from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.voxels.surface_points import surface_points
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.sample_views.masks import (
@@ -33,7 +36,9 @@ from kinectbench.stages.segment.find.select import fit_box, select_object
 pytestmark = pytest.mark.xdist_group("segmentation")
 
 
-def box_points(low, high, step_m=0.02):
+def box_points(
+    low: tuple[float, float, float], high: tuple[float, float, float], step_m: float = 0.02
+) -> NDArray[np.float64]:
     """Points on the surface of an upright box without its bottom."""
     axes = [np.arange(a, b + step_m / 2, step_m) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
@@ -48,7 +53,7 @@ def box_points(low, high, step_m=0.02):
 # --- select
 
 
-def test_the_piece_nearest_to_the_target_is_chosen():
+def test_the_piece_nearest_to_the_target_is_chosen() -> None:
     floor = np.column_stack([np.random.default_rng(0).uniform(-1, 1, (3000, 2)), np.zeros(3000)])
     near, far = box_points((-0.2, -0.2, 0.0), (0.2, 0.2, 0.4)), box_points((0.5, -0.3, 0.0), (1.5, 0.3, 0.8))
     points = np.concatenate([floor, near, far])
@@ -61,13 +66,13 @@ def test_the_piece_nearest_to_the_target_is_chosen():
     np.testing.assert_array_equal(chosen, ~in_near & above)
 
 
-def test_specks_are_not_chosen():
+def test_specks_are_not_chosen() -> None:
     thing, speck = box_points((0.5, 0.5, 0.0), (0.9, 0.9, 0.5)), np.array([[0.0, 0.0, 0.3]])
     chosen = select_object(np.concatenate([thing, speck]), 0.02, np.array([0.0, 0.0, 0.3]))
     assert chosen[: len(thing)].sum() > 0 and not chosen[-1]
 
 
-def test_nothing_on_the_floor():
+def test_nothing_on_the_floor() -> None:
     floor = np.column_stack([np.random.default_rng(0).uniform(-1, 1, (3000, 2)), np.full(3000, 0.01)])
     with raises(SegmentationError, "segmentation.no-object", match="nothing"):
         select_object(floor, 0.02, np.zeros(3))
@@ -76,7 +81,7 @@ def test_nothing_on_the_floor():
         select_object(np.concatenate([floor, specks]), 0.02, np.zeros(3))
 
 
-def test_optical_axes_converge_where_the_cameras_look():
+def test_optical_axes_converge_where_the_cameras_look() -> None:
     target = (0.3, -0.2, 0.5)
     np.testing.assert_allclose(convergence_point(ring(9, 1.4, target, (0.2, 0.6))), target, atol=0.005)
     one = ring(1, 1.4, target)  # a single axis: a point ahead of the camera, not at infinity
@@ -84,7 +89,7 @@ def test_optical_axes_converge_where_the_cameras_look():
     np.testing.assert_allclose(at, [0, 0, 1.5], atol=1e-6)
 
 
-def test_surface_points_weigh_area_not_vertices():
+def test_surface_points_weigh_area_not_vertices() -> None:
     """A square of few large triangles' vertices and a dense one give one point a cell either way."""
     a, b = np.meshgrid(np.arange(0, 0.3, 0.002), np.arange(0, 0.3, 0.002), indexing="ij")
     n = len(a)
@@ -107,7 +112,7 @@ def test_surface_points_weigh_area_not_vertices():
 
 
 @pytest.mark.parametrize("yaw_deg", [-44.0, -20.0, 0.0, 13.0, 44.0, 70.0, 135.0, -91.0])
-def test_box_has_a_unique_yaw_and_the_right_size(yaw_deg):
+def test_box_has_a_unique_yaw_and_the_right_size(yaw_deg: float) -> None:
     yaw = np.radians(yaw_deg)
     points = box_points((-0.3, -0.15, 0.02), (0.3, 0.15, 0.7), 0.01)
     points = points @ yaw_rotation(yaw).T + [1.0, -0.5, 0.0]
@@ -120,7 +125,7 @@ def test_box_has_a_unique_yaw_and_the_right_size(yaw_deg):
     np.testing.assert_allclose(fitted.center_m, [1.0, -0.5, 0.35], atol=0.002)
 
 
-def test_box_with_a_given_yaw_and_a_speck():
+def test_box_with_a_given_yaw_and_a_speck() -> None:
     points = box_points((-0.3, -0.15, 0.0), (0.3, 0.15, 0.7), 0.01)
     speck = np.array([[0.9, 0.9, 1.5]])
     fitted = fit_box(np.concatenate([points, speck]), yaw_rad=0.0)
@@ -132,7 +137,7 @@ def test_box_with_a_given_yaw_and_a_speck():
 
 
 @pytest.fixture(scope="module")
-def two_things():
+def two_things() -> tuple[TriangleMesh, Trajectory]:
     """A box where the cameras look, another one beside it, on a floor."""
     surfaces = [
         box_surface((-0.15, -0.1, 0.0), (0.15, 0.1, 0.3)),
@@ -144,7 +149,7 @@ def two_things():
     return fuse(sequence, trajectory, FusionSettings(max_depth_m=1.7)).mesh, trajectory
 
 
-def test_segment_finds_the_box_the_cameras_look_at(two_things):
+def test_segment_finds_the_box_the_cameras_look_at(two_things: tuple[TriangleMesh, Trajectory]) -> None:
     mesh, trajectory = two_things
     found = find_floor_and_object(mesh, trajectory, None, SegmentationSettings())
     assert found.how == "automatic"
@@ -157,7 +162,7 @@ def test_segment_finds_the_box_the_cameras_look_at(two_things):
     assert ((found.object_cells + 0.5) * 0.03)[:, 0].max() < 0.22
 
 
-def test_a_given_box_wins(two_things):
+def test_a_given_box_wins(two_things: tuple[TriangleMesh, Trajectory]) -> None:
     mesh, trajectory = two_things
     given = OrientedBox((0.4, 0.0, 0.15), (0.24, 0.24, 0.3), 0.1)
     found = find_floor_and_object(mesh, trajectory, given, SegmentationSettings())
@@ -169,7 +174,9 @@ def test_a_given_box_wins(two_things):
 
 
 @pytest.mark.parametrize("given", [None, OrientedBox((0.02, 0.0, 0.2), (0.5, 0.3, 0.36), 0.4)])
-def test_excluded_against_a_walk_over_voxels(two_things, given):
+def test_excluded_against_a_walk_over_voxels(
+    two_things: tuple[TriangleMesh, Trajectory], given: OrientedBox | None
+) -> None:
     """A turned upright grid; every voxel is judged by its own centre."""
     mesh, trajectory = two_things
     found = find_floor_and_object(mesh, trajectory, given, SegmentationSettings())
@@ -196,7 +203,7 @@ def test_excluded_against_a_walk_over_voxels(two_things, given):
 # --- masks
 
 
-def test_agreement_tolerance_is_the_larger_of_five_sigma_and_the_setting():
+def test_agreement_tolerance_is_the_larger_of_five_sigma_and_the_setting() -> None:
     rendered = np.array([[1.0, 1.0, 1.0, 1.0, 0.0, 2.5, 2.5]], np.float32)
     sigma = depth_sigma_m(2.5)
     assert 5 * sigma > 0.03
@@ -231,7 +238,7 @@ def test_depth_that_wandered_along_an_edge_is_the_objects() -> None:
     np.testing.assert_array_equal(mask, expected)
 
 
-def test_the_fringe_of_a_mask():
+def test_the_fringe_of_a_mask() -> None:
     """A pixel beside the silhouette is the object's if its depth agrees and it is clear of the floor."""
     rendered = np.zeros((5, 7), np.float32)
     rendered[1:4, 1:3] = 1.0
@@ -257,7 +264,7 @@ def test_the_fringe_of_a_mask():
     np.testing.assert_array_equal(object_mask(measured, rendered, heights, 0.03, 0.02)[3, 1:3], [False, True])
 
 
-def test_inner_silhouette_is_two_pixels_smaller():
+def test_inner_silhouette_is_two_pixels_smaller() -> None:
     rendered = np.zeros((20, 30), np.float32)
     rendered[4:16, 5:25] = 1.3
     rendered[10, 15] = 0  # a hole grows by two pixels as well
@@ -272,7 +279,7 @@ def save(path: Path, mask: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", ["003", "frame_000024", "frame_24"])
-def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path):
+def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     automatic, replaced, include, exclude = rng.random((4, 12, 16)) < 0.5
 
@@ -289,14 +296,14 @@ def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path):
     np.testing.assert_array_equal(overridden("004", 3), automatic)
 
 
-def test_two_masks_of_one_image_are_refused(tmp_path: Path):
+def test_two_masks_of_one_image_are_refused(tmp_path: Path) -> None:
     for name in ("003.exclude.png", "frame_24.exclude.png"):
         save(tmp_path / name, np.ones((12, 16), bool))
     with raises(SegmentationError, "segmentation.bad-mask", match="frame_24.exclude.png and 003.exclude.png"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "003", 24)
 
 
-def test_files_that_are_no_views_mask(tmp_path: Path):
+def test_files_that_are_no_views_mask(tmp_path: Path) -> None:
     for name in ("000.png", "001.exclude.png", "000.PNG", "001.includes.png", "7.png", "002.jpg", ".cache"):
         (tmp_path / name).touch()
     for name in ("frame_7.png", "frame_8.exclude.png", "frame_x.png", "masks.json"):
@@ -308,14 +315,14 @@ def test_files_that_are_no_views_mask(tmp_path: Path):
     assert waiting.endswith("not used, as their frames are no views: frame_8.exclude.png")
 
 
-def test_override_of_another_size(tmp_path: Path):
+def test_override_of_another_size(tmp_path: Path) -> None:
     save(tmp_path / "000.png", np.ones((24, 32), bool))
     with raises(SegmentationError, "segmentation.mask-size", match=r"000\.png.*32x24.*16x12.*depth"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89PNG\r\n\x1a\n\x00\x00\x00\x0dIHDR"])
-def test_damaged_override(tmp_path: Path, content: bytes):
+def test_damaged_override(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "000.exclude.png").write_bytes(content)
     with raises(SegmentationError, "segmentation.bad-mask", match=r"000\.exclude\.png.*not"):
         override_mask(np.ones((12, 16), bool), read_masks(tmp_path), "000", 0)
@@ -324,7 +331,7 @@ def test_damaged_override(tmp_path: Path, content: bytes):
 # --- render
 
 
-def test_rendered_rectangle_is_analytic_at_pixel_centres():
+def test_rendered_rectangle_is_analytic_at_pixel_centres() -> None:
     vertices = np.array([[-0.4, -0.3, 0.1], [0.4, -0.3, 0.1], [0.4, 0.3, 0.1], [-0.4, 0.3, 0.1]])
     renderer = DepthRenderer(TriangleMesh(vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32)))
     T = look_at(np.array([0.5, -0.9, 0.9]), np.array([0.0, 0.0, 0.1]))
@@ -339,7 +346,7 @@ def test_rendered_rectangle_is_analytic_at_pixel_centres():
     assert (slack > 0).sum() > 5000
 
 
-def test_rendered_sphere_has_no_half_pixel_shift():
+def test_rendered_sphere_has_no_half_pixel_shift() -> None:
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=6, radius=0.2)

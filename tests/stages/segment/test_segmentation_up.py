@@ -4,21 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_scenes import ring
+from analytic_scenes import CAMERA, ring, sequence_of
+from numpy.typing import NDArray
 from raising import raises
+from typed import present
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
-from kinectbench.core.sequence import GivenTrajectory, UpSample
+from kinectbench.core.sequence import GivenTrajectory, Sequence, UpSample
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.stages.segment.find.floor import find_floor, floor_cut_m, low_cut_m
+from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, low_cut_m
 from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
 
 WORLD = rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7])
 UP = WORLD[:3, :3] @ [0, 0, 1]
 
 
-def arc(elevation_deg, roll_deg=0.0, distance_m=1.5, count=12, share=0.15):
+def arc(
+    elevation_deg: float, roll_deg: float = 0.0, distance_m: float = 1.5, count: int = 12, share: float = 0.15
+) -> NDArray[np.float64]:
     """Some cameras of a ring, an arc of 54 degrees, each turned about its axis; world frame."""
     poses = ring(round(count / share), distance_m, (0, 0, 0.1), (np.radians(elevation_deg),))[:count]
     turn = np.radians(roll_deg)
@@ -27,38 +31,51 @@ def arc(elevation_deg, roll_deg=0.0, distance_m=1.5, count=12, share=0.15):
     return WORLD @ poses @ roll
 
 
-def patch(center, u, v, noise_m=0.002, step_m=0.02, seed=0):
+def patch(
+    center: NDArray[np.float64] | tuple[float, float, float],
+    u: NDArray[np.float64] | tuple[float, float, float],
+    v: tuple[float, float, float],
+    noise_m: float = 0.002,
+    step_m: float = 0.02,
+    seed: int = 0,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points on a rectangle about a centre, spanned by two half edges (3,), and normals; world frame."""
     rng = np.random.default_rng(seed)
-    u, v = np.array(u, float), np.array(v, float)
-    a, b = (np.arange(-np.linalg.norm(w), np.linalg.norm(w), step_m) for w in (u, v))
+    along, across = np.array(u, float), np.array(v, float)
+    a, b = (np.arange(-np.linalg.norm(w), np.linalg.norm(w), step_m) for w in (along, across))
     a, b = (each.ravel() for each in np.meshgrid(a, b))
-    normal = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
-    points = np.array(center) + np.outer(a, u / np.linalg.norm(u)) + np.outer(b, v / np.linalg.norm(v))
+    normal = np.cross(along, across) / np.linalg.norm(np.cross(along, across))
+    points = np.array(center) + np.outer(a, along / np.linalg.norm(along))
+    points = points + np.outer(b, across / np.linalg.norm(across))
     points += rng.normal(0, noise_m, (len(a), 1)) * normal
     normals = normal + rng.normal(0, 0.02, points.shape)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return transform_points(WORLD, points), normals @ WORLD[:3, :3].T
 
 
-def joined(*patches):
-    return tuple(np.concatenate([each[k] for each in patches]) for k in (0, 1))
+def joined(
+    *patches: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points, normals = (np.concatenate([each[k] for each in patches]) for k in (0, 1))
+    return points, normals
 
 
 FLOOR = patch((0, 0, 0), (0.8, 0, 0), (0, 0.8, 0))
 FOCUS = transform_points(WORLD, np.array([0, 0, 0.1]))
 
 
-def off(floor):
+def off(floor: Floor) -> tuple[float, float]:
     """Angle to the true floor, degrees, and height of the true origin above the plane, metres."""
-    angle = np.degrees(np.arccos(min(1.0, floor.plane_world[:3] @ UP)))
+    angle = np.degrees(np.arccos(min(1.0, float(floor.plane_world[:3] @ UP))))
     return angle, floor.plane_world[:3] @ WORLD[:3, 3] + floor.plane_world[3]
 
 
 @pytest.mark.parametrize("elevation_deg", [20, 45, 60, 70, 80])
 @pytest.mark.parametrize("roll_deg", [0, 90, -90, 20])
 @pytest.mark.parametrize("distance_m", [0.5, 1.5])
-def test_the_floor_is_found_whichever_way_the_cameras_look(elevation_deg, roll_deg, distance_m):
+def test_the_floor_is_found_whichever_way_the_cameras_look(
+    elevation_deg: float, roll_deg: float, distance_m: float
+) -> None:
     cameras = arc(elevation_deg, roll_deg, distance_m)
     angle_deg, height_m = off(find_floor(*FLOOR, cameras, FOCUS, 0))
     assert angle_deg < 0.3 and abs(height_m) < 0.002
@@ -66,7 +83,7 @@ def test_the_floor_is_found_whichever_way_the_cameras_look(elevation_deg, roll_d
 
 @pytest.mark.parametrize("elevation_deg", [0, 10, 25])
 @pytest.mark.parametrize("roll_deg", [0, 5])
-def test_a_wall_that_is_looked_at_straight_on_is_no_floor(elevation_deg, roll_deg):
+def test_a_wall_that_is_looked_at_straight_on_is_no_floor(elevation_deg: float, roll_deg: float) -> None:
     cameras = arc(elevation_deg, roll_deg, share=0.05)
     toward = (WORLD[:3, :3].T @ -cameras[:, :3, 2].mean(axis=0)) * [1, 1, 0]
     toward /= np.linalg.norm(toward)
@@ -76,7 +93,7 @@ def test_a_wall_that_is_looked_at_straight_on_is_no_floor(elevation_deg, roll_de
         find_floor(*wall, cameras, FOCUS, 0)
 
 
-def test_cameras_held_upside_down_are_told_by_gravity_and_doubted_without_it():
+def test_cameras_held_upside_down_are_told_by_gravity_and_doubted_without_it() -> None:
     cameras = arc(40, 180)
     for hint, doubted in ((FloorHint(), True), (FloorHint(up_world=UP), False)):
         floor = find_floor(*FLOOR, cameras, FOCUS, 0, hint)
@@ -87,7 +104,7 @@ def test_cameras_held_upside_down_are_told_by_gravity_and_doubted_without_it():
         assert all("`kinectbench build` writes the numbers to build/" in line for line in floor.warnings)
 
 
-def test_gravity_keeps_a_slanted_board_from_being_the_floor():
+def test_gravity_keeps_a_slanted_board_from_being_the_floor() -> None:
     # Larger than the floor, it faces the cameras more squarely.
     slant = np.radians(50)
     board = patch((0, 0, 0.9), (1.2, 0, 0), (0, 1.2 * np.cos(slant), 1.2 * np.sin(slant)), seed=1)
@@ -98,7 +115,7 @@ def test_gravity_keeps_a_slanted_board_from_being_the_floor():
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
-def test_near_a_board_on_the_floor_is_not_taken_for_floor(share):
+def test_near_a_board_on_the_floor_is_not_taken_for_floor(share: float) -> None:
     side = 0.4 * np.sqrt(share)
     board = patch((0, 0, 0.02), (side, 0, 0), (0, side, 0), 0.001, 0.01, seed=1)
     around = patch((0, 0, 0), (0.4, 0, 0), (0, 0.4, 0), 0.001, 0.01)
@@ -109,7 +126,7 @@ def test_near_a_board_on_the_floor_is_not_taken_for_floor(share):
     assert floor.scale == pytest.approx(0.5, abs=0.01)
 
 
-def test_cuts_shrink_with_the_cameras_distance():
+def test_cuts_shrink_with_the_cameras_distance() -> None:
     from kinectbench.settings.models import SegmentationSettings
 
     settings = SegmentationSettings()
@@ -120,7 +137,7 @@ def test_cuts_shrink_with_the_cameras_distance():
     assert low_cut_m(replace(near, noise_m=0.1), settings) == floor_cut_m(near, settings)
 
 
-def test_a_persons_plane_is_taken_as_it_is():
+def test_a_persons_plane_is_taken_as_it_is() -> None:
     plane = np.append(UP, 0.123)
     floor = find_floor(*FLOOR, arc(45), FOCUS, 0, FloorHint(plane_world=plane))
     np.testing.assert_array_equal(floor.plane_world, plane)
@@ -130,7 +147,7 @@ def test_a_persons_plane_is_taken_as_it_is():
 
 
 @pytest.mark.parametrize(("turn_deg", "told"), [(0, 0), (20, 0), (40, 1), (90, 1)])
-def test_a_persons_plane_off_gravity_is_told(turn_deg, told):
+def test_a_persons_plane_off_gravity_is_told(turn_deg: float, told: int) -> None:
     """By the tolerance of the planes that are found, and not where gravity is not known."""
     right = np.cross(UP, [1.0, 0, 0]) / np.linalg.norm(np.cross(UP, [1.0, 0, 0]))
     normal = np.cos(np.radians(turn_deg)) * UP + np.sin(np.radians(turn_deg)) * right
@@ -143,39 +160,37 @@ def test_a_persons_plane_off_gravity_is_told(turn_deg, told):
     assert find_floor(*FLOOR, cameras, FOCUS, 0, FloorHint(None, plane)).against == ()
 
 
-class Recorded:
-    """What `floor_hint` looks at of a sequence."""
-
-    def __init__(self, given, up_world, up_cameras=()):
-        self.given_trajectory, self.up_world, self.up_cameras = given, up_world, up_cameras
-        self.stamps_ns = np.arange(12, dtype=np.int64) * 10**8
-
-    def depth_m(self, index):
-        return np.full((48, 64), 1.2, np.float32)
+def of_a_wall(
+    given: GivenTrajectory | None,
+    up_world: NDArray[np.float64] | None,
+    up_cameras: tuple[UpSample, ...] = (),
+) -> Sequence:
+    sequence = sequence_of([np.full((CAMERA.height, CAMERA.width), 1.2, np.float32)] * 12)
+    return replace(sequence, given_trajectory=given, up_world=up_world, up_cameras=up_cameras)
 
 
-def test_gravity_is_taken_over_into_the_world_of_the_poses_that_are_used():
+def test_gravity_is_taken_over_into_the_world_of_the_poses_that_are_used() -> None:
     cameras, other = arc(45), invert_rigid(arc(45)[0])
     given = GivenTrajectory(np.arange(12, dtype=np.int64) * 10**8, cameras)
     used = Trajectory(given.stamps_ns, other @ cameras, "tracked")
-    hint = floor_hint(Recorded(given, UP), used, (0, 0, 2, 1))
-    np.testing.assert_allclose(hint.up_world, other[:3, :3] @ UP, atol=1e-9)
-    np.testing.assert_allclose(hint.plane_world, [0, 0, 1, 0.5])
-    assert floor_hint(Recorded(given, None), used).up_world is None
-    assert floor_hint(Recorded(None, UP), used).up_world is None
+    hint = floor_hint(of_a_wall(given, UP), used, (0, 0, 2, 1))
+    np.testing.assert_allclose(present(hint.up_world), other[:3, :3] @ UP, atol=1e-9)
+    np.testing.assert_allclose(present(hint.plane_world), [0, 0, 1, 0.5])
+    assert floor_hint(of_a_wall(given, None), used).up_world is None
+    assert floor_hint(of_a_wall(None, UP), used).up_world is None
 
 
-def test_up_by_an_accelerometer_needs_no_given_poses():
+def test_up_by_an_accelerometer_needs_no_given_poses() -> None:
     cameras = arc(45)
     stamps_ns = np.arange(12, dtype=np.int64) * 10**8
     used = Trajectory(stamps_ns, cameras, "tracked")
     ups = [UpSample(int(stamps_ns[k]), tuple(cameras[k, :3, :3].T @ UP)) for k in (1, 5, 9)]
     # One of a frame that is not there.
     ups.append(UpSample(7, (1.0, 0.0, 0.0)))
-    hint = floor_hint(Recorded(None, None, tuple(ups)), used)
-    np.testing.assert_allclose(hint.up_world, UP, atol=1e-9)
+    hint = floor_hint(of_a_wall(None, None, tuple(ups)), used)
+    np.testing.assert_allclose(present(hint.up_world), UP, atol=1e-9)
     other_sign = tuple(UpSample(each.stamp_ns, tuple(-np.array(each.up_camera))) for each in ups[:3])
-    assert floor_hint(Recorded(None, None, other_sign), used).up_world is None
+    assert floor_hint(of_a_wall(None, None, other_sign), used).up_world is None
     # Poses of an object that is turned about agree on no direction.
     turned = Trajectory(stamps_ns, np.stack([arc(45, 120 * k)[k] for k in range(12)]), "tracked")
-    assert floor_hint(Recorded(None, None, tuple(ups[:3])), turned).up_world is None
+    assert floor_hint(of_a_wall(None, None, tuple(ups[:3])), turned).up_world is None

@@ -1,7 +1,6 @@
 """What quality.json warns of, of solids written down by hand."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +8,10 @@ from evidence_by_hand import shape_of
 from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.boxes import OrientedBox
+from kinectbench.core.types import Underside
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.estimate import IouEstimate
 from kinectbench.stages.segment.judge.frontiers import LEAST_UNDERSIDE_SHARE
 from kinectbench.stages.segment.judge.quality import (
@@ -25,11 +28,13 @@ def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
     solid = np.zeros((8, 8, 20), bool)
     solid[2:6, 2:6, low:16] = True
     solid[2:6, 2:6, 12] = not parted
-    vertices = np.argwhere(solid) * 0.01
+    vertices = np.argwhere(solid) * np.float64(0.01)
     mesh = TriangleMesh(vertices, np.zeros((0, 3), np.int64))
     shape = shape_of(solid, mesh=mesh)
-    floor = SimpleNamespace(found=True, T_floor_world=np.eye(4))
-    warnings = _unsupported(SimpleNamespace(floor=floor), shape)
+    no_cells = np.zeros((0, 3), np.int64)
+    floor = Floor(np.array([0.0, 0, 1, 0]), np.eye(4), 0.001, 0.5)
+    chosen = Segmentation(floor, OrientedBox((0, 0, 0), (1, 1, 1)), no_cells, no_cells, "automatic")
+    warnings = _unsupported(chosen, shape)
     assert [line[:34] for line in warnings] == (
         ["the solid begins 0.06 m above the "] * (low > 0) + ["the solid is in 2 large pieces tha"] * parted
     )
@@ -39,7 +44,7 @@ def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
 def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool) -> None:
     solid = np.zeros((8, 8, 20), bool)
     solid[2:6, 2:6, :16] = True
-    vertices = np.argwhere(solid) * 0.01
+    vertices = np.argwhere(solid) * np.float64(0.01)
     shape = shape_of(solid, mesh=TriangleMesh(vertices, np.zeros((0, 3), np.int64)))
     estimate = IouEstimate(0.7, 0.3, 0.9, 0.8, 0.9, 0.8, 1.0, ("an opening that nobody looked into",) * told)
     lines = _warnings([], shape, 0.95, estimate, ("record from above",) * told, 0.5)
@@ -55,7 +60,7 @@ def test_where_an_opening_says_from_where_to_record_nothing_else_does(told: bool
 def test_a_surface_that_may_be_far_off_is_not_good_without_a_word(measured_low: float, lines: int) -> None:
     solid = np.zeros((40, 40, 40), bool)
     solid[5:35, 5:35, :30] = True
-    mesh = TriangleMesh(np.argwhere(solid) * 0.01, np.zeros((0, 3), np.int64))
+    mesh = TriangleMesh(np.argwhere(solid) * np.float64(0.01), np.zeros((0, 3), np.int64))
     estimate = IouEstimate(0.89, 0.7, 1.0, measured_low, 0.9, 0.8, 1.0, ())
     found = _warnings([], shape_of(solid, mesh=mesh), 0.95, estimate, (), 0.0)
     assert len(found) == lines and all("IoU of the solid to the truth is 0.75" in line for line in found)
@@ -78,7 +83,7 @@ def test_a_loose_piece_is_told_with_its_size_and_distance() -> None:
 
 @pytest.mark.parametrize("word", ["unseen", "closed", "open"])
 @pytest.mark.parametrize("over", [False, True])
-def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: str, over: bool) -> None:
+def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: Underside, over: bool) -> None:
     solid = np.ones((10, 10, 10), bool)
     underside = np.zeros_like(solid)
     underside.reshape(-1)[: round(1000 * LEAST_UNDERSIDE_SHARE) + over] = True

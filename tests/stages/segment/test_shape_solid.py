@@ -64,7 +64,7 @@ def assert_is(shape: SolidShape, distance_m: np.ndarray) -> None:
 BOX = ((0.06, 0.05, 0.0), (0.26, 0.19, 0.3))
 
 
-def test_a_box_seen_from_outside_is_filled():
+def test_a_box_seen_from_outside_is_filled() -> None:
     distance_m = box_distance(*BOX)
     shape = solid_of(observation(distance_m))
     assert_is(shape, distance_m)
@@ -77,7 +77,7 @@ def test_a_box_seen_from_outside_is_filled():
     assert (shape.labels[(distance_m > VOXEL_M) & high] == Label.FREE).all()
 
 
-def test_a_void_that_nobody_can_have_looked_into_is_filled_but_not_known():
+def test_a_void_that_nobody_can_have_looked_into_is_filled_but_not_known() -> None:
     distance_m = box_distance(*BOX)
     seen = observation(distance_m)
     pocket = box_distance((0.12, 0.1, 0.14), (0.2, 0.14, 0.18)) < 0
@@ -91,7 +91,7 @@ def test_a_void_that_nobody_can_have_looked_into_is_filled_but_not_known():
 
 
 @pytest.mark.parametrize(("frames", "carved"), [(2, False), (15, True)])
-def test_a_few_frames_see_through_the_last_millimetres_of_a_board(frames: int, carved: bool):
+def test_a_few_frames_see_through_the_last_millimetres_of_a_board(frames: int, carved: bool) -> None:
     """Of 200 frames two do so by their noise, all along an underside that no other frame saw."""
     within_m = box_distance((0.06, 0.05, 0.0), (0.26, 0.19, 0.3))
     height_m = centers()[..., 2]
@@ -104,7 +104,7 @@ def test_a_few_frames_see_through_the_last_millimetres_of_a_board(frames: int, c
     assert solid.mean() < 0.05 if carved else solid.all()
 
 
-def test_mesh_volume_and_place():
+def test_mesh_volume_and_place() -> None:
     """Smooth where measured: the volume within 2 %, vertices on the box but at its rounded edges."""
     shape = solid_of(observation(box_distance(*BOX)))
     mesh = trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces, process=False)
@@ -117,7 +117,7 @@ def test_mesh_volume_and_place():
     assert abs(low[2]) < 0.001  # it stands on the floor
 
 
-def test_a_sphere_is_filled():
+def test_a_sphere_is_filled() -> None:
     """Held up in the air, seen from all around."""
     distance_m = np.linalg.norm(centers() - [0.16, 0.12, 0.2], axis=-1) - 0.1
     shape = solid_of(observation(distance_m))
@@ -131,10 +131,11 @@ def test_a_sphere_is_filled():
 
 def _local(shape: SolidShape) -> np.ndarray:
     T = np.linalg.inv(T_WORLD_GRID)
-    return shape.mesh.vertices @ T[:3, :3].T + T[:3, 3] - [0, 0, FLOOR_LAYERS * VOXEL_M]
+    local: np.ndarray = shape.mesh.vertices @ T[:3, :3].T + T[:3, 3] - [0, 0, FLOOR_LAYERS * VOXEL_M]
+    return local
 
 
-def test_a_bottom_that_no_camera_saw():
+def test_a_bottom_that_no_camera_saw() -> None:
     """A box whose lower side is hidden, in the air: filled down to about its bottom, not to the floor."""
     low, high = (0.06, 0.05, 0.12), (0.26, 0.19, 0.3)
     distance_m = box_distance(low, high)
@@ -153,7 +154,7 @@ def test_a_bottom_that_no_camera_saw():
     assert not (wrong & (shape.labels != Label.UNKNOWN) & (shape.labels != Label.INTERIOR)).any()
 
 
-def test_legs_grow_back_to_the_floor():
+def test_legs_grow_back_to_the_floor() -> None:
     """A table: near the floor its legs cannot be told from the floor."""
     top = box_distance((0.04, 0.03, 0.25), (0.28, 0.21, 0.3))
     legs = [box_distance((x, y, 0.0), (x + 0.03, y + 0.03, 0.26)) for x in (0.05, 0.24) for y in (0.04, 0.17)]
@@ -178,7 +179,7 @@ DISC = ((0.06, 0.04, 0.0), (0.26, 0.20, 0.016))
 BUMP = ((0.02, 0.02, 0.0), (0.05, 0.22, 0.016))
 
 
-def test_a_low_disc_belongs_to_its_column():
+def test_a_low_disc_belongs_to_its_column() -> None:
     """A foot of 16 mm lies below the floor cut of 20 mm: it is kept, because the column stands on it."""
     distance_m = np.minimum(box_distance(*COLUMN), box_distance(*DISC))
     disc = (box_distance(*DISC) < -0.6 * VOXEL_M) & (centers()[..., 2] > 0)
@@ -190,7 +191,7 @@ def test_a_low_disc_belongs_to_its_column():
     assert cut_off[disc].mean() < 0.2
 
 
-def test_a_bump_of_the_floor_is_floor():
+def test_a_bump_of_the_floor_is_floor() -> None:
     """It is as high as the disc beside it, but nothing stands on it."""
     distance_m = np.minimum.reduce([box_distance(*COLUMN), box_distance(*BUMP)])
     shape = solid_of(observation(distance_m), layers=LOW_LAYERS)
@@ -199,7 +200,7 @@ def test_a_bump_of_the_floor_is_floor():
     assert shape.solid[(box_distance(*COLUMN) < -VOXEL_M) & (centers()[..., 2] > 0)].all()
 
 
-def test_what_side_panels_enclose_under_a_shelf_is_not_solid():
+def test_what_side_panels_enclose_under_a_shelf_is_not_solid() -> None:
     """Open in front and behind; no camera looked up under the shelf."""
     shelf = box_distance((0.03, 0.04, 0.2), (0.29, 0.20, 0.22))
     panels = [box_distance((x, 0.04, 0.0), (x + 0.02, 0.20, 0.3)) for x in (0.03, 0.27)]
@@ -215,7 +216,7 @@ def test_what_side_panels_enclose_under_a_shelf_is_not_solid():
     assert shape.probability[inner].mean() < 0.2
 
 
-def test_specks_are_dropped():
+def test_specks_are_dropped() -> None:
     speck = box_distance((0.02, 0.02, 0.35), (0.03, 0.03, 0.36))
     distance_m = np.minimum(box_distance(*BOX), speck)
     shape = solid_of(observation(distance_m))
@@ -224,7 +225,7 @@ def test_specks_are_dropped():
     assert_is(shape, box_distance(*BOX))
 
 
-def test_neighbours_are_left_out():
+def test_neighbours_are_left_out() -> None:
     other = ((0.28, 0.05, 0.0), (0.31, 0.19, 0.2))
     distance_m = np.minimum(box_distance(*BOX), box_distance(*other))
     excluded = box_distance(*other) < 0.008
@@ -233,7 +234,7 @@ def test_neighbours_are_left_out():
     assert (shape.labels[excluded] == Label.OTHER).all()
 
 
-def test_a_neighbour_that_touches_is_cut_off():
+def test_a_neighbour_that_touches_is_cut_off() -> None:
     """Smoothing must not carry the object into what was excluded."""
     other = ((0.26, 0.05, 0.0), (0.31, 0.19, 0.2))
     distance_m = np.minimum(box_distance(*BOX), box_distance(*other))
@@ -243,7 +244,7 @@ def test_a_neighbour_that_touches_is_cut_off():
     solid_of(observation(distance_m), corner)
 
 
-def test_what_is_left_out_and_was_not_seen_is_air():
+def test_what_is_left_out_and_was_not_seen_is_air() -> None:
     """Beside a person's box nothing is said of what no frame saw but that it is not the object's."""
     excluded = box_distance((0.0, 0.0, 0.0), (0.3, 0.03, 0.3)) < 0
     body_m = box_distance((0.06, 0.05, -1.0), (0.26, 0.19, 0.3))
@@ -252,7 +253,7 @@ def test_what_is_left_out_and_was_not_seen_is_air():
     assert shape.probability[excluded].max() <= 0.05 and not shape.solid[excluded].any()
 
 
-def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept():
+def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept() -> None:
     """Of a couch whose underside nobody saw, near what lies below it: the neighbour has measured voxels."""
     body_m = box_distance(*BOX)
     near = body_m < -0.02  # deep inside the object, where nothing was measured
@@ -267,7 +268,7 @@ def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept():
     assert (alone.solid & measured & half).any() and not (cut.solid & measured & half).any()
 
 
-def test_never_seen_is_unknown():
+def test_never_seen_is_unknown() -> None:
     """Only the upper half of the grid was ever in a frustum."""
     distance_m = box_distance(*BOX)
     shape = solid_of(observation(distance_m, hidden=centers()[..., 2] < 0.15))
@@ -276,7 +277,7 @@ def test_never_seen_is_unknown():
     assert shape.solid[distance_m < -0.005][centers()[distance_m < -0.005][:, 2] > 0.16].all()
 
 
-def test_seen_through_beats_a_wrong_surface():
+def test_seen_through_beats_a_wrong_surface() -> None:
     """A surface that two frames measured and twenty saw through is no surface."""
     seen = observation(box_distance(*BOX))
     ghost = box_distance((0.1, 0.1, 0.33), (0.2, 0.14, 0.35)) < 0
@@ -286,7 +287,7 @@ def test_seen_through_beats_a_wrong_surface():
     assert (shape.labels[ghost] == Label.FREE).all()
 
 
-def test_nothing_at_all():
+def test_nothing_at_all() -> None:
     none = observation(np.full(SHAPE, 1.0), floor=False)
     with raises(ShapeError, "shape.no-solid", match="no solid shape"):
         solidify(none, np.zeros(SHAPE, bool), Rules(LAYERS))
@@ -296,7 +297,7 @@ def test_nothing_at_all():
 
 
 @pytest.mark.parametrize("sigma_m", [0.0005, 0.002])
-def test_sigma_of_the_surface_from_noisy_halves(sigma_m):
+def test_sigma_of_the_surface_from_noisy_halves(sigma_m: float) -> None:
     """Halves with independent errors s: their mean has s / sqrt(2)."""
     rng = np.random.default_rng(0)
     halves = []
@@ -307,7 +308,7 @@ def test_sigma_of_the_surface_from_noisy_halves(sigma_m):
     assert surface_sigma_m(*halves) == pytest.approx(sigma_m / np.sqrt(2), rel=0.05)
 
 
-def test_sigma_without_a_common_surface():
+def test_sigma_without_a_common_surface() -> None:
     one = observation(box_distance(*BOX))
     blind = Observation(GRID, one.tsdf * 0, one.weight * 0, one.free * 0, one.surface * 0)
     assert surface_sigma_m(one, blind) == VOXEL_M

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from raising import raises
+from read_pictures import read_picture
 
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, transform_points
@@ -40,7 +41,7 @@ def test_the_object_without_its_plate(plate_m: float, tmp_path: Path) -> None:
     sequence, truth = recorded(tmp_path, plate_m=plate_m)
     masks = turntable_masks(sequence)
     for index in (0, 7, 15):
-        drawn = cv2.imread(str(tmp_path / "toy.truth" / "masks" / f"{index:06d}.png"), cv2.IMREAD_GRAYSCALE)
+        drawn = read_picture(tmp_path / "toy.truth" / "masks" / f"{index:06d}.png", cv2.IMREAD_GRAYSCALE)
         true, found = (np.asarray(drawn) > 0) & (sequence.depth_m(index) > 0), masks(index)
         assert found is not None
         assert (true & found).sum() / (true | found).sum() > LEAST_IOU

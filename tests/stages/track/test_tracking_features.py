@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from tracking_scenes import SMALL, couch, frame_maps, with_depth, with_frames, without_color
+from typed import present
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.stages.track.features import (
@@ -23,7 +24,7 @@ NOTHING = Features(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 32), np.uint
 
 
 @pytest.mark.parametrize("color", [True, False])
-def test_points_lie_where_their_pixels_see_depth(color):
+def test_points_lie_where_their_pixels_see_depth(color: bool) -> None:
     sequence = couch().sequence if color else without_color(couch().sequence)
     maps = frame_maps(sequence, 3)
     found = find_features(maps)
@@ -36,7 +37,7 @@ def test_points_lie_where_their_pixels_see_depth(color):
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 1), (0, 2), (2, 4), (4, 7), (7, 4)])
-def test_a_known_motion_without_a_start(a, b):
+def test_a_known_motion_without_a_start(a: int, b: int) -> None:
     """From 0.14 to 0.3 m; registration takes over from there."""
     target, source = frame_maps(couch().sequence, a), frame_maps(couch().sequence, b)
     seen = pose_from_features(find_features(source), find_features(target), source[0].camera)
@@ -46,16 +47,16 @@ def test_a_known_motion_without_a_start(a, b):
     assert np.linalg.norm(error[:3, 3]) < 0.04 and np.degrees(rotation_angle_rad(error[:3, :3])) < 2
 
 
-def test_a_frame_matches_itself():
+def test_a_frame_matches_itself() -> None:
     found = find_features(frame_maps(couch().sequence, 0))
     pairs = match(found, found)
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
     assert len(pairs) > 0.7 * len(found.pixels)
-    T, _ = pose_from_features(found, found, couch().sequence.camera)
+    T, _ = present(pose_from_features(found, found, couch().sequence.camera))
     np.testing.assert_allclose(T, np.eye(4), atol=2e-3)
 
 
-def test_other_things_and_nothing_do_not_tell():
+def test_other_things_and_nothing_do_not_tell() -> None:
     found = find_features(frame_maps(couch().sequence, 0))
     rng = np.random.default_rng(0)
     other = Features(
@@ -68,13 +69,13 @@ def test_other_things_and_nothing_do_not_tell():
     assert match(NOTHING, found).shape == (0, 2)
 
 
-def test_an_empty_frame_has_no_features():
+def test_an_empty_frame_has_no_features() -> None:
     blank = with_depth(couch().sequence, {0: np.zeros((240, 320), np.uint16)})
     found = find_features(frame_maps(blank, 0))
     assert found.points_m.shape == (0, 3) and found.descriptors.shape == (0, 32)
 
 
-def test_shading_is_that_of_one_light():
+def test_shading_is_that_of_one_light() -> None:
     """Brightest where a surface faces the light, constant on a plane, 0 where there is no normal."""
     towards = np.array([0.45, -0.55, -0.70], np.float32)
     normals = np.zeros((2, 2, 3), np.float32)
@@ -87,7 +88,7 @@ def test_shading_is_that_of_one_light():
     assert shades[0, 0] > 250 and shades[0, 0] > shades[0, 1] > shades[1, 0] > shades[1, 1] == 0
 
 
-def test_keyframes_that_look_alike():
+def test_keyframes_that_look_alike() -> None:
     """Frames of one walk: itself seen again is likest, a neighbour is liker than the far end."""
     order = [0, 6, 23, 0]
     cache = FeatureCache(MapCache(with_frames(couch().sequence, order)))
@@ -98,7 +99,7 @@ def test_keyframes_that_look_alike():
     assert alike[0, 3] > alike[0, 1] > alike[0, 2]
 
 
-def test_likeness_of_little():
+def test_likeness_of_little() -> None:
     assert similarity([]).shape == (0, 0)
     np.testing.assert_array_equal(similarity([NOTHING, NOTHING]), np.zeros((2, 2)))
     found = find_features(frame_maps(couch().sequence, 0))
@@ -106,7 +107,7 @@ def test_likeness_of_little():
     assert np.isfinite(alike).all() and alike[0, 1] == 0
 
 
-def test_the_same_features_again():
+def test_the_same_features_again() -> None:
     maps = frame_maps(couch().sequence, 7)
     cv2.setRNGSeed(1)
     a = find_features(maps)

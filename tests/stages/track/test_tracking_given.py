@@ -4,11 +4,11 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from analytic_scenes import displaced, look_at
+from analytic_scenes import displaced
 from raising import raises
+from read_pictures import read_picture
 from tracking_scenes import (
     CORNER_VIEW,
     FLOOR,
@@ -21,10 +21,12 @@ from tracking_scenes import (
     with_depth,
     with_frames,
 )
+from typed import present
 
 from kinectbench.core.errors import TrackingError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.sequence import GivenTrajectory, Sequence
+from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
 from kinectbench.stages.track.check_given import NO_DEPTH, GivenCheck, check_given, warnings_of
@@ -165,7 +167,7 @@ def test_frames_that_are_off_by_less_than_disagrees_are_lost_and_told() -> None:
     given = GivenTrajectory(sequence.stamps_ns, poses)
     trajectory = track(replace(sequence, given_trajectory=given), "trust", SETTINGS)
     np.testing.assert_array_equal(trajectory.good_frames, np.delete(np.arange(len(poses)), wrong))
-    assert any("left out: 4 frames (10 to 13): " in line for line in trajectory.health.warnings)
+    assert any("left out: 4 frames (10 to 13): " in line for line in present(trajectory.health).warnings)
 
 
 @pytest.mark.parametrize("at", [8, 9])
@@ -204,7 +206,7 @@ def test_poses_so_far_apart_that_nothing_can_be_checked() -> None:
     assert warning == (
         "16 of 16 poses could not be checked: too little of the frames overlaps; are the poses in metres?"
     )
-    health = track(recording(poses), "trust", SETTINGS).health
+    health = present(track(recording(poses), "trust", SETTINGS).health)
     assert health.unchecked == N and "could not be checked" in health.verdict
     assert health.recommended == "ignore"
     # Nobody says that such poses are to be trusted: what follows would take minutes for nothing.
@@ -218,9 +220,9 @@ def test_a_jump_that_no_registration_bridges_is_named() -> None:
     poses[9:, 2, 3] += 0.25
     ((frame, by_m),) = checked(poses).frames.jumps
     assert frame == 9 and by_m == pytest.approx(0.25, rel=0.05)
-    health = track(recording(poses), "trust", SETTINGS).health
+    health = present(track(recording(poses), "trust", SETTINGS).health)
     assert health.recommended == "refine" and health.grade == "not good"
-    assert health.given.largest_jump_m == pytest.approx(0.25, rel=0.05)
+    assert present(health.given).largest_jump_m == pytest.approx(0.25, rel=0.05)
 
 
 def test_a_frame_that_has_nothing_to_do_with_the_others_is_found() -> None:
@@ -270,29 +272,33 @@ def test_drift_is_measured_where_the_circle_closes_and_costs_no_frame() -> None:
     # Along the floor: the median residual, which lies on it, would not tell.
     poses[:, 0, 3] += np.linspace(0, 0.06, len(poses))
     trajectory = track(circle(poses), "trust", SETTINGS)
-    given = trajectory.health.given
-    pairs = [(row.a, row.b) for row in trajectory.health.loops]
+    health = present(trajectory.health)
+    given = present(health.given)
+    pairs = [(row.a, row.b) for row in health.loops]
     assert len(pairs) >= 5
     expected_mm = np.median([60 * (b - a) / (len(poses) - 1) for a, b in pairs])
     assert given.distant_shift_m == pytest.approx(expected_mm / 1000, rel=0.15) and expected_mm > 35
-    assert trajectory.health.recommended == "refine" and trajectory.health.grade == "not good"
+    assert health.recommended == "refine" and health.grade == "not good"
     assert len(trajectory.good_frames) == len(poses)
 
 
 def test_drift_so_large_that_distant_frames_do_not_fit_is_told() -> None:
     poses = truth_of_circle()
     poses[:, 0, 3] += np.linspace(0, 0.25, len(poses))
-    health = track(circle(poses), "trust", SETTINGS).health
+    health = present(track(circle(poses), "trust", SETTINGS).health)
     assert health.recommended == "refine" and health.grade == "not good"
-    assert health.given.distant_unmatched > 0.4 or health.given.distant_shift_m > 0.05
+    given = present(health.given)
+    assert present(given.distant_unmatched) > 0.4 or present(given.distant_shift_m) > 0.05
 
 
 def test_exact_poses_of_a_circle_are_trusted() -> None:
     trajectory = track(circle(truth_of_circle()), "trust", SETTINGS)
-    health = trajectory.health
+    health = present(trajectory.health)
     assert health.recommended == "trust" and health.grade == "good" and health.warnings == ()
-    assert health.given.distant_shift_m < 0.003 and health.ties.loop == len(health.loops) > 5
-    assert health.loop_correction_m < 0.005
+    assert (
+        present(present(health.given).distant_shift_m) < 0.003 and health.ties.loop == len(health.loops) > 5
+    )
+    assert present(health.loop_correction_m) < 0.005
     np.testing.assert_array_equal(trajectory.T_world_camera, truth_of_circle())
 
 
@@ -301,7 +307,7 @@ def test_the_pictures_of_a_trusted_trajectory(tmp_path: Path) -> None:
     poses[WRONG] = displaced(poses[WRONG], (0.06, 0.0, 0.0), 0.0)
     write_pictures(tmp_path, track(circle(poses), "trust", SETTINGS))
     for name in ("trajectory.png", "health.png", "covisibility.png"):
-        image = cv2.imread(str(tmp_path / name))
+        image = read_picture(tmp_path / name)
         assert image.shape[1] > 400 and len(np.unique(image.reshape(-1, 3), axis=0)) > 10
 
 
@@ -316,18 +322,12 @@ def test_trust_leaves_a_wrong_frame_out_and_names_it() -> None:
     np.testing.assert_array_equal(
         trajectory.T_world_camera[trajectory.good_frames], np.delete(truth(), WRONG, axis=0)
     )
-    health = trajectory.health
+    health = present(trajectory.health)
     (rejected,) = health.rejected
-    assert rejected.frame == WRONG and 0.03 < rejected.shift_m < 0.11
-    assert set(rejected.json_value()) == {
-        "frame",
-        "stamp_ns",
-        "residual_mm",
-        "shift_mm",
-        "turn_deg",
-        "reason",
-    }
-    assert health.given.disagreeing == (WRONG,) and health.tracked == N - 1
+    assert rejected.frame == WRONG and 0.03 < present(rejected.shift_m) < 0.11
+    keys = {"frame", "stamp_ns", "residual_mm", "shift_mm", "turn_deg", "reason"}
+    assert set(rejected.json_value()) == keys
+    assert present(health.given).disagreeing == (WRONG,) and health.tracked == N - 1
     assert [row.state for row in health.per_frame].count("rejected") == 1
 
 
@@ -338,7 +338,7 @@ def test_trust_leaves_frames_without_depth_out() -> None:
     made = with_depth(sequence, dict.fromkeys(empty, nothing))
     trajectory = track(replace(made, given_trajectory=sequence.given_trajectory), "trust", SETTINGS)
     np.testing.assert_array_equal(trajectory.good_frames, np.setdiff1d(np.arange(N), empty))
-    stretches = trajectory.health.lost_stretches
+    stretches = present(trajectory.health).lost_stretches
     assert [(each.first_frame, each.reason) for each in stretches] == [(4, NO_DEPTH), (9, NO_DEPTH)]
 
 
@@ -350,33 +350,33 @@ def from_drift() -> Trajectory:
     return track(recording(drifting()), "refine", SETTINGS)
 
 
-def test_refine_brings_a_drifting_trajectory_closer_to_the_truth(from_drift):
+def test_refine_brings_a_drifting_trajectory_closer_to_the_truth(from_drift: Trajectory) -> None:
     before, after = errors_m(drifting(), truth()), errors_m(from_drift.T_world_camera, truth())
     assert before.max() > 0.015
     assert np.isfinite(after).all() and after.max() < 0.3 * before.max() and after.max() < 0.006
-    assert from_drift.source == from_drift.health.source == "refine"
+    assert from_drift.source == present(from_drift.health).source == "refine"
 
 
-def test_refine_stays_in_the_given_world(from_drift):
+def test_refine_stays_in_the_given_world(from_drift: Trajectory) -> None:
     apart_m = np.linalg.norm(from_drift.T_world_camera[:, :3, 3] - drifting()[:, :3, 3], axis=1)
     assert np.median(apart_m) < 2 * errors_m(drifting(), truth()).max()
 
 
-def test_drift_is_told_and_refining_recommended(from_drift):
-    given = from_drift.health.given
-    assert given.refined_distant_residual_m < 0.85 * given.distant_residual_m
-    assert given.distant_shift_m > 3 * given.median_shift_m
-    assert from_drift.health.recommended == "refine"
+def test_drift_is_told_and_refining_recommended(from_drift: Trajectory) -> None:
+    given = present(present(from_drift.health).given)
+    assert present(given.refined_distant_residual_m) < 0.85 * present(given.distant_residual_m)
+    assert present(given.distant_shift_m) > 3 * present(given.median_shift_m)
+    assert present(from_drift.health).recommended == "refine"
 
 
-def test_refine_keeps_what_is_right_already():
+def test_refine_keeps_what_is_right_already() -> None:
     trajectory = track(recording(truth()), "refine", SETTINGS)
     assert len(trajectory.good_frames) == N
     assert errors_m(trajectory.T_world_camera, truth()).max() < 0.008
-    assert trajectory.health.recommended == "trust"
+    assert present(trajectory.health).recommended == "trust"
 
 
-def test_refine_where_the_given_trajectory_says_nothing():
+def test_refine_where_the_given_trajectory_says_nothing() -> None:
     """Frames without a given pose get one from their neighbours."""
     sequence = recording()
     part = GivenTrajectory(sequence.stamps_ns[4:], truth()[4:])
@@ -388,7 +388,7 @@ def test_refine_where_the_given_trajectory_says_nothing():
 # --- ignore
 
 
-def test_ignore_ignores():
+def test_ignore_ignores() -> None:
     """A trajectory that is nonsense leaves no trace."""
     nonsense = np.stack(
         [displaced(np.eye(4), tuple(each), 40.0) for each in np.random.default_rng(0).normal(0, 1, (6, 3))]
@@ -397,4 +397,4 @@ def test_ignore_ignores():
     given = replace(bare, given_trajectory=GivenTrajectory(bare.stamps_ns, nonsense))
     a, b = track(given, "ignore", SETTINGS), track(bare, None, SETTINGS)
     assert a.T_world_camera.tobytes() == b.T_world_camera.tobytes()
-    assert a.health == b.health and a.source == "tracked" and a.health.given is None
+    assert a.health == b.health and a.source == "tracked" and present(a.health).given is None

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from analytic_scenes import box, displaced, ring, sphere
+from analytic_scenes import Surface, box, displaced, ring, sphere
 from tracking_scenes import (
     CORNER_VIEW,
     FLOOR,
@@ -15,6 +15,7 @@ from tracking_scenes import (
     walk,
     without_color,
 )
+from typed import present
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.rigid import rigid_from_twist
@@ -72,7 +73,8 @@ def constraint_of(a: int, b: int, T_a_b: np.ndarray, kind: ConstraintKind = "odo
 
 def between(poses: np.ndarray, a: int, b: int, twist: np.ndarray | None = None) -> np.ndarray:
     T = invert_rigid(poses[a]) @ poses[b]
-    return T if twist is None else T @ rigid_from_twist(twist)
+    between: np.ndarray = T if twist is None else T @ rigid_from_twist(twist)
+    return between
 
 
 def chained(poses: np.ndarray, constraints: list[Constraint]) -> np.ndarray:
@@ -99,10 +101,11 @@ def ends(constraints: list[Constraint]) -> list[tuple[int, int]]:
 
 
 def off_mm(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    return 1000 * np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
+    off_mm: np.ndarray = 1000 * np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
+    return off_mm
 
 
-def test_ties_without_errors_give_the_true_poses():
+def test_ties_without_errors_give_the_true_poses() -> None:
     """From a start that is off by centimetres and degrees; the first pose stays."""
     poses, constraints = circle_of_constraints(None)
     constraints += [
@@ -117,7 +120,7 @@ def test_ties_without_errors_give_the_true_poses():
     np.testing.assert_allclose(weights, 1, atol=1e-6)
 
 
-def test_a_loop_takes_the_drift_away():
+def test_a_loop_takes_the_drift_away() -> None:
     poses, constraints = circle_of_constraints(np.random.default_rng(1))
     start = chained(poses, constraints)
     loop = constraint_of(0, 19, between(poses, 0, 19), "loop")
@@ -128,7 +131,7 @@ def test_a_loop_takes_the_drift_away():
     assert weights[-1] > 0.3
 
 
-def test_a_wrong_loop_is_switched_off_and_moves_nothing():
+def test_a_wrong_loop_is_switched_off_and_moves_nothing() -> None:
     """Three loops are right, one claims that the far side of the circle is its beginning."""
     poses, constraints = circle_of_constraints(np.random.default_rng(2))
     loops = [constraint_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18), (2, 16))]
@@ -141,7 +144,7 @@ def test_a_wrong_loop_is_switched_off_and_moves_nothing():
 
 
 @pytest.mark.parametrize("by_m", [0.1, 0.3])
-def test_a_loop_that_is_wrong_by_little_is_switched_off_too(by_m):
+def test_a_loop_that_is_wrong_by_little_is_switched_off_too(by_m: float) -> None:
     poses, constraints = circle_of_constraints(None)
     loops = [constraint_of(a, b, between(poses, a, b), "loop") for a, b in ((0, 19), (1, 18))]
     wrong = constraint_of(5, 14, displaced(between(poses, 5, 14), (by_m, 0.0, 0.0), 0.0), "loop")
@@ -149,7 +152,7 @@ def test_a_loop_that_is_wrong_by_little_is_switched_off_too(by_m):
     assert weights[-1] < 0.05 and off_mm(found, poses).max() < 2.0
 
 
-def test_a_prior_pulls_but_ties_are_stronger():
+def test_a_prior_pulls_but_ties_are_stronger() -> None:
     """Poses believed to 50 mm that are all 20 mm to the right: the world moves there, its shape stays."""
     poses, constraints = circle_of_constraints(None)
     shifted = poses.copy()
@@ -167,9 +170,10 @@ def test_a_prior_pulls_but_ties_are_stronger():
     assert off_mm(found, expected).max() < 1.0
 
 
-def test_little_to_optimise():
+def test_little_to_optimise() -> None:
     poses = ring(3, 1.0)
-    for few, constraints in ((poses[:1], []), (poses, [])):
+    for few in (poses[:1], poses):
+        constraints: list[Constraint] = []
         found, weights = optimise(few, constraints, [])
         np.testing.assert_array_equal(found, few)
         assert len(weights) == 0
@@ -179,7 +183,7 @@ def test_little_to_optimise():
     assert off_mm(found, poses).max() < 1e-3
 
 
-def test_what_a_tie_leaves_open_stays_open():
+def test_what_a_tie_leaves_open_stays_open() -> None:
     """A constraint that knows nothing along x: a second one that knows it decides."""
     loose = INFORMATION.copy()
     loose[3, 3] = 0
@@ -193,7 +197,7 @@ def test_what_a_tie_leaves_open_stays_open():
     assert off_mm(found, poses).max() < 1.0
 
 
-def test_information_is_softened_by_what_is_systematic():
+def test_information_is_softened_by_what_is_systematic() -> None:
     """No constraint is better than tenths of a millimetre, a poor overlap is worse, unknown stays unknown."""
     sure = tie_at(0, 1, np.eye(4), 1e12 * np.eye(6), "loop", 1.0, 1.0)
     sigma = np.sqrt(np.diag(np.linalg.inv(softened(sure))))
@@ -209,7 +213,7 @@ def test_information_is_softened_by_what_is_systematic():
 # --- who sees the same
 
 
-def test_shared_views_of_a_room():
+def test_shared_views_of_a_room() -> None:
     """All of itself, half after half a field of view, nothing from behind."""
     turned = displaced(CORNER_VIEW, (0.0, 0.0, 0.0), np.degrees(np.arctan(79.5 / 131.25)))
     back = displaced(CORNER_VIEW, (0.0, 0.0, 0.0), 180.0)
@@ -220,7 +224,7 @@ def test_shared_views_of_a_room():
     assert shared_view(views[0], views[0], invert_rigid(CORNER_VIEW) @ back) == 0
 
 
-def test_covisible_pairs_of_a_circle():
+def test_covisible_pairs_of_a_circle() -> None:
     """Cameras around a ball: the nearer on the circle, the more they share; opposite ones nothing."""
     poses = ring(12, 1.2, (0.0, 0.0, 0.3))
     sequence = painted([sphere((0.0, 0.0, 0.3), 0.3)], poses)
@@ -248,12 +252,12 @@ def circle() -> tuple[Odometry, KeyframeGraph]:
     return odometry, build_graph(maps, features, odometry)
 
 
-def test_a_circle_is_closed(circle):
+def test_a_circle_is_closed(circle: tuple[Odometry, KeyframeGraph]) -> None:
     """More than 360 degrees: constraints connect its last keyframes to its first, and the drift is gone."""
     odometry, graph = circle
     keyframes = list(graph.keyframes)
     truth = noisy_circle().simulation.T_world_camera[keyframes]
-    before = np.stack([odometry.frames[k].T_segment_camera for k in keyframes])
+    before = np.stack([present(odometry.frames[k]).T_segment_camera for k in keyframes])
     drifted, closed = errors_m(before, truth), errors_m(graph.T_world, truth)
     assert np.sqrt(np.mean(closed**2)) < 0.7 * np.sqrt(np.mean(drifted**2))
     assert closed.max() < 0.015
@@ -270,7 +274,7 @@ def test_a_circle_is_closed(circle):
     )
 
 
-def test_ties_that_are_kept_are_right(circle):
+def test_ties_that_are_kept_are_right(circle: tuple[Odometry, KeyframeGraph]) -> None:
     _, graph = circle
     poses = noisy_circle().simulation.T_world_camera
     assert len(graph.constraints) > len(graph.keyframes)
@@ -289,10 +293,10 @@ def test_ties_that_are_kept_are_right(circle):
     assert len(pairs) < 12 * len(graph.keyframes)
 
 
-def test_two_places_that_look_alike_are_not_one():
+def test_two_places_that_look_alike_are_not_one() -> None:
     """The same box and ball at both ends of a walk past other things, depth only."""
 
-    def alike(x: float) -> list:
+    def alike(x: float) -> list[Surface]:
         return [box((x - 0.3, -0.2, 0.0), (x + 0.2, 0.15, 0.35)), sphere((x + 0.45, 0.3, 0.18), 0.18)]
 
     between_them = [
@@ -325,7 +329,7 @@ def test_two_places_that_look_alike_are_not_one():
     assert weights[-1] < 0.01 and off_mm(found, graph.T_world).max() < 2.0
 
 
-def test_an_empty_graph():
+def test_an_empty_graph() -> None:
     maps = MapCache(painted(ROOM, walk(2, 0.1)))
     graph = build_graph(maps, FeatureCache(maps), Odometry((None, None), {}, (), ()))
     assert graph.keyframes == () and graph.constraints == () and graph.T_world.shape == (0, 4, 4)

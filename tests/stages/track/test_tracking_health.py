@@ -93,7 +93,8 @@ def test_pose_uncertainty_is_that_of_the_ties(circle: np.ndarray, orbit: Sequenc
 def striped(wave_px: float, gain: float = 1.0) -> np.ndarray:
     rng = np.random.default_rng(0)
     image = cv2.GaussianBlur(rng.normal(size=(120, 160)).astype(np.float32), (0, 0), wave_px)
-    return np.clip(128 + gain * 40 * image / image.std(), 0, 255).astype(np.uint8)
+    striped: np.ndarray = np.clip(128 + gain * 40 * image / image.std(), 0, 255).astype(np.uint8)
+    return striped
 
 
 def test_a_smoothed_image_is_less_sharp_and_exposure_changes_nothing() -> None:

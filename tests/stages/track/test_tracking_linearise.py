@@ -1,5 +1,6 @@
 """The solver's sums against a plain reference, and its terms against numeric derivatives."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track import linearise as constants
 from kinectbench.stages.track.frame_maps import FrameMaps, Level
 from kinectbench.stages.track.linearise import linearise
+from kinectbench.stages.track.map_kernels import MIN_COSINE
 
 pytestmark = pytest.mark.xdist_group("tracking")
 
@@ -40,7 +42,8 @@ class Correspondences:
     violations: int
 
     def residuals(self, T: np.ndarray) -> np.ndarray:
-        return ((self.q - transform_points(T, self.p)) * self.n).sum(axis=1)
+        residuals: np.ndarray = ((self.q - transform_points(T, self.p)) * self.n).sum(axis=1)
+        return residuals
 
 
 def corresponding(source: Level, target: Level, T: np.ndarray, gate_m: float) -> Correspondences:
@@ -74,19 +77,21 @@ def corresponding(source: Level, target: Level, T: np.ndarray, gate_m: float) ->
         n=mean,
         sigma=sigma,
         own=p[:, 7],
-        normal_weights=p[:, 2] / p[:, 6] / np.maximum(slant_cosine(p), constants.MIN_COSINE),
+        normal_weights=p[:, 2] / p[:, 6] / np.maximum(slant_cosine(p), MIN_COSINE),
         photometric=np.abs(depth[same] - moved[same, 2]) <= 3 * sigma + 0.01,
         violations=int(behind.sum() + (near & ~same).sum() + outlying.sum()),
     )
 
 
 def slant_cosine(p: np.ndarray) -> np.ndarray:
-    return np.abs((p[:, :3] * p[:, 3:6]).sum(axis=1)) / np.linalg.norm(p[:, :3], axis=1)
+    cosine: np.ndarray = np.abs((p[:, :3] * p[:, 3:6]).sum(axis=1)) / np.linalg.norm(p[:, :3], axis=1)
+    return cosine
 
 
 def huber_weights(residuals: np.ndarray, sigma: np.ndarray | float) -> np.ndarray:
     """Of a Huber loss (as iteratively reweighted least squares), per unit of squared residual."""
-    return np.minimum(1, constants.HUBER_SIGMAS * sigma / np.abs(residuals)) / sigma**2
+    weights: np.ndarray = np.minimum(1, constants.HUBER_SIGMAS * sigma / np.abs(residuals)) / sigma**2
+    return weights
 
 
 def huber_loss(residuals: np.ndarray, sigma: np.ndarray | float) -> float:
@@ -106,19 +111,20 @@ def sampled(target: Level, T: np.ndarray, points: np.ndarray) -> np.ndarray:
     u, v = np.floor(uv).astype(int).T
     a, b = (uv - np.floor(uv)).T
     image = target.intensity.astype(np.float64)
-    return (image[v, u] * (1 - a) + image[v, u + 1] * a) * (1 - b) + (
+    sampled: np.ndarray = (image[v, u] * (1 - a) + image[v, u + 1] * a) * (1 - b) + (
         image[v + 1, u] * (1 - a) + image[v + 1, u + 1] * a
     ) * b
+    return sampled
 
 
-def numeric(function, size: int, step: float = 1e-6) -> np.ndarray:
+def numeric(function: Callable[[np.ndarray], np.ndarray], size: int, step: float = 1e-6) -> np.ndarray:
     """Central differences of a function of a vector around 0."""
     columns = [(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(size)]
     return np.stack(columns, axis=-1)
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_geometric_sums_equal_a_plain_reference(pair, level):
+def test_geometric_sums_equal_a_plain_reference(pair: tuple[FrameMaps, FrameMaps], level: int) -> None:
     target, source = (maps[level] for maps in pair)
     T = rigid_from_twist(np.array([0.01, -0.004, 0.006, 0.004, 0.003, -0.006]))
     found = corresponding(source, target, T, GATE_M)
@@ -157,7 +163,7 @@ def without_intensity(level: Level) -> Level:
     )
 
 
-def test_geometric_terms_are_derivatives_of_the_cost(pair):
+def test_geometric_terms_are_derivatives_of_the_cost(pair: tuple[FrameMaps, FrameMaps]) -> None:
     """Correspondences held fixed: J^T w J of the numeric Jacobian, and minus the gradient of the loss."""
     target, source = (without_intensity(maps[0]) for maps in pair)
     T = rigid_from_twist(np.array([-0.006, 0.008, 0.003, -0.003, 0.005, 0.004]))
@@ -176,7 +182,7 @@ def test_geometric_terms_are_derivatives_of_the_cost(pair):
     np.testing.assert_allclose(terms.gradient, -slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
 
 
-def test_photometric_terms_are_derivatives_of_the_cost(pair):
+def test_photometric_terms_are_derivatives_of_the_cost(pair: tuple[FrameMaps, FrameMaps]) -> None:
     """The step of the twist and of gain and offset is that of the full system of eight unknowns."""
     target, source = (maps[0] for maps in pair)
     T = rigid_from_twist(np.array([-0.003, 0.004, 0.002, -0.002, 0.003, 0.002]))
@@ -186,7 +192,8 @@ def test_photometric_terms_are_derivatives_of_the_cost(pair):
 
     def differences(unknowns: np.ndarray) -> np.ndarray:
         gain, offset = exposure + unknowns[6:]
-        return sampled(target, T @ rigid_from_twist(unknowns[:6]), p) - gain * own - offset
+        differences: np.ndarray = sampled(target, T @ rigid_from_twist(unknowns[:6]), p) - gain * own - offset
+        return differences
 
     sigma = constants.INTENSITY_SIGMA
     e, jacobian = differences(np.zeros(8)), numeric(differences, 8)

@@ -5,7 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from analytic_scenes import SCALE, depth_of, displaced, plane, sphere
-from tracking_scenes import CORNER_VIEW, ROOM, SMALL, PaintedFrames, frame_maps, native, painted, png, waves
+from tracking_scenes import (
+    CORNER_VIEW,
+    ROOM,
+    SMALL,
+    PaintedFrames,
+    frame_maps,
+    levels,
+    native,
+    painted,
+    png,
+    waves,
+)
 
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import depth_sigma_m
@@ -36,12 +47,12 @@ BALL_CENTER, BALL_RADIUS_M = np.array([0.1, 0.05, 1.0]), 0.2
 
 
 @pytest.mark.parametrize("camera", SIZES.values(), ids=SIZES.keys())
-def test_three_resolutions_of_any_size(camera):
+def test_three_resolutions_of_any_size(camera: Camera) -> None:
     """The finest is some 320 wide, the others a half and a fourth; a plane stays where the rays meet it."""
     maps = frame_maps(painted([BACK], np.eye(4)[None], camera=camera), 0)
-    widths = [level.camera.width for level in maps]
+    widths = [level.camera.width for level in levels(maps)]
     assert widths[0] in range(150, 331) and widths[1:] == [widths[0] // 2, widths[0] // 4]
-    for level in maps:
+    for level in levels(maps):
         assert level.depth_m.shape == (level.camera.height, level.camera.width) == level.normals.shape[:2]
         # TILTED . (z ray) = -1.6 at the centres of the larger pixels.
         expected = -1.6 / (level.camera.rays() @ TILTED)
@@ -49,7 +60,7 @@ def test_three_resolutions_of_any_size(camera):
         np.testing.assert_allclose(level.depth_m[inner], expected[inner], rtol=0.001)
 
 
-def test_a_reduced_camera_sees_the_same_rays():
+def test_a_reduced_camera_sees_the_same_rays() -> None:
     """The centre of a block of pixels lies on the mean of its rays."""
     for factor in (1, 2, 3, 4):
         small = reduced_camera(SIZES["odd"], factor)
@@ -59,17 +70,17 @@ def test_a_reduced_camera_sees_the_same_rays():
         np.testing.assert_allclose(small.rays(), blocks, atol=1e-12)
 
 
-def test_edges_stay_sharp():
+def test_edges_stay_sharp() -> None:
     """A pixel that covers two surfaces takes the nearer one, not something in between."""
     surfaces = [BACK, sphere(tuple(BALL_CENTER), BALL_RADIUS_M)]
-    for level in frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["kinect"]), 0):
+    for level in levels(frame_maps(painted(surfaces, np.eye(4)[None], camera=SIZES["kinect"]), 0)):
         wall, ball = (depth_of([each], level.camera, np.eye(4)).astype(np.float64) for each in surfaces)
         off_m = np.minimum(np.abs(level.depth_m - wall), np.where(ball > 0, np.abs(level.depth_m - ball), 9))
         on_edge = (ball == 0) & (level.depth_m < wall - 0.1)  # the ball's rim, a pixel wider
         assert off_m[~on_edge].max() < 0.06 and on_edge.mean() < 0.03
 
 
-def test_depth_out_of_range_is_not_used():
+def test_depth_out_of_range_is_not_used() -> None:
     depth_m = np.full((120, 160), 1.0, np.float32)
     depth_m[:40], depth_m[40:50], depth_m[100:] = 0.2, 0.0, 3.0
     raw = np.rint(depth_m * 1000).astype(np.uint16)
@@ -87,7 +98,7 @@ def test_depth_out_of_range_is_not_used():
 
 
 @pytest.mark.parametrize("noise", [False, True])
-def test_normals_of_a_plane_and_a_ball(noise):
+def test_normals_of_a_plane_and_a_ball(noise: bool) -> None:
     rng = np.random.default_rng(0) if noise else None
     for surfaces, limit_deg in (([BACK], 0.2), ([sphere(tuple(BALL_CENTER), BALL_RADIUS_M)], 3.0)):
         sequence = painted(surfaces, np.eye(4)[None], camera=SIZES["quarter"], noise=rng)
@@ -106,7 +117,7 @@ def test_normals_of_a_plane_and_a_ball(noise):
 
 
 @pytest.mark.parametrize("distance_m", [0.8, 1.2, 2.4])
-def test_the_noise_of_normals_is_told(distance_m):
+def test_the_noise_of_normals_is_told(distance_m: float) -> None:
     """Against the spread of a plane's normals around the true one, over what it goes with."""
     for seed in (None, 0):
         rng = None if seed is None else np.random.default_rng(seed)
@@ -118,10 +129,10 @@ def test_the_noise_of_normals_is_told(distance_m):
         assert (spread > MIN_NORMAL_NOISE) == (rng is not None)
 
 
-def test_points_lie_on_their_pixels_and_rare_directions_count():
+def test_points_lie_on_their_pixels_and_rare_directions_count() -> None:
     """A floor that fills the image and a small box: the box's sides keep most of their points."""
     sequence = painted(ROOM, CORNER_VIEW[None], camera=SIZES["quarter"], texture=waves)
-    for level in frame_maps(sequence, 0):
+    for level in levels(frame_maps(sequence, 0)):
         p = level.points.astype(np.float64)
         pixels = level.camera.project(p[:, :3])
         u, v = np.rint(pixels).astype(int).T
@@ -144,9 +155,9 @@ def test_points_lie_on_their_pixels_and_rare_directions_count():
     assert kept_of_rare > 1.5 * kept_of_floor
 
 
-def test_a_frame_without_depth_has_no_points():
+def test_a_frame_without_depth_has_no_points() -> None:
     empty = PaintedFrames([np.zeros((120, 160), np.uint16)], [None])
-    for level in frame_maps(replace(painted(ROOM, np.eye(4)[None]), frames=empty), 0):
+    for level in levels(frame_maps(replace(painted(ROOM, np.eye(4)[None]), frames=empty), 0)):
         assert len(level.points) == 0 and not level.depth_m.any() and not level.normals.any()
         assert level.normal_noise > 0
 
@@ -154,24 +165,26 @@ def test_a_frame_without_depth_has_no_points():
 # --- intensity
 
 
-def test_intensity_is_the_texture_at_each_pixel():
+def test_intensity_is_the_texture_at_each_pixel() -> None:
     sequence = painted(ROOM, CORNER_VIEW[None], camera=SIZES["kinect"], texture=waves)
     maps = frame_maps(sequence, 0)
     assert maps.has_intensity
     level = maps[0]
     expected = waves(level.camera.backproject(level.depth_m) @ CORNER_VIEW[:3, :3].T + CORNER_VIEW[:3, 3])
     assert np.median(np.abs(level.intensity - expected)) < 2.0
-    assert [each.intensity.shape for each in maps] == [each.depth_m.shape for each in maps]
+    for each in levels(maps):
+        assert each.intensity.shape == each.depth_m.shape
 
 
 @pytest.mark.parametrize("color", ["unregistered", "another size", "missing", "damaged"])
-def test_colour_that_does_not_lie_on_depth_is_not_used(color):
+def test_colour_that_does_not_lie_on_depth_is_not_used(color: str) -> None:
     sequence = painted(ROOM, CORNER_VIEW[None], texture=waves)
     frames = sequence.frames
     if color == "unregistered":
         sequence = replace(sequence, color_registered=False)
     else:
         large = np.kron(np.full((120, 160), 99.0), np.ones((2, 2)))
+        assert isinstance(frames, PaintedFrames)
         image = {"another size": png(large), "missing": None, "damaged": b"\x89PNG nothing"}[color]
         sequence = replace(sequence, frames=replace(frames, color=[image]))
     maps = frame_maps(sequence, 0)
@@ -182,7 +195,7 @@ def test_colour_that_does_not_lie_on_depth_is_not_used(color):
 # --- the cache, and better depth
 
 
-def test_the_cache_is_bounded_and_gives_the_same_maps():
+def test_the_cache_is_bounded_and_gives_the_same_maps() -> None:
     one = np.stack([CORNER_VIEW] * 2)
     depth = native(depth_of(ROOM, SMALL, CORNER_VIEW))
     n = CACHED_FRAMES + 10
@@ -198,7 +211,7 @@ def test_the_cache_is_bounded_and_gives_the_same_maps():
     np.testing.assert_array_equal(again[0].points, first[0].points)
 
 
-def test_averaged_depth_has_less_noise():
+def test_averaged_depth_has_less_noise() -> None:
     """Ten noisy frames of one camera that moves a little: a third of the noise, and no bias."""
     rng = np.random.default_rng(4)
     poses = np.stack([displaced(CORNER_VIEW, (0.004 * k, 0.0, 0.003 * k), 0.2 * k) for k in range(11)])
@@ -218,7 +231,7 @@ def test_averaged_depth_has_less_noise():
     assert cache[0][0].normal_noise < 0.6 * noisy_points
 
 
-def test_another_surface_is_not_averaged_in():
+def test_another_surface_is_not_averaged_in() -> None:
     """Something stands in front of the wall in the second frame."""
     wall, near = [plane((0, 0, -1), -1.5)], [plane((0, 0, -1), -1.5), sphere((0, 0, 1.0), 0.2)]
     maps = [frame_maps(painted(each, np.eye(4)[None]), 0)[0] for each in (wall, near)]
@@ -229,7 +242,7 @@ def test_another_surface_is_not_averaged_in():
         assert ((average.stored() > 0) == (this.depth_m > 0)).all()
 
 
-def test_recorded_depth_is_left_alone():
+def test_recorded_depth_is_left_alone() -> None:
     sequence = painted(ROOM, CORNER_VIEW[None], texture=waves)
     before = sequence.frames.depth_native(0).copy()
     a, b = frame_maps(sequence, 0), frame_maps(sequence, 0)

@@ -11,6 +11,7 @@ from tracking_scenes import (
     FLOOR,
     ROOM,
     SMALL,
+    PaintedFrames,
     couch,
     errors_m,
     native,
@@ -55,7 +56,7 @@ def segments_of(odometry: Odometry) -> list[int | None]:
 
 
 @pytest.mark.parametrize("color", [True, False])
-def test_a_walk_in_a_room(color):
+def test_a_walk_in_a_room(color: bool) -> None:
     """Exact depth: within a millimetre over half a metre, in the world of the first camera."""
     poses = walk(10, 0.5)
     odometry = followed(painted(ROOM, poses, texture=waves if color else None))
@@ -67,14 +68,14 @@ def test_a_walk_in_a_room(color):
 
 
 @pytest.mark.parametrize("color", [True, False])
-def test_a_walk_around_furniture_with_noise(color):
+def test_a_walk_around_furniture_with_noise(color: bool) -> None:
     sequence = couch().sequence if color else without_color(couch().sequence)
     odometry = followed(sequence)
     assert segments_of(odometry) == [0] * 24
     assert errors_m(poses_of(odometry), couch().simulation.T_world_camera).max() < 0.02
 
 
-def test_keyframes_and_their_ties():
+def test_keyframes_and_their_ties() -> None:
     """Keyframes are their own; each constraint is right, and joins consecutive keyframes."""
     odometry = followed(couch().sequence)
     poses = couch().simulation.T_world_camera
@@ -94,7 +95,7 @@ def test_keyframes_and_their_ties():
         assert np.linalg.eigvalsh(constraint.registration.information).min() > 0
 
 
-def test_a_pause_moves_nothing():
+def test_a_pause_moves_nothing() -> None:
     """The same frame ten times: at most the noise of nothing, one keyframe."""
     odometry = followed(with_frames(couch().sequence, [5] * 10))
     found = poses_of(odometry)
@@ -102,7 +103,7 @@ def test_a_pause_moves_nothing():
     assert odometry.keyframes == (0,) and odometry.constraints == ()
 
 
-def test_a_pause_with_noise_moves_nothing():
+def test_a_pause_with_noise_moves_nothing() -> None:
     """One place recorded ten times, with new noise: within 1 mm."""
     sequence = painted(ROOM, np.stack([CORNER_VIEW] * 10), noise=np.random.default_rng(0))
     odometry = followed(sequence)
@@ -110,7 +111,7 @@ def test_a_pause_with_noise_moves_nothing():
     assert odometry.keyframes == (0,)
 
 
-def test_given_poses_lead_through_a_leap():
+def test_given_poses_lead_through_a_leap() -> None:
     """Eight frames are missing, some 25 degrees; given poses tell where to look."""
     order = [*range(6), *range(14, 20)]
     poses = couch().simulation.T_world_camera[order]
@@ -123,7 +124,7 @@ def test_given_poses_lead_through_a_leap():
 # --- where it is lost
 
 
-def test_frames_without_depth_are_nothing():
+def test_frames_without_depth_are_nothing() -> None:
     blank = {i: np.zeros((240, 320), np.uint16) for i in (0, 8, 9)}
     odometry = followed(with_depth(couch().sequence, blank))
     assert [i for i, frame in enumerate(odometry.frames) if frame is None] == [0, 8, 9]
@@ -135,7 +136,7 @@ def test_frames_without_depth_are_nothing():
     assert nothing == Odometry((None,) * 24, dict.fromkeys(range(24), NO_DEPTH), (), ())
 
 
-def test_another_scene_is_another_segment():
+def test_another_scene_is_another_segment() -> None:
     """Three frames of something else between: a world of their own, and the rest goes on as it was."""
     poses = walk(10, 0.5)
     other = [FLOOR, box((-0.1, -0.6, 0.0), (0.6, -0.4, 0.9)), sphere((-0.3, 0.1, 0.3), 0.3)]
@@ -154,7 +155,7 @@ def test_another_scene_is_another_segment():
     assert np.nanmax(errors_m(found, true)) < 0.001
 
 
-def test_nothing_is_believed_that_does_not_fit():
+def test_nothing_is_believed_that_does_not_fit() -> None:
     maps = MapCache(
         painted(ROOM, np.stack([CORNER_VIEW, displaced(CORNER_VIEW, (0.05, 0.0, 0.0), 0.0)]), texture=waves)
     )
@@ -169,7 +170,7 @@ def test_nothing_is_believed_that_does_not_fit():
     assert registration.inlier_share > 0.95 and not is_accepted(registration)
 
 
-def test_progress_and_the_same_bytes():
+def test_progress_and_the_same_bytes() -> None:
     done: list[int] = []
     sequence = painted(ROOM, walk(5, 0.3), noise=np.random.default_rng(1))
     maps = MapCache(sequence)
@@ -179,7 +180,7 @@ def test_progress_and_the_same_bytes():
     assert poses_of(a).tobytes() == poses_of(b).tobytes() and a.keyframes == b.keyframes
 
 
-def test_uneven_stamps_change_no_pose():
+def test_uneven_stamps_change_no_pose() -> None:
     """Times only say where to look first."""
     sequence = painted(ROOM, walk(8, 0.4))
     rng = np.random.default_rng(0)
@@ -188,7 +189,7 @@ def test_uneven_stamps_change_no_pose():
     np.testing.assert_allclose(a, b, atol=0.0007)
 
 
-def test_one_and_two_frames():
+def test_one_and_two_frames() -> None:
     for n in (1, 2):
         odometry = followed(painted(ROOM, walk(2, 0.1)[:n]) if n == 2 else with_frames_of_one())
         assert segments_of(odometry) == [0] * n and odometry.keyframes[0] == 0
@@ -196,11 +197,12 @@ def test_one_and_two_frames():
 
 def with_frames_of_one() -> Sequence:
     sequence = painted(ROOM, walk(2, 0.1))
+    assert isinstance(sequence.frames, PaintedFrames)
     frames = replace(sequence.frames, depth=sequence.frames.depth[:1], color=[None])
     return replace(sequence, stamps_ns=sequence.stamps_ns[:1], frames=frames)
 
 
-def test_a_view_of_noise_is_no_place():
+def test_a_view_of_noise_is_no_place() -> None:
     """Depth without any surface: registration finds nothing to hold on to."""
     rng = np.random.default_rng(2)
     noise = native(rng.uniform(0.5, 3.0, (SMALL.height, SMALL.width)))
@@ -211,7 +213,7 @@ def test_a_view_of_noise_is_no_place():
     assert np.isfinite(error[[0, 1, 2, 4, 5]]).all() and np.nanmax(error) < 0.001
 
 
-def test_a_view_straight_at_the_ceiling_and_back():
+def test_a_view_straight_at_the_ceiling_and_back() -> None:
     """A quick turn away and back within a second: lost in between, right again after it."""
     poses = walk(8, 0.4)
     away = look_at(poses[3][:3, 3], poses[3][:3, 3] + np.array([1.0, 1.0, 0.4]))

@@ -3,11 +3,13 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from analytic_scenes import health_of, ring
+from read_pictures import decoded_picture
+from typed import present
 
 from kinectbench.core.artefacts.trajectory import LoopClosure, TrajectoryHealth
 from kinectbench.core.trajectory.compare import compare_poses
@@ -27,7 +29,7 @@ PAPER = (253, 252, 249)
 MAX_BYTES = 150_000
 
 
-def loop(a: int, b: int, believed: bool = True) -> dict[str, object]:
+def loop(a: int, b: int, believed: bool = True) -> dict[str, Any]:
     return {"a": a, "b": b, "believed": believed}
 
 
@@ -64,19 +66,20 @@ def trajectory_of(poses: np.ndarray, **changes: object) -> Trajectory:
 
 
 def panels_of(trajectory: Trajectory) -> bytes:
-    return health_picture(trajectory.health, trajectory.stamps_ns)
+    return health_picture(present(trajectory.health), trajectory.stamps_ns)
 
 
 def pixels(png: bytes) -> np.ndarray:
     """(height, width, 3) int RGB."""
     assert len(png) < MAX_BYTES
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    image = decoded_picture(png)
     return np.asarray(image)[..., ::-1].astype(int)
 
 
 def near(image: np.ndarray, color: tuple[int, int, int], reach: int = 40) -> np.ndarray:
     """Which pixels have a colour, but for the blending at edges: (height, width) bool."""
-    return np.abs(image - np.array(color)).max(axis=2) < reach
+    near: np.ndarray = np.abs(image - np.array(color)).max(axis=2) < reach
+    return near
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +181,7 @@ def test_the_lost_stretch_is_shaded_where_it_is(orbit: np.ndarray, lost: range) 
 
 def test_frames_left_out_and_found_again_are_marked(orbit: np.ndarray) -> None:
     trajectory = trajectory_of(orbit)
-    rows = trajectory.health.json_value()["per_frame"]
+    rows = present(trajectory.health).json_value()["per_frame"]
     for row in rows[30:40]:  # found once: one line
         row["state"] = "relocalised"
     rows[10]["state"] = rows[11]["state"] = "rejected"
@@ -241,7 +244,7 @@ def test_long_recordings_stay_small(tmp_path: Path) -> None:
             "speed_m_per_s": float(b),
         }
         for row, r, s, b in zip(
-            trajectory_of(poses).health.json_value()["per_frame"],
+            present(trajectory_of(poses).health).json_value()["per_frame"],
             rng.uniform(2, 6, 10_000),
             rng.uniform(0.7, 1, 10_000),
             rng.uniform(0.5, 2, 10_000),

@@ -3,7 +3,19 @@
 import numpy as np
 import pytest
 from analytic_scenes import depth_of, displaced, plane
-from tracking_scenes import CORNER_VIEW, FLOOR, MOVED, ROOM, SMALL, frame_maps, moved_pair, painted, waves
+from numpy.typing import NDArray
+from tracking_scenes import (
+    CORNER_VIEW,
+    FLOOR,
+    MOVED,
+    ROOM,
+    SMALL,
+    frame_maps,
+    levels,
+    moved_pair,
+    painted,
+    waves,
+)
 
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
@@ -44,7 +56,9 @@ MOTIONS = [
 
 @pytest.mark.parametrize(("shift_m", "turn_deg"), MOTIONS)
 @pytest.mark.parametrize("color", [False, True])
-def test_a_known_motion_is_recovered(shift_m, turn_deg, color):
+def test_a_known_motion_is_recovered(
+    shift_m: tuple[float, float, float], turn_deg: float, color: bool
+) -> None:
     moved = displaced(CORNER_VIEW, shift_m, turn_deg)
     sequence = painted(ROOM, np.stack([CORNER_VIEW, moved]), texture=waves if color else None)
     target, source = frame_maps(sequence, 0), frame_maps(sequence, 1)
@@ -56,7 +70,7 @@ def test_a_known_motion_is_recovered(shift_m, turn_deg, color):
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (0.8, 15.0), (1.2, -20.0)])
-def test_colour_fixes_what_a_plane_leaves_open_whatever_the_exposure(gain, offset):
+def test_colour_fixes_what_a_plane_leaves_open_whatever_the_exposure(gain: float, offset: float) -> None:
     """A textured floor alone: depth says nothing of the walk across it, and colour does."""
     moved = displaced(STEEP, (0.02, -0.015, 0.0), 1.0)
     sequence = painted(
@@ -68,7 +82,7 @@ def test_colour_fixes_what_a_plane_leaves_open_whatever_the_exposure(gain, offse
     assert found.intensity_correlation > 0.98 and not found.degenerate
 
 
-def test_two_targets_agree_on_one_pose():
+def test_two_targets_agree_on_one_pose() -> None:
     poses = np.stack(
         [
             CORNER_VIEW,
@@ -83,7 +97,7 @@ def test_two_targets_agree_on_one_pose():
     assert off(found.T_target_source, true[0])[0] < 3.0
 
 
-def test_a_strong_prior_keeps_the_start(pair):
+def test_a_strong_prior_keeps_the_start(pair: tuple[FrameMaps, FrameMaps]) -> None:
     start = rigid_from_twist(np.array([0.004, 0.0, 0.0, 0.01, 0.0, 0.0]))
     kept = register(pair[1], [pair[0]], [start], prior=1e12 * np.eye(6))
     np.testing.assert_allclose(kept.T_target_source, start, atol=1e-5)
@@ -91,7 +105,7 @@ def test_a_strong_prior_keeps_the_start(pair):
     assert off(free.T_target_source, invert_rigid(CORNER_VIEW) @ MOVED)[0] < 3.0
 
 
-def test_the_search_finds_what_registration_misses():
+def test_the_search_finds_what_registration_misses() -> None:
     """Turned by 25 degrees and moved by 0.3 m: too far for registration from standing still."""
     moved = displaced(CORNER_VIEW, (0.25, 0.05, 0.1), -18.0)
     sequence = painted(ROOM, np.stack([CORNER_VIEW, moved]))
@@ -111,7 +125,7 @@ def floor_pair(noise: bool) -> tuple[FrameMaps, FrameMaps]:
 
 
 @pytest.mark.parametrize("noise", [False, True])
-def test_a_plane_is_seen_to_leave_motions_open(noise):
+def test_a_plane_is_seen_to_leave_motions_open(noise: bool) -> None:
     source, target = floor_pair(noise)
     found = register(source, [target], [np.eye(4)])
     assert found.degenerate and found.sigma_m == np.inf
@@ -130,7 +144,7 @@ def test_a_plane_is_seen_to_leave_motions_open(noise):
     assert np.linalg.norm(along_m.mean(axis=0)) < 0.01
 
 
-def test_a_corner_leaves_nothing_open(pair):
+def test_a_corner_leaves_nothing_open(pair: tuple[FrameMaps, FrameMaps]) -> None:
     found = measure(pair[1], [pair[0]], [invert_rigid(CORNER_VIEW) @ MOVED])
     assert not found.degenerate and found.sigma_m < 0.005
     assert np.linalg.eigvalsh(found.information).min() > 0
@@ -152,7 +166,7 @@ PLANES = [FLOOR, plane((1.0, 0.0, 0.0), -0.3), plane((0.0, 1.0, 0.0), -0.3)]
         (GRAZING, 2),
     ],
 )
-def test_it_takes_three_planes_to_fix_a_camera(view, walls):
+def test_it_takes_three_planes_to_fix_a_camera(view: NDArray[np.float64], walls: int) -> None:
     moved = displaced(view, (0.01, 0.01, 0.0), 0.5)
     sequence = painted(PLANES[:walls], np.stack([view, moved]), noise=np.random.default_rng(2))
     found = register(frame_maps(sequence, 1), [frame_maps(sequence, 0)], [np.eye(4)])
@@ -168,7 +182,7 @@ def test_it_takes_three_planes_to_fix_a_camera(view, walls):
 # --- figures
 
 
-def test_figures_of_a_wrong_pose_do_not_convince(pair):
+def test_figures_of_a_wrong_pose_do_not_convince(pair: tuple[FrameMaps, FrameMaps]) -> None:
     right = measure(pair[1], [pair[0]], [invert_rigid(CORNER_VIEW) @ MOVED])
     wrong = measure(
         pair[1], [pair[0]], [displaced(invert_rigid(CORNER_VIEW) @ MOVED, (0.03, 0.02, 0.03), 2.0)]
@@ -178,7 +192,7 @@ def test_figures_of_a_wrong_pose_do_not_convince(pair):
     assert right.intensity_correlation > 0.95 > wrong.intensity_correlation
 
 
-def test_what_is_hidden_is_no_contradiction_and_what_is_seen_through_is():
+def test_what_is_hidden_is_no_contradiction_and_what_is_seen_through_is() -> None:
     """A box between camera and wall: the wall behind it is hidden, but the box is missed where it is gone."""
     sequence_with = painted(ROOM, CORNER_VIEW[None])
     sequence_without = painted(ROOM[:3] + ROOM[4:], CORNER_VIEW[None])
@@ -194,7 +208,7 @@ def test_what_is_hidden_is_no_contradiction_and_what_is_seen_through_is():
     assert hidden.overlap < 1 - 0.5 * on_box.mean()
 
 
-def test_nothing_in_common_is_told_as_such(pair):
+def test_nothing_in_common_is_told_as_such(pair: tuple[FrameMaps, FrameMaps]) -> None:
     away = rigid(np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 0.0])  # looks backwards
     found = measure(pair[1], [pair[0]], [away])
     assert found.overlap < 0.02 and found.degenerate and found.signal_to_noise == 0
@@ -202,7 +216,7 @@ def test_nothing_in_common_is_told_as_such(pair):
     assert np.isfinite(found.T_target_source).all()
 
 
-def test_twists_there_and_back():
+def test_twists_there_and_back() -> None:
     for twist in np.random.default_rng(0).normal(0, 0.5, (20, 6)):
         T = rigid_from_twist(twist)
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
@@ -212,15 +226,17 @@ def test_twists_there_and_back():
     np.testing.assert_allclose(on_so3(drifted), rigid(rigid_from_twist(twist)[:3, :3], [1, 2, 3]), atol=1e-12)
 
 
-def test_the_inputs_stay_as_they_are_and_the_bytes_are_the_same(pair):
-    before = [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps]
+def test_the_inputs_stay_as_they_are_and_the_bytes_are_the_same(pair: tuple[FrameMaps, FrameMaps]) -> None:
+    before = [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in levels(maps)]
     a, b = (register(pair[1], [pair[0]], [np.eye(4)]) for _ in range(2))
     assert a.T_target_source.tobytes() == b.T_target_source.tobytes()
     assert a.information.tobytes() == b.information.tobytes()
-    assert before == [level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in maps]
+    assert before == [
+        level.points.tobytes() + level.depth_m.tobytes() for maps in pair for level in levels(maps)
+    ]
 
 
-def test_exposure_follows_from_the_step(pair):
+def test_exposure_follows_from_the_step(pair: tuple[FrameMaps, FrameMaps]) -> None:
     """The second image is 0.9 of the first and 12 brighter: so is what registration ends with."""
     T, exposure = invert_rigid(CORNER_VIEW) @ MOVED, np.array([1.0, 0.0])
     for _ in range(10):

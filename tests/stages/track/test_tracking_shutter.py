@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 from analytic_scenes import Furniture, furniture
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from slow import slow
 from tracking_scenes import couch, errors_m
 
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.geometry.rigid import rigid_from_twist
-from kinectbench.core.geometry.rolling_shutter import upright_depth, upright_gray
+from kinectbench.core.geometry.rolling_shutter import RollingShutter, upright_depth, upright_gray
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -27,7 +28,9 @@ UNITS_PER_M = 10_000.0
 STILL = np.zeros(12)
 
 
-def motion(*, turn: tuple[float, float, float] = (0, 0, 0), shift: tuple[float, float, float] = (0, 0, 0)):
+def motion(
+    *, turn: tuple[float, float, float] = (0, 0, 0), shift: tuple[float, float, float] = (0, 0, 0)
+) -> NDArray[np.float64]:
     """A steady motion: rad/s and m/s."""
     return np.array([*turn, *shift, *np.zeros(6)], np.float64)
 
@@ -53,7 +56,7 @@ def rolled_depth(moving: np.ndarray, normal: np.ndarray, offset_m: float) -> np.
     ],
     ids=["pitch", "yaw", "roll", "shift", "all, accelerated"],
 )
-def test_depth_read_row_by_row_becomes_that_of_one_moment(moving):
+def test_depth_read_row_by_row_becomes_that_of_one_moment(moving: NDArray[np.float64]) -> None:
     normal = np.array([0.3, -0.4, np.sqrt(0.75)])
     exact = 2.0 / (CAMERA.rays() @ normal) * UNITS_PER_M
     read = rolled_depth(moving, normal, 2.0)
@@ -65,7 +68,7 @@ def test_depth_read_row_by_row_becomes_that_of_one_moment(moving):
     assert np.abs(read - exact).max() > 100
 
 
-def test_a_yaw_moves_a_row_as_computed_by_hand():
+def test_a_yaw_moves_a_row_as_computed_by_hand() -> None:
     """At 2 rad/s the first row, taken 15 ms early, looked 30 mrad farther to the left."""
     bright = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
     bright[:] = np.arange(CAMERA.width)
@@ -78,7 +81,7 @@ def test_a_yaw_moves_a_row_as_computed_by_hand():
     assert found[120, 79:81].mean() == pytest.approx(79.5 - 130 * np.tan(0.03), abs=0.6)
 
 
-def test_late_colour_is_moved_back_by_its_delay():
+def test_late_colour_is_moved_back_by_its_delay() -> None:
     """At 1 m a shift of 0.5 m/s for 20 ms is 10 mm, 1.3 pixels; without depth nothing is known of it."""
     bright = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
     bright[:] = np.arange(CAMERA.width)
@@ -89,7 +92,7 @@ def test_late_colour_is_moved_back_by_its_delay():
     assert np.all(upright_gray(bright, 0 * near, CAMERA, moving, 0.0, 0.02) == bright)
 
 
-def test_nothing_moves_without_motion_or_readout():
+def test_nothing_moves_without_motion_or_readout() -> None:
     depth = np.random.default_rng(0).integers(0, 40_000, (CAMERA.height, CAMERA.width)).astype(np.uint16)
     inner = np.s_[:-1, :-1]
     for moving, readout_s in ((STILL, READOUT_S), (motion(turn=(1, 1, 1)), 0.0)):
@@ -101,7 +104,7 @@ def followed(T: np.ndarray, segment: int = 0) -> Followed:
     return Followed(segment, 0, T, None)
 
 
-def test_motions_are_those_of_the_path():
+def test_motions_are_those_of_the_path() -> None:
     """Steady: 0.5 rad/s about y and 0.2 m/s; then none is known where frames lie far apart in time."""
     stamps_s = np.arange(6) / 30
     rate = np.array([0, 0.5, 0, 0.2, 0, 0])
@@ -119,7 +122,7 @@ def test_motions_are_those_of_the_path():
     assert not motions_of(apart, stamps_s).any()
 
 
-def test_flow_is_how_fast_things_pass():
+def test_flow_is_how_fast_things_pass() -> None:
     """At the centre of the view a yaw of 1 rad/s, or 2 m/s at 2 m, both move what is seen by 1 a second."""
     rates = np.array([[0, 1.0, 0, 0, 0, 0], [0, 0, 0, 2.0, 0, 0], [0, 0, 0, 0, 0, 0]])
     yaw, shift, still = flow_rad_per_s(rates, 2.0)
@@ -140,21 +143,21 @@ def turns(readout_s: float, delay_s: float) -> Furniture:
     return furniture(preset_spec("turns-v1", changed))
 
 
-def found_in(recording: Furniture):
+def found_in(recording: Furniture) -> RollingShutter | None:
     maps = MapCache(recording.sequence)
     return find_shutter(maps, follow(maps, FeatureCache(maps)))
 
 
 # That 0.03 and 0.01 are found is also said by test_fast_turns_are_tracked.
 @pytest.mark.parametrize(("readout_s", "delay_s"), [slow(0.03, 0.01), slow(-0.02, 0.0)])
-def test_readout_and_delay_are_found(readout_s, delay_s):
+def test_readout_and_delay_are_found(readout_s: float, delay_s: float) -> None:
     found = found_in(turns(readout_s, delay_s))
     assert found is not None
     assert found.readout_s == pytest.approx(readout_s, abs=0.004)
     assert found.color_delay_s == pytest.approx(delay_s, abs=0.002)
 
 
-def test_frames_taken_at_once_are_left_alone():
+def test_frames_taken_at_once_are_left_alone() -> None:
     """However fast the turns; a colour that is late is still mended."""
     assert found_in(turns(0.0, 0.0)) is None
     late = found_in(turns(0.0, 0.01))
@@ -163,12 +166,12 @@ def test_frames_taken_at_once_are_left_alone():
     assert late.color_delay_s == pytest.approx(0.01, abs=0.002)
 
 
-def test_slow_recordings_are_not_searched(monkeypatch):
+def test_slow_recordings_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(MapCache, "upright", lambda *_: pytest.fail("a slow walk tells nothing"))
     assert found_in(couch()) is None
 
 
-def test_fast_turns_are_tracked(monkeypatch):
+def test_fast_turns_are_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = turns(0.03, 0.01)
     T_true = recording.simulation.T_world_camera
     tracked = track_frames(recording.sequence)

@@ -34,7 +34,7 @@ def off_m(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.stack([twist_from_rigid(T)[3:] for T in invert_rigid(truth) @ poses])
 
 
-def test_noise_along_what_is_hardly_known_is_taken_off():
+def test_noise_along_what_is_hardly_known_is_taken_off() -> None:
     noise = np.random.default_rng(0).normal(0, 1, (N, 6)) * SIGMA
     before, after = (
         off_m(T, walk())
@@ -45,13 +45,13 @@ def test_noise_along_what_is_hardly_known_is_taken_off():
     assert after[:, 1:].std() < 1.2 * before[:, 1:].std()
 
 
-def test_well_known_frames_stay_as_shaky_as_they_are():
+def test_well_known_frames_stay_as_shaky_as_they_are() -> None:
     shaky = moved(walk(), np.random.default_rng(1).normal(0, 2e-3, (N, 6)))
     known = np.tile(np.diag(np.full(6, 2e-4**-2)), (N, 1, 1))
     assert np.abs(off_m(smoothed(shaky, STAMPS_NS, known), shaky)).max() < 4e-4
 
 
-def test_a_jolt_is_kept():
+def test_a_jolt_is_kept() -> None:
     """Half way the camera is knocked aside by 30 mm, along what is hardly known, and stays there."""
     truth = walk()
     truth[N // 2 :, :3, 3] += 0.03 * truth[N // 2, :3, 0]
@@ -60,7 +60,7 @@ def test_a_jolt_is_kept():
     assert np.abs(after[:, 0]).max() < 0.012
 
 
-def test_frames_may_come_in_any_order_and_at_any_times():
+def test_frames_may_come_in_any_order_and_at_any_times() -> None:
     rng = np.random.default_rng(3)
     kept = np.sort(rng.choice(N, 60, replace=False))
     noisy = moved(walk(), rng.normal(0, 1, (N, 6)) * SIGMA)[kept]
@@ -71,7 +71,7 @@ def test_frames_may_come_in_any_order_and_at_any_times():
     assert off_m(expected, walk()[kept])[:, 0].std() < 0.7 * off_m(noisy, walk()[kept])[:, 0].std()
 
 
-def test_frames_of_one_time_and_few_frames():
+def test_frames_of_one_time_and_few_frames() -> None:
     poses = walk()
     found = smoothed(poses, np.zeros(N, np.int64), INFORMATION)
     assert np.isfinite(found).all()
@@ -79,7 +79,7 @@ def test_frames_of_one_time_and_few_frames():
         np.testing.assert_array_equal(smoothed(poses[:n], STAMPS_NS[:n], INFORMATION[:n]), poses[:n])
 
 
-def test_second_differences_of_a_parabola():
+def test_second_differences_of_a_parabola() -> None:
     times = np.array([0.0, 0.1, 0.15, 0.4, 0.45])
     values = 3 + 2 * times + 5 * times**2
     weights = second_differences(times)

@@ -9,6 +9,7 @@ import pytest
 from analytic_scenes import Furniture, displaced, furniture, health_of, small_spec
 from raising import raises
 from same_fields import assert_same_fields
+from typed import present
 
 from kinectbench.core.artefacts.trajectory import FrameHealth
 from kinectbench.core.errors import KinectBenchError, StorageError, TrackingError
@@ -37,7 +38,8 @@ def with_poses(chair: Furniture, poses: np.ndarray) -> Furniture:
 
 
 def turned(angle_rad: float) -> np.ndarray:
-    return cv2.Rodrigues(np.array([0.0, 0.0, angle_rad]))[0]
+    turned: np.ndarray = cv2.Rodrigues(np.array([0.0, 0.0, angle_rad]))[0]
+    return turned
 
 
 # --- poses_at
@@ -55,18 +57,18 @@ GIVEN = GivenTrajectory(
 )
 
 
-def test_a_stamp_met_exactly():
+def test_a_stamp_met_exactly() -> None:
     poses = poses_at(GIVEN, np.array([10**8, 2 * 10**8, 4 * 10**8]), 0.1)
     np.testing.assert_array_equal(poses, GIVEN.T_world_camera)
 
 
-def test_slerp_between_two_poses():
+def test_slerp_between_two_poses() -> None:
     middle, third = poses_at(GIVEN, np.array([150_000_000, 175_000_000]), 0.1)
     np.testing.assert_allclose(middle, rigid(turned(np.pi / 4), [0.5, 1, 2]), atol=1e-12)
     np.testing.assert_allclose(third, rigid(turned(np.pi * 3 / 8), [0.75, 1.5, 3]), atol=1e-12)
 
 
-def test_gaps_are_not_bridged_and_nothing_is_extrapolated():
+def test_gaps_are_not_bridged_and_nothing_is_extrapolated() -> None:
     stamps = np.array([10**8 - 1, 10**8, 3 * 10**8, 4 * 10**8, 4 * 10**8 + 1])
     lost = np.isnan(poses_at(GIVEN, stamps, 0.1)).all(axis=(1, 2))
     np.testing.assert_array_equal(lost, [True, False, True, False, True])
@@ -76,28 +78,29 @@ def test_gaps_are_not_bridged_and_nothing_is_extrapolated():
 # --- track
 
 
-def test_trust_keeps_right_poses_as_they_are(chair):
+def test_trust_keeps_right_poses_as_they_are(chair: Furniture) -> None:
     for mode in (None, "trust"):
         trajectory = track(chair.sequence, mode, SETTINGS)
         np.testing.assert_array_equal(trajectory.T_world_camera, chair.simulation.T_world_camera)
         assert trajectory.source == "trust"
-        assert trajectory.health.warnings == () and trajectory.health.rejected == ()
-        assert trajectory.health.verdict.startswith("good for ground truth")
+        health = present(trajectory.health)
+        assert health.warnings == () and health.rejected == ()
+        assert health.verdict.startswith("good for ground truth")
 
 
-def test_a_wrong_frame_is_left_out_and_named(chair):
+def test_a_wrong_frame_is_left_out_and_named(chair: Furniture) -> None:
     poses = chair.simulation.T_world_camera.copy()
     poses[WRONG] = displaced(poses[WRONG], (0.05, 0, 0), 3.0)
     trajectory = track(with_poses(chair, poses).sequence, "trust", SETTINGS)
     np.testing.assert_array_equal(trajectory.good_frames, np.delete(np.arange(24), WRONG))
-    (rejected,) = trajectory.health.rejected
+    (rejected,) = present(trajectory.health).rejected
     assert rejected.frame == WRONG
     assert rejected.stamp_ns == chair.sequence.stamps_ns[WRONG]
     assert "disagrees with its pose" in rejected.reason
-    assert trajectory.health.tracked == 23
+    assert present(trajectory.health).tracked == 23
 
 
-def test_a_trajectory_that_is_mostly_wrong_is_refused(chair):
+def test_a_trajectory_that_is_mostly_wrong_is_refused(chair: Furniture) -> None:
     inverse = np.linalg.inv(chair.simulation.T_world_camera)
     rng = np.random.default_rng(0)
     shaken = np.stack(
@@ -110,39 +113,39 @@ def test_a_trajectory_that_is_mostly_wrong_is_refused(chair):
         track(with_poses(chair, inverse).sequence, "trust", SETTINGS)
 
 
-def test_trust_without_a_trajectory(chair):
+def test_trust_without_a_trajectory(chair: Furniture) -> None:
     bare = replace(chair.sequence, given_trajectory=None)
     with raises(TrackingError, "tracking.no-given"):
         track(bare, "trust", SETTINGS)
 
 
-def test_no_common_time(chair):
-    given = chair.sequence.given_trajectory
+def test_no_common_time(chair: Furniture) -> None:
+    given = present(chair.sequence.given_trajectory)
     late = replace(given, stamps_ns=given.stamps_ns + 10**12)
     with raises(TrackingError, "tracking.no-match", match=r"time.*1400000000\.000.*1400001000\.000.*ignore"):
         track(replace(chair.sequence, given_trajectory=late), "trust", SETTINGS)
 
 
-def test_poses_that_lie_too_far_apart_in_time_for_every_frame(chair):
+def test_poses_that_lie_too_far_apart_in_time_for_every_frame(chair: Furniture) -> None:
     given, half_step_ns = chair.sequence.given_trajectory, 10**7
-    stamps_ns = given.stamps_ns[[0, -1]] + np.array([half_step_ns, -half_step_ns])
-    sparse = GivenTrajectory(stamps_ns, given.T_world_camera[[0, -1]])
+    stamps_ns = present(given).stamps_ns[[0, -1]] + np.array([half_step_ns, -half_step_ns])
+    sparse = GivenTrajectory(stamps_ns, present(given).T_world_camera[[0, -1]])
     with raises(TrackingError, "tracking.no-match", match="frame: frames"):
         track(replace(chair.sequence, given_trajectory=sparse), "trust", SETTINGS)
 
 
-def test_frames_outside_the_trajectory_are_lost(chair):
-    given = chair.sequence.given_trajectory
+def test_frames_outside_the_trajectory_are_lost(chair: Furniture) -> None:
+    given = present(chair.sequence.given_trajectory)
     part = GivenTrajectory(given.stamps_ns[3:20], given.T_world_camera[3:20])
     trajectory = track(replace(chair.sequence, given_trajectory=part), "trust", SETTINGS)
-    assert trajectory.health.lost == (0, 1, 2, 20, 21, 22, 23)
+    assert present(trajectory.health).lost == (0, 1, 2, 20, 21, 22, 23)
     np.testing.assert_array_equal(trajectory.good_frames, np.arange(3, 20))
 
 
 # --- the folder
 
 
-def test_folder_round_trip(chair, tmp_path: Path):
+def test_folder_round_trip(chair: Furniture, tmp_path: Path) -> None:
     poses = chair.simulation.T_world_camera.copy()
     poses[[2, 9]] = np.nan
     rows = [FrameHealth(frame=f, shift_m=None if f == 9 else 0.00123) for f in range(24)]
@@ -167,7 +170,7 @@ def test_folder_round_trip(chair, tmp_path: Path):
 
 
 @pytest.mark.parametrize("damage", ["missing", "other frames", "json", "no source", "not a table", "words"])
-def test_damaged_folder(chair, tmp_path: Path, damage: str):
+def test_damaged_folder(chair: Furniture, tmp_path: Path, damage: str) -> None:
     trajectory = replace(chair.trajectory, health=health_of(24))
     write_trajectory(trajectory, tmp_path)
     stamps_ns = trajectory.stamps_ns

@@ -13,7 +13,7 @@ from verdicts import GOOD_M
 
 from kinectbench.core.artefacts.trajectory import GivenFigures, LoopClosure, RejectedFrame
 from kinectbench.core.sequence import GivenTrajectory, Sequence
-from kinectbench.settings.models import TrackingSettings
+from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track import track
 from kinectbench.stages.track.health_figures import jumps
 from kinectbench.stages.track.verdict import judge, recommend
@@ -161,7 +161,9 @@ GOOD = {
 }
 
 
-def judged(loops: int = 20, believed_loops: int = 20, degenerate: int = 0, rejected: int = 0, **changes: Any):
+def judged(
+    loops: int = 20, believed_loops: int = 20, degenerate: int = 0, rejected: int = 0, **changes: Any
+) -> tuple[str, str]:
     """The verdict on good poses, but for the changes."""
     closures = [LoopClosure(a=0, b=1, believed=k < believed_loops) for k in range(loops)]
     left_out = [RejectedFrame(frame=k) for k in range(rejected)]
@@ -326,7 +328,9 @@ def walked(off_m: float | None) -> Sequence:
         slow(0.25, "trust", "not good"),
     ],
 )
-def test_a_grade_is_worth_what_is_known_of_the_error(off_m: float | None, mode: str, grade: str) -> None:
+def test_a_grade_is_worth_what_is_known_of_the_error(
+    off_m: float | None, mode: TrajectoryMode, grade: str
+) -> None:
     """Good poses are within 10 mm of the truth and others are not, as the benchmark `verdicts` counts it."""
     found = track(walked(off_m), mode, TrackingSettings())
     assert found.health is not None and found.health.grade == grade

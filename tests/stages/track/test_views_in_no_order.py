@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from slow import slow
+from typed import present
 
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -60,11 +61,12 @@ def test_exact_poses_get_the_verdict_they_deserve(
     name: str, model: str, frames: int, scene: dict[str, int], tmp_path: Path
 ) -> None:
     found = track(recorded(tmp_path, name, model, frames, scene), None, TrackingSettings())
-    health = found.health
-    assert health.rejected == () and health.warnings == () and health.given is not None
-    assert health.given.largest_jump_m == 0 and health.recommended == "trust"
+    health = present(found.health)
+    given = present(health.given)
+    assert health.rejected == () and health.warnings == ()
+    assert given.largest_jump_m == 0 and health.recommended == "trust"
     assert health.verdict.startswith("good") and np.isfinite(found.T_world_camera).all()
-    assert health.given.distant_unmatched is None or health.given.distant_unmatched < 0.4
+    assert given.distant_unmatched is None or given.distant_unmatched < 0.4
     assert max(row.shift_m or 0.0 for row in health.per_frame) < MOST_SHIFT_M
 
 
@@ -72,4 +74,4 @@ def test_a_wrong_pose_among_them_is_still_left_out(tmp_path: Path) -> None:
     sequence = recorded(tmp_path, "sideboard:seed=2", "kinect_v1", 40, {})
     for frame in (5, 22):
         found: Trajectory = track(wrong(sequence, frame, 0.08), None, TrackingSettings())
-        assert [row.frame for row in found.health.rejected] == [frame]
+        assert [row.frame for row in present(found.health).rejected] == [frame]

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from known_builds import write_manifests
@@ -58,7 +59,8 @@ def solid_floor(points: np.ndarray) -> np.ndarray:
     legs = (abs(abs(x) - 0.22) < 0.025) & (abs(abs(y) - 0.17) < 0.025) & (z > 0) & (z < 0.4)
     back = (abs(x) < 0.25) & (abs(y - 0.18) < 0.02) & (z > 0.4) & (z < 0.85)
     ball = (x - 0.15) ** 2 + (y + 0.08) ** 2 + (z - 0.5) ** 2 < 0.06**2
-    return seat | legs | back | ball
+    solid: np.ndarray = seat | legs | back | ball
+    return solid
 
 
 def make_pair(T_world_camera: np.ndarray) -> Pair:
@@ -72,7 +74,7 @@ def make_pair(T_world_camera: np.ndarray) -> Pair:
     x, y, z = axis[:, None, None, None], axis[None, :, None, None], axis[None, None, :, None]
     full = solid_floor(x * T[:3, 0] + y * T[:3, 1] + z * T[:3, 2] + T[:3, 3])
     first = full & (np.cumsum(full, axis=2, dtype=np.int16) <= 1)
-    blocks = first.reshape(64, 2, 64, 2, 64, 2).any(axis=(1, 3, 5))
+    blocks = np.asarray(first.reshape(64, 2, 64, 2, 64, 2).any(axis=(1, 3, 5)))
     first, full = (grid.repeat(2, 0).repeat(2, 1).repeat(2, 2) for grid in (first, full))
     everywhere = np.full((256, 256, 32), 255, np.uint8)
     return Pair(
@@ -96,7 +98,7 @@ def write_volume(folder: Path) -> None:
     """volume.npz: voxels of 2 cm whose upper neighbour is not solid were measured."""
     edge_m, shape = 0.02, (32, 28, 46)
     T_floor_grid = rigid(np.eye(3), [-0.32, -0.28, -0.02])
-    cells = (np.stack(np.indices(shape), axis=-1) + 0.5) * edge_m + T_floor_grid[:3, 3]
+    cells = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) * edge_m + T_floor_grid[:3, 3]
     solid = solid_floor(cells)
     top = solid & ~np.roll(solid, -1, axis=2)
     labels = np.where(top, Label.SURFACE, np.where(solid, Label.INTERIOR, Label.FREE)).astype(np.uint8)
@@ -108,17 +110,19 @@ def write_object(folder: Path) -> None:
     """floor.json, mesh.ply, volume.npz (what faces up was measured) and quality.json."""
     import open3d as o3d
 
-    parts = [
-        o3d.geometry.TriangleMesh.create_box(*size).translate(corner)
-        for size, corner in [
-            ((0.5, 0.4, 0.06), (-0.25, -0.2, 0.38)),
-            ((0.5, 0.04, 0.45), (-0.25, 0.16, 0.4)),
-            *(((0.05, 0.05, 0.4), (x - 0.025, y - 0.025, 0)) for x in (-0.22, 0.22) for y in (-0.17, 0.17)),
-        ]
+    boxes = [
+        ((0.5, 0.4, 0.06), (-0.25, -0.2, 0.38)),
+        ((0.5, 0.04, 0.45), (-0.25, 0.16, 0.4)),
+        *(((0.05, 0.05, 0.4), (x - 0.025, y - 0.025, 0)) for x in (-0.22, 0.22) for y in (-0.17, 0.17)),
     ]
-    parts.append(o3d.geometry.TriangleMesh.create_sphere(0.06).translate((0.15, -0.08, 0.5)))
+    parts = [(o3d.geometry.TriangleMesh.create_box(*size), corner) for size, corner in boxes]
+    parts.append((o3d.geometry.TriangleMesh.create_sphere(0.06), (0.15, -0.08, 0.5)))
+    whole = o3d.geometry.TriangleMesh()
+    for part, place in parts:
+        part.translate(place)
+        whole += part
     # Off the faces of voxels, where single precision decides what is within.
-    whole = sum(parts[1:], parts[0]).translate((0, 0, 1e-4))
+    whole.translate((0, 0, 1e-4))
     whole.transform(invert_rigid(T_FLOOR_WORLD))
     folder.mkdir(parents=True)
     mesh = TriangleMesh(np.asarray(whole.vertices), np.asarray(whole.triangles, np.int32))
@@ -199,15 +203,15 @@ def write_pairs(folder: Path, n_pairs: int) -> None:
     (folder / "pairs.json").write_text(json.dumps({"pairs": rows, "refused": refused}))
 
 
-def parsed_tables(contents: list[dict]) -> list[ScoreTable]:
+def parsed_tables(contents: list[dict[str, Any]]) -> list[ScoreTable]:
     """Score tables as they are read from files of these contents."""
     return [ScoreTable.parse(json.dumps(content), "scores.json") for content in contents]
 
 
-def score(method: str, iou: float | None, complete: bool = True) -> dict:
+def score(method: str, iou: float | None, complete: bool = True) -> dict[str, Any]:
     """A score table of two categories."""
 
-    def row(offset: float) -> dict:
+    def row(offset: float) -> dict[str, Any]:
         value = None if iou is None else iou + offset
         return {"iou": value, "ce": 0.2 - offset, "precision": 0.8, "recall": 0.7, "f1": 0.75, "pairs": 3,
                 "objects": 1, "coverage_voxels": 0.91, "coverage_shape": 0.97, "base_rate_ce": 0.26,

@@ -1,6 +1,6 @@
 """What is frozen of the presets and of the furniture, as numbers and hashes.
 
-`python tests/simulate/preset_pins.py` writes preset_pins.json anew: for new presets only, never to make a
+`python tests/support/preset_pins.py` writes preset_pins.json anew: for new presets only, never to make a
 test pass.
 """
 
