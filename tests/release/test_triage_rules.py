@@ -43,7 +43,7 @@ def built(
         (folder / NAME / name).mkdir(parents=True, exist_ok=True)
     write_json(folder / NAME / "object/quality.json", SOUND | quality)
     write_json(folder / NAME / "sequence/camera.json", CAMERA | {"warnings": warnings})
-    health = health_of(8, grade=grade).model_copy(update={"lost": tuple(range(lost))})
+    health = health_of(8, grade=grade).model_copy(update={"lost": tuple(range(lost)), "tracked": 8 - lost})
     health.write(folder / NAME / "trajectory")
     return folder
 
@@ -54,6 +54,7 @@ def built(
         ({"grade": "not good"}, "the trajectory is"),
         ({"estimated_known_iou": 0.79}, "the estimated IoU on known voxels is 0.79, below 0.8"),
         ({"moving": {"judged": 40, "frames": [3, 4, 5, 6, 7], "largest_share": 0.1}}, "in 5 of 40 frames"),
+        ({"grade": "fair", "lost": 2}, "25% of the frames have no pose"),
         ({"beyond_share": 0.05}, "5% of the depth"),
         ({"warnings": ("x.klg: is cut off",)}, "x.klg: is cut off"),
     ],
