@@ -188,7 +188,7 @@ class PredictedFile(StoredPart):
 class TrainingRow(StoredPart):
     """Values at a validation; losses are means since the row before."""
 
-    step: int = Field(description="done")
+    step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")
     loss: float = Field(description="that the network minimises")
     reconstruction: float | None = Field(None, description="3d-recgan++: of the loss, by the truth")
@@ -214,10 +214,10 @@ class TrainingFile(Stored):
     parameter_count: int = Field(description="learnt values, a discriminator's as well")
     benchmark_sha256: str | None = Field(None, description="of the release")
     further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases")
-    framings: tuple[str, ...] = Field((), description="learnt from")
-    objects: tuple[str, ...] = Field((), description="learnt from")
-    pairs: int | None = Field(None, description="learnt from")
-    steps: int | None = Field(None, description="done")
+    framings: tuple[str, ...] = Field((), description="of the pairs learnt from")
+    objects: tuple[str, ...] = Field((), description="that were learnt from")
+    pairs: int | None = Field(None, description="number learnt from")
+    steps: int | None = Field(None, description="steps done")
     steps_in_all: int | None = Field(None, description="of the whole training")
     weights_step: int | None = Field(None, description="step that the weights are from")
     seconds: float | None = Field(None, description="of training, without validation")

@@ -234,11 +234,11 @@ class ScoreTable(Stored):
     failures: tuple[Failure, ...] = Field((), description="predictions that were not scored")
     warnings: Lines = Field((), description="one line each")
     notes: Lines = Field((), description="one line each")
-    extremes: dict[str, Extremes] = Field({}, description="protocol -> pairs by IoU")
+    extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
     iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
         None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
     )
-    hashes: dict[str, Hashes] = Field({}, description="by pair")
+    hashes: dict[str, Hashes] = Field({}, description="pair -> of its truth and prediction")
     baseline: bool = Field(False, description="made by kinectbench, to stand beside a method's")
     verified: Verified | None = Field(
         None, description="scored again with the same rows; null: reported only"

@@ -32,8 +32,8 @@ class LostStretch(StoredPart):
 
     first_frame: int = Field(description="its first frame")
     last_frame: int = Field(description="its last frame")
-    from_s: float | None = Field(None, description="seconds from the first frame to its begin")
-    to_s: float | None = Field(None, description="to its end, seconds")
+    from_s: float | None = Field(None, description="when it begins, seconds from the first frame")
+    to_s: float | None = Field(None, description="when it ends")
     reason: str = Field("", description="the most frequent reason")
 
 
@@ -106,7 +106,7 @@ class FrameHealth(ScaledPart):
     """One frame; unknown values are null."""
 
     frame: int = Field(description="its index")
-    state: FrameState = Field("tracked", description="of its pose")
+    state: FrameState = Field("tracked", description="whether it has a pose, and if not, why")
     residual_m: Millimetres = Field(None, description="residual to other frames, mm")
     shift_m: Millimetres = Field(None, description="what its pose may be off by, mm")
     inlier_share: float | None = Field(None, description="of its points, that agree with other frames")
@@ -132,10 +132,10 @@ class TrajectoryHealth(ScaledPart, Stored):
     warnings: tuple[str, ...] = Field((), description="what people should know, one line each")
     frames: int = Field(description="frames of the recording")
     tracked: int = Field(description="of these, with a pose")
-    lost: tuple[int, ...] = Field((), description="without a pose, but for the rejected")
+    lost: tuple[int, ...] = Field((), description="frames without a pose, but for the rejected")
     lost_stretches: tuple[LostStretch, ...] = Field((), description="runs of lost frames")
     jumps: tuple[Jump, ...] = Field((), description="steps far faster than the others")
-    relocalised: tuple[int, ...] = Field((), description="found again after a gap")
+    relocalised: tuple[int, ...] = Field((), description="frames found again after a gap")
     rejected: tuple[RejectedFrame, ...] = Field(
         (), description="left out: depth disagrees with the given pose"
     )
@@ -143,7 +143,7 @@ class TrajectoryHealth(ScaledPart, Stored):
     unchecked: int | None = Field(
         None, description="frames whose pose overlaps too little with others to tell"
     )
-    keyframes: tuple[int, ...] = Field((), description="that others are compared with")
+    keyframes: tuple[int, ...] = Field((), description="frames that others are compared with")
     median_shift_m: Millimetres = Field(None, description="what poses may be off by, median, mm")
     max_shift_m: Millimetres = Field(None, description="the largest of these, mm")
     median_residual_m: Millimetres = Field(None, description="of the frames with a pose, mm")
