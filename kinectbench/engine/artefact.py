@@ -31,7 +31,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 12,
-    "track": 11,
+    "track": 12,
     "fuse": 6,
     "segment": 37,
     "sample-views": 3,

@@ -18,11 +18,11 @@ from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
-from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_FRAMES, Follower, Odometry
+from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_S, Follower, Odometry
 
-# Of so many newest frames the images are kept; of more, what frames are registered to: the odometry goes back
-# to the last frame before the camera was lost. Of older ones only the keyframes are kept.
-NEWEST, KEPT = FRAMES_BEFORE + 2, RECENT_FRAMES
+# Of so many newest frames the images are kept. What frames are registered to is kept as far back as the
+# odometry goes; of older frames only the keyframes.
+NEWEST = FRAMES_BEFORE + 2
 
 
 class LiveFrames:
@@ -91,8 +91,8 @@ class LiveTracker:
         maps = MapCache(self._sequence())
         self._follower = Follower(maps, FeatureCache(maps))
         self.keyframes = self._follower.keyframes
-        # The segment of the odometry that is the world.
-        self._world = 0
+        # The segment of the odometry that is the world, and the first frame that others may be registered to.
+        self._world = self._kept_from = 0
         self.lost = False
 
     def take(self, frame: Frame) -> Float64 | None:
@@ -102,8 +102,10 @@ class LiveTracker:
         self._frames.add(index, frame)
         follower.maps.sequence = self._sequence()
         follower.take(index)
-        if index >= KEPT and index - KEPT not in follower.keyframes:
-            follower.maps.forget(index - KEPT)
+        while self._stamps_ns[self._kept_from] < frame.stamp_ns - 1e9 * RECENT_S:
+            if self._kept_from not in follower.keyframes:
+                follower.maps.forget(self._kept_from)
+            self._kept_from += 1
         taken = follower.frames[index]
         self.lost = taken is None or taken.segment != self._world
         return None if taken is None or self.lost else taken.T_segment_camera

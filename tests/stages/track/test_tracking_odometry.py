@@ -136,8 +136,9 @@ def test_frames_without_depth_are_nothing() -> None:
     assert nothing == Odometry((None,) * 24, dict.fromkeys(range(24), NO_DEPTH), (), ())
 
 
-def test_another_scene_is_another_segment() -> None:
-    """Three frames of something else between: a world of their own, and the rest goes on as it was."""
+@pytest.mark.parametrize("rate_hz", [30.0, 1.0])
+def test_another_scene_is_another_segment(rate_hz: float) -> None:
+    """Three frames of something else between: the rest goes on, or is a third world after three seconds."""
     poses = walk(10, 0.5)
     other = [FLOOR, box((-0.1, -0.6, 0.0), (0.6, -0.4, 0.9)), sphere((-0.3, 0.1, 0.3), 0.3)]
     elsewhere = np.stack([displaced(CORNER_VIEW, (0.02 * k, 0.0, 0.0), 0.0) for k in range(3)])
@@ -146,10 +147,16 @@ def test_another_scene_is_another_segment() -> None:
         (painted(other, elsewhere), range(3)),
         (painted(ROOM, poses), range(5, 10)),
     )
+    sequence = replace(
+        sequence, stamps_ns=np.round(np.arange(len(sequence)) / rate_hz * 1e9).astype(np.int64)
+    )
     odometry = followed(sequence)
     segments = segments_of(odometry)
-    assert segments[:5] == [0] * 5 and segments[8:] == [0] * 5
-    assert 0 not in segments[5:8]
+    assert segments[:5] == [0] * 5 and 0 not in segments[5:8]
+    after = segments[8]
+    assert segments[8:] == [after] * 5 and (after == 0) == (rate_hz == 30)
+    if after:
+        return
     found = poses_of(odometry)
     true = np.concatenate([poses[:5], elsewhere, poses[5:]])
     assert np.nanmax(errors_m(found, true)) < 0.001
