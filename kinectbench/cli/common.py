@@ -169,7 +169,7 @@ class Common:
 
         return load_benchmark(self.config, self.overrides or ())
 
-    def tell(self, value: Any, lines: Iterable[str]) -> None:
+    def tell(self, value: object, lines: Iterable[str]) -> None:
         """Print a result: as JSON if requested, else as these lines."""
         from kinectbench.cli import console
 
@@ -236,7 +236,7 @@ def takes(
     return decorate
 
 
-def _refuse_urls(options: Mapping[str, Any]) -> None:
+def _refuse_urls(options: Mapping[str, object]) -> None:
     """Refuse a URL as a local path, which would create or search folders named like its parts.
 
     Raises:

@@ -5,7 +5,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -82,7 +82,7 @@ def say(*texts: str) -> None:
         typer.echo(one_line(text))
 
 
-def say_json(value: Any) -> None:
+def say_json(value: object) -> None:
     """A value for machines on standard output, in one line; characters beyond ASCII are escaped."""
     typer.echo(json.dumps(value))
 
@@ -169,7 +169,7 @@ def _estimate(row: "RecordingSummary") -> str | None:
 
 
 def text_table(
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[Mapping[str, object]],
     columns: Mapping[str, str],
     formats: Mapping[str, str],
     *,
@@ -193,7 +193,7 @@ def text_table(
     return made
 
 
-def _cell(value: Any, spec: str) -> str:
+def _cell(value: object, spec: str) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):

@@ -131,7 +131,7 @@ def _with_build(command: Command) -> Command:
     """A command that prints one line if the extra `build` is not installed."""
 
     @wraps(command)
-    def checked(*args: Any, **options: Any) -> None:
+    def checked(*args: object, **options: object) -> None:
         if missing := missing_extra("build"):
             raise SettingsError(missing, what="no-package")
         return command(*args, **options)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -242,7 +242,7 @@ def _put_line(url: str, put: "PutSummary") -> str:
     return f"put to {shown(url)}: {put.put} files put, {put.kept} kept, {put.removed} removed"
 
 
-def _put_value(url: str, put: "PutSummary") -> dict[str, Any]:
+def _put_value(url: str, put: "PutSummary") -> dict[str, object]:
     """The same as JSON."""
     keys = ("name", "version", "benchmark_sha256")
     replaced = None if put.replaced is None else {key: getattr(put.replaced, key) for key in keys}

@@ -1,7 +1,7 @@
 """The command `simulate`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -49,7 +49,7 @@ def simulate_command(
         common.tell_written(*write_contact_sheets(contact_sheets))
         return
     given = {"object": object_name, "mesh": None if mesh is None else str(mesh), "seed": seed, "format": form}
-    changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     if frames is not None:
         changes["path"] = {"frames": frames}
     if out is not None and is_truth(truth_folder(out)):

@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 
 class KinectBenchError(Exception):
@@ -141,6 +140,6 @@ def internal_error(error: BaseException) -> str:
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"
 
 
-def pydantic_message(error: Mapping[str, Any]) -> str:
+def pydantic_message(error: Mapping[str, object]) -> str:
     """The message of one of pydantic's errors; of what a check of this project said, its words alone."""
     return str(error["msg"]).removeprefix("Value error, ")

@@ -24,7 +24,7 @@ MOST_VALUES = 100_000
 # Nodes below each other, and nodes in all (chosen here).
 DEEPEST, MOST_NODES = 32, 1000
 TRIANGLES_MODE, STRIP_AND_FAN_MODES = 4, (5, 6)
-Types = dict[int, np.dtype[Any]]
+Types = dict[int, np.dtype[np.generic]]
 # glTF's component types of indices.
 INDICES: Types = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 POSITIONS: Types = {5126: np.dtype("<f4")}
@@ -122,7 +122,7 @@ def _T_parent_node(facts: dict[str, Any]) -> Float64:
 
 
 def _array(
-    gltf: dict[str, Any], binary: bytes, number: Any, types: Types, kind: str, width: int
+    gltf: dict[str, Any], binary: bytes, number: object, types: Types, kind: str, width: int
 ) -> NDArray[Any]:
     """The values of an accessor, (count, width), which lie in the binary part."""
     accessor = gltf["accessors"][_index(number)]
@@ -145,7 +145,7 @@ def _array(
     return np.ascontiguousarray(rows).view(dtype)
 
 
-def _index(value: Any) -> int:
+def _index(value: object) -> int:
     """A whole number that is not negative."""
     if type(value) is not int or value < 0:
         raise TypeError("not an index")

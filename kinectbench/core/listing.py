@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from kinectbench.core.untrusted import STEERING
 
@@ -61,7 +61,7 @@ def spread(items: Sequence[T], most: int) -> list[T]:
     return [items[round(at * (len(items) - 1) / max(1, count - 1))] for at in range(count)]
 
 
-def inert_json(content: Any) -> "Markup":
+def inert_json(content: object) -> "Markup":
     """JSON without characters that could end its element of a page.
 
     Raises:

@@ -11,7 +11,6 @@ import warnings
 from array import array
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,8 +146,8 @@ class _Property:
     """
 
     name: str
-    kind: np.dtype[Any]
-    count: np.dtype[Any] | None
+    kind: np.dtype[np.generic]
+    count: np.dtype[np.generic] | None
     text: bool
 
     @property
@@ -240,7 +239,7 @@ def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
     return numbers[:count]
 
 
-def _column(rows: NDArray[Any], element: _Element, name: str) -> NDArray[np.float64]:
+def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[np.float64]:
     """A scalar property of all rows."""
     place = 0
     for one in element.properties:
@@ -251,7 +250,7 @@ def _column(rows: NDArray[Any], element: _Element, name: str) -> NDArray[np.floa
     raise ValueError(f"vertices without {name}")
 
 
-def _faces(data: NDArray[Any], position: int, element: _Element) -> NDArray[np.int64]:
+def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArray[np.int64]:
     """The triangles of the element of faces, which begins at a position."""
     made, done, triangles = list[NDArray[np.int64]](), 0, 0
     while done < element.rows:
@@ -271,7 +270,7 @@ def _faces(data: NDArray[Any], position: int, element: _Element) -> NDArray[np.i
 
 
 def _lists(
-    data: NDArray[Any], position: int, element: _Element, rows: int
+    data: NDArray[np.generic], position: int, element: _Element, rows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Offsets and lengths of the rows' corner lists, and the end of the last row."""
     if not any(one.count and one.name in CORNER_LISTS for one in element.properties):
@@ -286,7 +285,7 @@ def _lists(
     return starts, sizes, position
 
 
-def _row(data: NDArray[Any], position: int, element: _Element) -> tuple[int, int, int]:
+def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[int, int, int]:
     """Offset and length of one row's corner list, and the end of the row."""
     start = size = 0
     for one in element.properties:
@@ -303,7 +302,7 @@ def _row(data: NDArray[Any], position: int, element: _Element) -> tuple[int, int
     return start, size, position
 
 
-def _count(data: NDArray[Any], position: int, one: _Property) -> int:
+def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
     """The length of a list."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
@@ -316,7 +315,9 @@ def _count(data: NDArray[Any], position: int, one: _Property) -> int:
     return int(count)
 
 
-def _equal_lengths(data: NDArray[Any], position: int, element: _Element, steps: NDArray[np.int64]) -> bool:
+def _equal_lengths(
+    data: NDArray[np.generic], position: int, element: _Element, steps: NDArray[np.int64]
+) -> bool:
     """Whether all rows have lists as long as the first."""
     for one in element.properties:
         if one.count is None:
@@ -330,11 +331,15 @@ def _equal_lengths(data: NDArray[Any], position: int, element: _Element, steps: 
 
 
 def _gathered(
-    data: NDArray[Any], positions: NDArray[np.int64], count: int, kind: np.dtype[Any], text: bool
-) -> NDArray[Any]:
+    data: NDArray[np.generic],
+    positions: NDArray[np.int64],
+    count: int,
+    kind: np.dtype[np.generic],
+    text: bool,
+) -> NDArray[np.generic]:
     """(n, count) numbers, `count` from each position on."""
     places = 1 if text else kind.itemsize
-    values: NDArray[Any] = data[positions[:, None] + np.arange(count * places)]
+    values: NDArray[np.generic] = data[positions[:, None] + np.arange(count * places)]
     return values if text else values.view(kind)
 
 

@@ -1,9 +1,10 @@
 """HTML pages that are one file and open from disk: one head and style sheet, and a template for each page."""
 
 import base64
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kinectbench.core.untrusted import STEERING
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-def render_page(template: str, shown: dict[str, Any]) -> str:
+def render_page(template: str, shown: Mapping[str, object]) -> str:
     """Lay out a page: HTML text, the same for the same input.
 
     Names and reasons are untrusted: all text is escaped, and control characters show as `?`, except in
@@ -47,7 +48,7 @@ def environment() -> "Environment":
     return made
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> object:
     """A value as a template shows it, without control characters."""
     return value if type(value) is not str else STEERING.sub("?", value)
 

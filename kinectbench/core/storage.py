@@ -11,7 +11,7 @@ import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import open_plain
@@ -44,12 +44,12 @@ def name_problem(name: str, also: str = "") -> str | None:
     return None
 
 
-def canonical_json(value: Any) -> str:
+def canonical_json(value: object) -> str:
     """JSON with sorted keys and no spaces: the same text for the same value."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def pretty_json(value: Any) -> str:
+def pretty_json(value: object) -> str:
     """Indented JSON with keys in the given order and a final newline."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 

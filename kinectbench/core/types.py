@@ -1,7 +1,7 @@
 """Types shared by all rooms."""
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ Int64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 # A color picture, (height, width, 3), or colors, (n, 3).
 Rgb = NDArray[np.uint8]
+# An array of a file: of the dtype that the file states, which its reader checks.
+FileArray = NDArray[Any]
+Arrays = dict[str, FileArray]
 
 MM_PER_M = 1000.0
 

@@ -16,7 +16,9 @@ import unicodedata
 from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from typing import IO, TypeVar
+
+_Value = TypeVar("_Value")
 
 # The first 64 KB tell every format apart.
 HEAD_BYTES = 64 << 10
@@ -252,7 +254,7 @@ def _can_be(way: PurePosixPath) -> bool:
         return False
 
 
-def quoted(value: Any) -> str:
+def quoted(value: object) -> str:
     """A parsed value for messages: its short `repr`."""
     return printable(reprlib.repr(value))
 
@@ -274,7 +276,7 @@ def printable(text: str, most: int = QUOTED) -> str:
     return "".join("?" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in short)
 
 
-def cell(value: Any) -> Any:
+def cell(value: _Value) -> _Value | str:
     """A table cell; text that a spreadsheet would take for a formula is quoted.
 
     Numbers stay as they are, also those in a text. The signs are those of OWASP's "CSV Injection".

@@ -57,7 +57,7 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is not JSON")
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """A JSON object without repeated keys."""
     values = dict(pairs)
     if len(values) < len(pairs):
@@ -66,11 +66,13 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
-def _counting(to_object: Callable[[list[tuple[str, Any]]], dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+def _counting(
+    to_object: Callable[[list[tuple[str, object]]], dict[str, object]],
+) -> Callable[..., dict[str, object]]:
     """The same, counting the keys of all objects of a text."""
     keys = set[str]()
 
-    def counted(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def counted(pairs: list[tuple[str, object]]) -> dict[str, object]:
         if len(pairs) <= MOST_KEYS:
             keys.update(key for key, _ in pairs)
         if max(len(keys), len(pairs)) > MOST_KEYS:

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+
+from pydantic import JsonValue
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources, Timing
@@ -44,7 +45,9 @@ VERSIONS: dict[str, int] = {
 }
 
 
-def fingerprint(stage: str, version: int, settings: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+def fingerprint(
+    stage: str, version: int, settings: Mapping[str, JsonValue], inputs: Mapping[str, str]
+) -> str:
     """Fingerprint of what this version of a stage makes from these settings and inputs."""
     return sha256_text(canonical_json([FORMAT_VERSION, stage, version, settings, inputs]))
 
@@ -64,7 +67,7 @@ class Artefact:
     folder: Path
     stage: str
     version: int
-    settings: Mapping[str, Any]
+    settings: Mapping[str, JsonValue]
     inputs: Mapping[str, str]
 
     @cached_property

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.request import ProxyHandler, build_opener
 
 from kinectbench.core.errors import ClusterError, SettingsError
@@ -116,14 +116,14 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
         At its own end one that never connected waits for 40 s and prints a traceback.
         """
 
-        async def _start(self, **how: Any) -> None:
+        async def _start(self, **how: object) -> None:
             # To connect, to be greeted and to be known; of these Dask limits only the first.
             try:
                 await asyncio.wait_for(super()._start(**how), 3 * CONNECT_S)
             except TimeoutError:
                 raise OSError(f"it takes calls, but said nothing for {3 * CONNECT_S:.0f} s") from None
 
-        def sync(self, *call: Any, callback_timeout: float | None = None, **how: Any) -> Any:
+        def sync(self, *call: object, callback_timeout: float | None = None, **how: object) -> object:
             return super().sync(*call, callback_timeout=callback_timeout or SILENT_S, **how)
 
         def __del__(self) -> None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from functools import cache
 from platform import python_version
-from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.errors import ClusterError
@@ -47,7 +46,7 @@ def keep_freed_memory() -> None:
         mallopt(M_TRIM_THRESHOLD, 2 * MMAP_BYTES)
 
 
-def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
+def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> object:
     """Run a task on this worker.
 
     Args:
@@ -74,9 +73,9 @@ def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> Any:
             "it makes the same bytes",
             what="other-versions",
         )
-    reported_s: dict[Any, float] = {}
+    reported_s: dict[object, float] = {}
 
-    def say(message: Any) -> None:
+    def say(message: tuple[object, ...]) -> None:
         what, now = message[:2], time.monotonic()
         if now - reported_s.get(what, float("-inf")) >= SAY_S:
             reported_s[what] = now

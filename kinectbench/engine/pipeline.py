@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core.artefacts.manifest import Timing
 from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
@@ -177,14 +176,14 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
     return artefacts
 
 
-def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:
+def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
     """Settings of the artefacts on disk that have changed: {key: (then, now)}.
 
     Args:
         job: the recording, with the settings of now.
         upto: name of the last stage.
     """
-    changed: dict[str, tuple[Any, Any]] = {}
+    changed: dict[str, tuple[object, object]] = {}
     for stage in stages_upto(upto):
         manifest = whole_manifest(job.build / stage.folder)
         if manifest is not None and manifest.stage_version == stage.version:
@@ -195,9 +194,9 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[Any, Any]]:
     return changed
 
 
-def _by_key(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def _by_key(settings: Mapping[str, object], above: str = "") -> dict[str, object]:
     """Nested settings by their keys as `--set` names them, such as fusion.voxel_size_m."""
-    flat: dict[str, Any] = {}
+    flat: dict[str, object] = {}
     for key, value in settings.items():
         flat |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
     return flat

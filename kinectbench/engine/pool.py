@@ -7,11 +7,14 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING
 
 from kinectbench.engine.executor import Listener, Outcomes, Result, SendMessage, Task, WorkerLost
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.processes import CONTEXT, submit_all, worker_pool
+
+if TYPE_CHECKING:
+    from multiprocessing.queues import Queue
 
 KILLED_ALONE = (
     "its process was killed although no other ran beside it, perhaps for lack of memory; "
@@ -91,7 +94,9 @@ def _until_killed(
     return list(undone.values()), hangs
 
 
-def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, listener: Listener) -> "Future[Result]":
+def _next_done(
+    done: "SimpleQueue[Future[Result]]", messages: "Queue[object]", listener: Listener
+) -> "Future[Result]":
     """The next finished task; messages of the tasks are reported until then."""
     while True:
         ended = None
@@ -104,10 +109,10 @@ def _next_done(done: "SimpleQueue[Future[Result]]", messages: Any, listener: Lis
 
 
 # In a worker process: the way of what its task says to the parent.
-_messages: list[Any] = []
+_messages: list["Queue[object]"] = []
 
 
-def _keep_queue(messages: Any) -> None:
+def _keep_queue(messages: "Queue[object]") -> None:
     messages.cancel_join_thread()  # a worker must not wait at its end for messages nobody reads
     _messages.append(messages)
 
@@ -116,7 +121,7 @@ def _call(function: Callable[[Task, SendMessage], Result], task: Task) -> Result
     return function(task, _messages[-1].put)
 
 
-def _drained(messages: Any) -> Iterator[Any]:
+def _drained(messages: "Queue[object]") -> Iterator[object]:
     while True:
         try:
             yield messages.get_nowait()

@@ -7,9 +7,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker, util
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinectbench.engine.interrupts import interrupts_held
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -23,7 +26,7 @@ CONTEXT = multiprocessing.get_context("spawn")
 
 @contextmanager
 def worker_pool(
-    workers: int, prepare: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
+    workers: int, prepare: Callable[..., None] | None = None, arguments: tuple[object, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of spawned processes; if the block raises an exception, they are stopped at once.
 
@@ -67,7 +70,7 @@ def give_back_shared() -> None:
     util._run_finalizers(0)  # type: ignore[attr-defined]
 
 
-def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[object, ...]) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare(*arguments)
@@ -81,7 +84,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _end(processes: set[Any]) -> None:
+def _end(processes: set["BaseProcess"]) -> None:
     for process in processes:
         process.terminate()
     for process in processes:

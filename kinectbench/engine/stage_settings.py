@@ -7,9 +7,9 @@ in it. `stages` makes them of a job.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from kinectbench.core.types import Progress, Underside
 from kinectbench.settings.base import Settings
@@ -54,7 +54,7 @@ class StageSettings(Settings):
 
     ADDED: ClassVar[tuple[str, ...]] = ()
 
-    def fingerprinted(self) -> dict[str, Any]:
+    def fingerprinted(self) -> dict[str, JsonValue]:
         """The settings in the stage's fingerprint and manifest, as plain JSON values."""
         values = self.model_dump(mode="json")
         for dotted in self.ADDED:

@@ -4,7 +4,8 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+
+from pydantic import JsonValue
 
 from kinectbench.core.artefacts.views import MasksFile
 from kinectbench.core.errors import RecordingError
@@ -107,7 +108,7 @@ class Stage:
         """Version of its output; artefacts of another version are made again."""
         return VERSIONS[self.name]
 
-    def settings(self, job: Job) -> Mapping[str, Any]:
+    def settings(self, job: Job) -> Mapping[str, JsonValue]:
         """The settings that it depends on, as plain JSON values."""
         return self.needs(job).fingerprinted()
 

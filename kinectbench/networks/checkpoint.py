@@ -7,7 +7,7 @@ import pickle
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
@@ -71,7 +71,7 @@ class StoredState(_Checked):
 
     @field_validator("rows", mode="before")
     @classmethod
-    def _few(cls, rows: Any, info: ValidationInfo) -> Any:
+    def _few(cls, rows: object, info: ValidationInfo) -> object:
         if not isinstance(rows, list) or len(rows) > info.data.get("step", 0):
             raise ValueError("more rows than steps")
         return [TrainingRow.model_validate(row) for row in rows]
@@ -106,8 +106,8 @@ class Checkpoint(_Checked):
     benchmarks_sha256: list[Sha256]
     config_sha256: Sha256 | None = None
     network: dict[str, Tensor]
-    optimisers: list[dict[str, Any]]
-    state: dict[str, Any]
+    optimisers: list[dict[str, object]]
+    state: dict[str, object]
 
 
 def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Checkpoint:
@@ -174,7 +174,7 @@ def set_values(
         _lay_out(optimiser)
 
 
-def _check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
+def _check_adam(state: object, optimiser: torch.optim.Optimizer, step: int) -> None:
     """Refuse an optimiser state that Adam cannot have after this many steps."""
     parameters = optimiser.param_groups[0]["params"]
     if not isinstance(state, dict) or not set(state) <= set(range(len(parameters))):
@@ -189,7 +189,7 @@ def _check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None
         _check(kept["exp_avg_sq"], parameters[index], True)
 
 
-def _check(values: Any, like: Tensor, positive: bool = False) -> None:
+def _check(values: object, like: Tensor, positive: bool = False) -> None:
     """Refuse a value that is not a finite tensor of this shape and kind."""
     if not isinstance(values, Tensor) or values.layout != torch.strided:
         raise ValueError("no tensor")

@@ -7,7 +7,6 @@ Their tensors are channels-last; rows of full layers are in the order x, y, z, c
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,7 +209,7 @@ def tensor_misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tup
 
 
 def _write_training(
-    bundle: TensorBundle, arrays: Mapping[str, NDArray[Any]], config: MethodSettings, out: Path
+    bundle: TensorBundle, arrays: Mapping[str, NDArray[np.generic]], config: MethodSettings, out: Path
 ) -> None:
     file = TrainingFile(
         name=config.name,

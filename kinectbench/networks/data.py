@@ -4,7 +4,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
 from kinectbench.settings.words import suggestion
 
+_Value = TypeVar("_Value", bound=np.generic)
 # Batches are read by one thread while the one before is learnt from.
 READING_THREADS = 2
 
@@ -174,7 +175,7 @@ def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
     return [turned_axes(unpack(part), config) for part in parts]
 
 
-def turned_axes(grid: NDArray[Any], config: MethodSettings) -> NDArray[Any]:
+def turned_axes(grid: NDArray[_Value], config: MethodSettings) -> NDArray[_Value]:
     """A grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 

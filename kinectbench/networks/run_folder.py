@@ -76,7 +76,7 @@ def _differences(before: MethodSettings, now: MethodSettings) -> str:
     return "; ".join(changes) + (f"; and {len(keys) - SHOWN} more" if len(keys) > SHOWN else "")
 
 
-def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, object]]:
     """Dotted keys, and their values."""
     for key, value in values.items():
         if isinstance(value, dict):

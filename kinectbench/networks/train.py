@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -70,7 +69,7 @@ class Training:
     part: tuple[int, int]
     learner: Learner
     state: State
-    facts: dict[str, Any]
+    facts: dict[str, object]
 
     @property
     def steps(self) -> int:
@@ -143,7 +142,7 @@ def train(
             return state
 
 
-def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, Any]:
+def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, object]:
     """Facts about the training pairs for training.json."""
     return {
         "benchmark_sha256": releases[0].benchmark_sha256,

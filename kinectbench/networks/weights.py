@@ -5,16 +5,20 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import replaced_file
+from kinectbench.core.types import Arrays, FileArray
 from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
+
+if TYPE_CHECKING:
+    from torch.nn import Module
 
 FILE = "weights.npz"
 # Varley's 1.72 GB is the largest network here.
@@ -26,7 +30,6 @@ SLAB_VALUES = 1 << 20
 # Of a value in the widest of these; and of an array, its header.
 WIDEST_BYTES, HEADER_BYTES = 8, 1 << 10
 
-Arrays = Mapping[str, NDArray[Any]]
 Shapes = Mapping[str, tuple[int, ...]]
 
 
@@ -41,7 +44,7 @@ def write_weights(arrays: Arrays, path: Path) -> None:
                 np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
 
 
-def read_weights(path: Path) -> dict[str, NDArray[Any]]:
+def read_weights(path: Path) -> Arrays:
     """Read the arrays of an untrusted file.
 
     Raises:
@@ -55,7 +58,7 @@ def read_weights(path: Path) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[Any]]]:
+def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.generic]]]:
     """Yield the values of a file, flat, some at a time: name of the array, number of the first, values (n,).
 
     A network may be as large as the memory; so may an array. Raises as `read_weights`.
@@ -116,7 +119,7 @@ def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
         raise StorageError(f"{path}: cannot be read as weights ({error}); get the file again") from error
 
 
-def _problem(name: str, array: NDArray[Any]) -> str:
+def _problem(name: str, array: FileArray) -> str:
     """Why a network cannot have this value; "" if it can."""
     # A float64 may be larger than what the network has. Of NaN neither is so.
     most = np.finfo(np.float32).max
@@ -125,17 +128,17 @@ def _problem(name: str, array: NDArray[Any]) -> str:
     return "negative variances" if name.endswith("running_var") and (array < 0).any() else ""
 
 
-def shapes_of_network(network: Any) -> dict[str, tuple[int, ...]]:
+def shapes_of_network(network: "Module") -> dict[str, tuple[int, ...]]:
     """The shapes of a torch module's values by name, which may be on "meta"."""
     return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
-def arrays_of_network(network: Any) -> dict[str, NDArray[Any]]:
+def arrays_of_network(network: "Module") -> Arrays:
     """The values of a torch module by name, on the CPU."""
     return {name: values.detach().cpu().numpy() for name, values in network.state_dict().items()}
 
 
-def set_weights(network: Any, path: Path) -> None:
+def set_weights(network: "Module", path: Path) -> None:
     """Load a file's values, with checked headers, into a torch module, part by part.
 
     Raises:

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
@@ -53,7 +52,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
     info = ReleaseInfo.read(folder)
     identity = benchmark_sha256(text, release_text(folder / BENCHMARK_JSON))
     message = f"{' '.join(part for part in (info.name, info.version) if part)}, benchmark_sha256 {identity}"
-    where: dict[str, Any] = {"repo_id": name, "repo_type": "dataset"}
+    where: dict[str, object] = {"repo_id": name, "repo_type": "dataset"}
     try:
         api = HfApi()
         api.create_repo(**where, exist_ok=True)

@@ -1,7 +1,7 @@
 """The images of a view of a release: depth, mask and colour, from untrusted files."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core.encoded_images import decoded_image, image_head
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import MM_PER_M, Bools, Float32, Rgb
+from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Rgb
 from kinectbench.release.contents import VIEW_IMAGES
 from kinectbench.release.published import published_bytes
 from kinectbench.release.release import Release, Target
@@ -85,7 +85,7 @@ def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
     return np.asarray(_decoded(png, where, DEPTH), dtype=np.uint16)
 
 
-def _pixels(release: Release, target: Target, kind: Kind) -> NDArray[Any]:
+def _pixels(release: Release, target: Target, kind: Kind) -> FileArray:
     name = f"views/{target.recording}/{target.view}{kind.suffix}"
     if name not in release.sums:
         raise ReleaseError(
@@ -94,7 +94,7 @@ def _pixels(release: Release, target: Target, kind: Kind) -> NDArray[Any]:
     return _decoded(release.content(name), name, kind)
 
 
-def _decoded(content: bytes, where: str, kind: Kind) -> NDArray[Any]:
+def _decoded(content: bytes, where: str, kind: Kind) -> FileArray:
     """The pixels of an image; its head is read before it is decoded."""
     import cv2
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import StoredPart
@@ -78,7 +77,7 @@ def _shown(part: StoredPart, hidden: tuple[str, ...]) -> tuple[tuple[str, str], 
     return tuple(_rows({key: value for key, value in values.items() if key not in hidden}, ""))
 
 
-def text_of(value: Any) -> str:
+def text_of(value: object) -> str:
     """A JSON value in a few characters."""
     if value is None:
         return "–"
@@ -99,7 +98,7 @@ def per_cent(value: float | None) -> str:
     return "–" if value is None else f"{100 * value:.1f} %"
 
 
-def _rows(values: Mapping[str, Any], prefix: str) -> list[tuple[str, str]]:
+def _rows(values: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
         if isinstance(value, Mapping):

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -338,7 +337,7 @@ def gallery_json(
     return inert_json(content), len(holders) - len(kept)
 
 
-def _truth(truth: PairTruth) -> dict[str, Any]:
+def _truth(truth: PairTruth) -> dict[str, object]:
     grids = {name: _text(getattr(truth, name)) for name in ("partial", "full", "known", "unseen")}
     up = [round(float(value), 5) for value in truth.up]
     picture = {"picture": truth.picture} if truth.picture else {}

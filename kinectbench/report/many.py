@@ -68,7 +68,7 @@ def listing(rows: Sequence[Sequence[str]], shown: Sequence[str]) -> Listing:
     return Listing(COLUMNS, FILTERS, rows, links, "`kinectbench build --status` lists all of them")
 
 
-def object_listing(objects: Sequence[Sequence[Any]]) -> Listing | None:
+def object_listing(objects: Sequence[Sequence[object]]) -> Listing | None:
     """The unknown share of each object's truth, as a list; None if there are few objects."""
     if len(objects) <= PAGE_ROWS:
         return None
@@ -76,7 +76,7 @@ def object_listing(objects: Sequence[Sequence[Any]]) -> Listing | None:
     return Listing(OBJECT_COLUMNS, (1,), rows, {}, "scores.json has all of them")
 
 
-def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
+def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, object], int]:
     """The settings with the first of many recordings only, and how many were left out."""
     recordings = settings.get("recordings") or []
     left_out = max(0, len(recordings) - SHOWN)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -151,7 +150,7 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
     return many.listing(rows, [part.settings.id for part in shown])
 
 
-def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, Any]:
+def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, object]:
     """The scores' section of the page."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +90,7 @@ class Scorer:
         if thresholds_file is not None:
             self._thresholds = thresholds_for(thresholds_file, test)
 
-    def update(self, pair_id: str, prediction: NDArray[Any]) -> None:
+    def update(self, pair_id: str, prediction: NDArray[np.generic]) -> None:
         """Count one prediction; a second one for the pair replaces the first.
 
         Args:

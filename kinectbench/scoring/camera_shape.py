@@ -6,7 +6,7 @@ The files are untrusted: their claims are checked before they are believed.
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.rigid import similarity_problem, similarity_scale
 from kinectbench.core.glb_file import read_glb
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, MAX_POINTS, read_obj, read_ply_surface
-from kinectbench.core.types import Bools, Float32, Float64, Int64
+from kinectbench.core.types import Arrays, Bools, FileArray, Float32, Float64, Int64
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
 from kinectbench.core.voxels.resample import MAX_CELLS
@@ -128,7 +128,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
     return CameraShape("mesh" if len(faces) else "points", _checked_points(points), faces, normals)
 
 
-def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
+def _of_arrays(arrays: Arrays) -> CameraShape:
     """The shape that an .npz holds, by its keys."""
     no_faces = np.zeros((0, 3), np.int64)
     several = [key for key in ("points_m", "occupancy", "sdf_m") if key in arrays]
@@ -159,7 +159,7 @@ def _of_arrays(arrays: dict[str, NDArray[Any]]) -> CameraShape:
     return made(_checked_cells(cells, key), T.astype(np.float64), float(size.reshape(())))
 
 
-def _checked_points(points: NDArray[Any]) -> Float64:
+def _checked_points(points: NDArray[np.generic]) -> Float64:
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or points.dtype.kind not in "fiu":
         raise PredictionError(f"points {points.shape} {points.dtype}: rows of x, y, z are needed")
     if len(points) > MAX_POINTS:
@@ -173,7 +173,7 @@ def _checked_points(points: NDArray[Any]) -> Float64:
     return found
 
 
-def _checked_cells(cells: NDArray[Any], key: str) -> NDArray[Any]:
+def _checked_cells(cells: FileArray, key: str) -> FileArray:
     """Occupancy as bool, or distances as finite float32."""
     if key == "occupancy":
         if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):

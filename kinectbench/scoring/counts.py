@@ -6,7 +6,6 @@ Likewise for predicted occupancy, and for the truth at a coarser resolution.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,7 +190,7 @@ def reduced(full: NDArray[np.bool_], side: int) -> Float32:
 def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
     """A faster `reduced` for whole cells per coarse cell, with equal values."""
     step = len(full) // side
-    counts: NDArray[Any] = np.ascontiguousarray(full).view(np.uint8)
+    counts: NDArray[np.generic] = np.ascontiguousarray(full).view(np.uint8)
     for axes_done, axis in enumerate((2, 1, 0), start=1):
         counts = counts.astype(np.min_scalar_type(step**axes_done), copy=False)
         blocks = counts.reshape(*counts.shape[:axis], side, step, *counts.shape[axis + 1 :])

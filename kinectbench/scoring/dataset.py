@@ -9,6 +9,7 @@ from typing import Any
 from kinectbench.core.artefacts.targets import SPLITS
 from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.store.address import unusable
+from kinectbench.core.types import Arrays, FileArray
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import (
     INPUT_KEYS,
@@ -26,7 +27,7 @@ from kinectbench.release.release import Release, Target, open_release
 
 OF_PAIR = tuple(field.name for field in fields(Pair))
 OF_TRUTH = tuple(name for name in OF_PAIR if name not in INPUT_KEYS)
-IMAGES: dict[str, Callable[[Release, Target], Any]] = {
+IMAGES: dict[str, Callable[[Release, Target], FileArray]] = {
     "depth": view_images.depth_m,
     "mask": view_images.mask,
     "color": view_images.color,
@@ -54,7 +55,7 @@ class Dataset:
         release: Release,
         targets: Sequence[Target],
         keys: Sequence[str] | None = None,
-        transform: Callable[[Item], Any] | None = None,
+        transform: Callable[[Item], object] | None = None,
         packed: bool = False,
     ) -> None:
         """Like `load`, for some pairs of an opened release.
@@ -109,7 +110,9 @@ class Dataset:
         return item if self.transform is None else self.transform(item)
 
 
-def item_of(target: Mapping[str, Any], parts: Mapping[str, Any], keys: Sequence[str], packed: bool) -> Item:
+def item_of(
+    target: Mapping[str, object], parts: Mapping[str, FileArray], keys: Sequence[str], packed: bool
+) -> Item:
     """The dataset's item of a pair.
 
     Args:
@@ -127,7 +130,7 @@ def item_of(target: Mapping[str, Any], parts: Mapping[str, Any], keys: Sequence[
     return item
 
 
-def _value(key: str, stored: Any, packed: bool) -> Any:
+def _value(key: str, stored: FileArray, packed: bool) -> object:
     """A value as an item has it."""
     if key in (*NUMBERS, *TEXTS):
         return stored.item()
@@ -146,7 +149,7 @@ def load(
     path: str | Path,
     *,
     keys: Sequence[str] | None = None,
-    transform: Callable[[Item], Any] | None = None,
+    transform: Callable[[Item], object] | None = None,
     packed: bool = False,
 ) -> Dataset:
     """Open a release; with torch installed the result is also a `torch.utils.data.Dataset`.
@@ -190,7 +193,7 @@ def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
     return wanted
 
 
-def _read(release: Release, target: Target, names: Sequence[str]) -> dict[str, Any]:
+def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
     """Some arrays of a pair file by key, checked.
 
     Raises:
@@ -204,9 +207,9 @@ def _read(release: Release, target: Target, names: Sequence[str]) -> dict[str, A
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
 
 
-def _meta(target: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
+def _meta(target: Mapping[str, object], parts: Mapping[str, FileArray]) -> dict[str, object]:
     """The metadata of a pair."""
-    meta: dict[str, Any] = {name: target[name] for name in TARGET_KEYS}
+    meta: dict[str, object] = {name: target[name] for name in TARGET_KEYS}
     meta |= {"voxel_size_m": parts["voxel_size_m"].item(), "T_world_grid": parts["T_world_grid"]}
     if "full" in parts:
         meta["unknown_share"] = unknown_share(parts["full"], parts["known"])
@@ -223,7 +226,7 @@ def _dataset_class() -> type[Dataset]:
     except ImportError:
         return Dataset
 
-    def reduce(self: Dataset) -> tuple[Any, ...]:  # the class is made here: workers make it again
+    def reduce(self: Dataset) -> tuple[object, ...]:  # the class is made here: workers make it again
         return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
 
     return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # Points of the depth, and of a shape, that are compared: the median of 300 differs by some per cent from
 # that of all, and all slips of a view take 0.1 s (chosen here).
@@ -187,7 +190,7 @@ def _scale(T: Float64) -> float:
     return float(np.cbrt(abs(np.linalg.det(T[:3, :3]))))
 
 
-def _gap(tree: Any, rng: np.random.Generator) -> float:
+def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
     """Median distance of points from the nearest other one.
 
     Of points at random on a surface it is as large as the median distance of the surface from them.

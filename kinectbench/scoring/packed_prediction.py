@@ -5,11 +5,11 @@ That holds where predictions are counted as they are, at 256^3; coarser ones are
 """
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Arrays
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
 
@@ -28,7 +28,7 @@ UNUSED = 1e-9
 OUTERMOST_LOGIT = float(np.log(THRESHOLDS[-1] / (1 - THRESHOLDS[-1])))
 
 
-def packed(probability: NDArray[np.float16]) -> dict[str, NDArray[Any]] | None:
+def packed(probability: NDArray[np.float16]) -> Arrays | None:
     """The arrays of a packed prediction's npz.
 
     A level is the mean of the values that it stands for: their middle changed the cross-entropy of a network
@@ -54,7 +54,7 @@ def packed(probability: NDArray[np.float16]) -> dict[str, NDArray[Any]] | None:
     return {LEVELS: levels.astype(np.float16), CODES: codes[bits]}
 
 
-def unpacked(levels: NDArray[Any], codes: NDArray[np.uint8]) -> Prediction:
+def unpacked(levels: NDArray[np.generic], codes: NDArray[np.uint8]) -> Prediction:
     """The values of a packed prediction, (n, n, n) of the type of `levels`; every code is one of theirs."""
     values: Prediction = np.take(levels, codes)
     return values

@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,7 +170,7 @@ def _decoded(archive: zipfile.ZipFile) -> Prediction:
     return unpacked(levels, codes)
 
 
-def _read(archive: zipfile.ZipFile, name: str, check: Callable[[NpyHeader], None]) -> NDArray[Any]:
+def _read(archive: zipfile.ZipFile, name: str, check: Callable[[NpyHeader], None]) -> NDArray[np.generic]:
     with archive.open(name) as stream:
         return read_npy(stream, archive.getinfo(name).file_size, check)
 

@@ -7,8 +7,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
+from kinectbench.core.artefacts.score_figures import Averages
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import StorageError
@@ -23,7 +24,7 @@ TOLERANCE = 1e-9
 # Another version of numpy may draw other samples: 10 000 resamples place an end to within 2.6 % of the
 # interval's width (measured with 100 000 draws of another seed).
 OF_BOOTSTRAP = 0.05
-NOTHING: tuple[Any, ...] = (None, [], (), {})
+NOTHING: tuple[object, ...] = (None, [], (), {})
 # Other versions may word notes and marks otherwise: they are computed again, not compared.
 FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
 
@@ -60,7 +61,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
     return table.model_copy(update=values | ({} if holds else {"verified": None}))
 
 
-def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterator[str]:
+def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Averages]]) -> Iterator[str]:
     """Curves of an older table that contradict the score at its threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
@@ -72,14 +73,14 @@ def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Any]) -> Iterato
                 yield f"'iou_by_threshold.{protocol}.{category}' does not go through the mean of the rows"
 
 
-def _differences(table: ScoreTable, computed: Mapping[str, Any]) -> Iterator[str]:
+def _differences(table: ScoreTable, computed: Mapping[str, object]) -> Iterator[str]:
     """Statements of the file that do not follow from its rows; missing ones are no difference."""
     for name in FIGURES:
         if name in table.model_fields_set:
             yield from differing(getattr(table, name), computed[name], name)
 
 
-def differing(stated: Any, computed: Any, key: str, whole: bool = False) -> Iterator[str]:
+def differing(stated: object, computed: object, key: str, whole: bool = False) -> Iterator[str]:
     """The keys at which a stated value differs from the computed one beyond rounding, in a sentence each.
 
     Args:
@@ -106,7 +107,9 @@ def differing(stated: Any, computed: Any, key: str, whole: bool = False) -> Iter
         yield f"'{printable(key)}' states {_short(stated)}, but it is {_short(computed)}"
 
 
-def _bootstrapped(stated: Mapping[str, Any], computed: Mapping[str, Any], key: str) -> Iterator[str]:
+def _bootstrapped(
+    stated: Mapping[str, Sequence[float] | None], computed: Mapping[str, Sequence[float] | None], key: str
+) -> Iterator[str]:
     """Random intervals, whose ends may differ by a small part of their width."""
     for name, ends in stated.items():
         of = computed.get(name)
@@ -119,25 +122,25 @@ def _below(key: str, name: object) -> str:
     return f"{key}.{name}" if key else str(name)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """A model or dataclass as a mapping; other values unchanged."""
     if isinstance(value, StoredPart):
         return value.json_value()
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
-def _is_list(value: Any) -> bool:
+def _is_list(value: object) -> TypeGuard[Sequence[object]]:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _close(one: Any, other: Any) -> bool:
+def _close(one: object, other: object) -> bool:
     """Whether two values are equal up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     return bool(one == other)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     """A value in a few characters, without control characters."""
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.targets import check_names
@@ -187,8 +187,8 @@ class Rounds:
 class _Silent:
     """Counts pairs silently: progress counts pairs of finished recordings."""
 
-    def heard(self, message: Any) -> None: ...
-    def warn(self, message: str, task: Any = None) -> None: ...
+    def heard(self, message: object) -> None: ...
+    def warn(self, message: str, task: object = None) -> None: ...
 
 
 def _by_recording(

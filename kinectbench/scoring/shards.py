@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.core.errors import PairError
+from kinectbench.core.types import Arrays, FileArray
 from kinectbench.core.untrusted import printable
 from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import read_npy
@@ -64,7 +64,7 @@ def decode_sample(
     return item_of(names, parts, wanted, packed)
 
 
-def _parts(sample: Mapping[str, Any], row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequence[str]) -> Arrays:
     """The arrays for some keys; those of the truth if it is available.
 
     Raises:
@@ -77,7 +77,7 @@ def _parts(sample: Mapping[str, Any], row: Mapping[str, Any], keys: Sequence[str
     return checked_parts({name: _earlier(sample, row, name) for name in names}, names)
 
 
-def _earlier(sample: Mapping[str, Any], row: Mapping[str, Any], name: str) -> NDArray[Any]:
+def _earlier(sample: Mapping[str, bytes], row: Mapping[str, object], name: str) -> FileArray:
     """A value of a sample of earlier versions."""
     if name in PACKED_SHAPES:
         content = sample[name + NPY]

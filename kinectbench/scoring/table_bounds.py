@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 from pydantic.fields import FieldInfo
 
@@ -29,7 +29,7 @@ def out_of_bounds(table: ScoreTable) -> Iterator[str]:
             yield from _in_field(getattr(table, name), _extra(ScoreTable, name), name)
 
 
-def _in_field(value: Any, extra: Mapping[str, Any], key: str) -> Iterator[str]:
+def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[str]:
     """Faults of one field's value and its parts."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
@@ -44,10 +44,10 @@ def _in_field(value: Any, extra: Mapping[str, Any], key: str) -> Iterator[str]:
             yield from _in_field(one, {}, f"{key}.{index}")
 
 
-def _outside(value: Any, extra: Mapping[str, Any]) -> str:
+def _outside(value: object, extra: Mapping[str, Any]) -> str:
     """Why a value is outside the bounds of its field, in a few words; "" if it is inside."""
     if isinstance(value, list | tuple):
-        items = cast(Mapping[str, Any], extra.get("items", {}))
+        items = extra.get("items", {})
         return next((why for one in (min(value), max(value)) if (why := _outside(one, items))), "")
     if isinstance(value, str):
         if "enum" in extra and value not in extra["enum"]:
@@ -64,13 +64,13 @@ def _outside(value: Any, extra: Mapping[str, Any]) -> str:
 
 
 @cache
-def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, Any]], ...]:
+def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, object]], ...]:
     """The fields of a class, with their bounds."""
     names = kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind)
     return tuple((name, _extra(kind, name)) for name in names)
 
 
-def _extra(kind: type, name: str) -> Mapping[str, Any]:
+def _extra(kind: type, name: str) -> Mapping[str, object]:
     """The bounds that a field adds to the schema."""
     info: FieldInfo = (kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

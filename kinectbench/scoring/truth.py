@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.types import FileArray
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts
 from kinectbench.release.published import published_bytes
@@ -78,7 +76,7 @@ def read_voxel_size(path: Path, sha256: str) -> float:
     return float(read_parts(path, sha256, ("voxel_size_m",))[0])
 
 
-def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[NDArray[Any]]:
+def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[FileArray]:
     """Read some packed grids or lengths of a published pair file, in the order of `names`, and no others.
 
     Lengths are 0-d, float64, in metres.

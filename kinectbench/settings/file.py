@@ -215,7 +215,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
     return f"{where}: {what}" if named else f"{where}: {printable(key)}: {what}"
 
 
-def _key_hint(name: str, annotation: Any) -> str:
+def _key_hint(name: str, annotation: object) -> str:
     """Advice for an unknown key of the annotation's model."""
     model = model_of(annotation)
     homes = [
@@ -228,7 +228,7 @@ def _key_hint(name: str, annotation: Any) -> str:
     return suggestion(name, list(model.model_fields) if model else [])
 
 
-def _value_hint(value: yaml.Node | None, annotation: Any) -> str:
+def _value_hint(value: yaml.Node | None, annotation: object) -> str:
     """Advice for a value of the wrong kind, if any is known."""
     if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
         return ""

@@ -1,7 +1,7 @@
 """Typed settings of a benchmark. All defaults are here; unknown keys are refused at every depth."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     Field,
@@ -114,9 +114,9 @@ class BoxSettings(Settings):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, object]:
         """Leave out a missing anchor, as before anchors existed, in releases and fingerprints."""
-        values: dict[str, Any] = to_dict(self)
+        values: dict[str, object] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
         if self.anchor_frame is not None:

@@ -1,9 +1,10 @@
 """Settings from command-line options; one clear line for every wrong one."""
 
-from collections.abc import Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError, pydantic_message
 from kinectbench.settings import yaml_nodes
@@ -14,7 +15,7 @@ Model = TypeVar("Model", bound=Settings)
 
 
 def settings_from_options(
-    model: type[Model], values: dict[str, Any], overrides: Sequence[str], what: str
+    model: type[Model], values: Mapping[str, object], overrides: Sequence[str], what: str
 ) -> Model:
     """Settings with some of their values changed.
 
@@ -36,7 +37,7 @@ def settings_from_options(
         raise SettingsError(*(_line(model, e, overrides, what) for e in error.errors())) from None
 
 
-def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def merged(values: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
     """Nested values with some of them replaced."""
     result = dict(values)
     for key, value in changes.items():
@@ -45,7 +46,7 @@ def merged(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _nested(override: str) -> dict[str, Any]:
+def _nested(override: str) -> dict[str, object]:
     """`a.b=value` as {a: {b: value}}."""
     source = f"{yaml_nodes.OVERRIDE}{override}"
     key, equals, text = override.partition("=")
@@ -57,7 +58,7 @@ def _nested(override: str) -> dict[str, Any]:
     return dict(value)
 
 
-def _line(model: type[Settings], error: Any, overrides: Sequence[str], what: str) -> str:
+def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
     """A readable line for one of pydantic's errors, which begins with the option."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)

@@ -2,9 +2,10 @@
 
 import io
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
-from typing import Any, get_origin
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, get_origin
 
 import yaml
 
@@ -16,6 +17,10 @@ from kinectbench.settings.base import Settings
 from kinectbench.settings.models import RecordingSettings
 from kinectbench.settings.reading import MOST_BYTES, as_text
 from kinectbench.settings.words import model_of, suggestion, without_none
+
+if TYPE_CHECKING:
+    from pyarrow import Scalar
+    from pyarrow.parquet import ParquetFile
 
 CSV, PARQUET = ".csv", ".parquet"
 ENDINGS = (CSV, PARQUET)
@@ -57,12 +62,12 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
     return entries
 
 
-def columns() -> dict[str, Any]:
+def columns() -> dict[str, object]:
     """Every column that a table may have, in the models' order, with the meaning of its cells."""
     return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
 
 
-def _leaves(model: type[Settings], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves(model: type[Settings], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
     for name, field in model.model_fields.items():
         inner = model_of(field.annotation)
         if inner is None:
@@ -107,7 +112,7 @@ def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[
     return names, enumerate((list(row) for row in zip(*columns, strict=True)), start=2)
 
 
-def _check_parquet(file: Any, source: str) -> None:
+def _check_parquet(file: "ParquetFile", source: str) -> None:
     """Check a Parquet file's metadata before its values are read."""
     from pyarrow import types
 
@@ -137,11 +142,11 @@ def _check_parquet(file: Any, source: str) -> None:
         )
 
 
-def _numbers(types: Any) -> tuple[Callable[[Any], bool], ...]:
+def _numbers(types: ModuleType) -> tuple[Callable[[object], bool], ...]:
     return types.is_integer, types.is_floating, types.is_boolean, types.is_null
 
 
-def _cells(column: Any, source: str) -> list[str]:
+def _cells(column: "Iterable[Scalar]", source: str) -> list[str]:
     """A column in the form of a CSV file, at most as large as such a file may be."""
     cells, left = [], MOST_BYTES
     for value in column:
@@ -152,7 +157,7 @@ def _cells(column: Any, source: str) -> list[str]:
     return cells
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     """A value as a CSV file would have it."""
     if value is None or value != value:  # NaN, which is what pandas writes for an empty cell
         return ""
@@ -195,7 +200,7 @@ def _entry(cells: Mapping[tuple[str, ...], str], mark: yaml.Mark) -> yaml.Node:
     return _mapping(entry, mark)
 
 
-def _mapping(entry: Mapping[str, Any], mark: yaml.Mark) -> yaml.Node:
+def _mapping(entry: Mapping[str, object], mark: yaml.Mark) -> yaml.Node:
     pairs = [
         (
             yaml.ScalarNode(yaml_nodes.STR_TAG, key, mark, mark),
@@ -216,7 +221,7 @@ def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
     return yaml_nodes.scalar(cell, mark)
 
 
-def _is_text(annotation: Any) -> bool:
+def _is_text(annotation: object) -> bool:
     """Whether a field's cell is always text, such as an id of digits."""
     return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
 

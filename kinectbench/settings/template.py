@@ -5,7 +5,6 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -134,7 +133,7 @@ def _commented(text: str, comment: str | None) -> str:
     return f"{text:<34}  # {comment}" if comment else text
 
 
-def yaml_text(value: Any) -> str:
+def yaml_text(value: object) -> str:
     """A value on one line of YAML, with quotes if needed."""
     if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
         return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()

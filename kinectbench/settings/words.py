@@ -3,7 +3,7 @@
 import difflib
 import types
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic.fields import FieldInfo
@@ -18,7 +18,7 @@ Location = tuple[str | int, ...]
 WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
-def without_none(annotation: Any) -> Any:
+def without_none(annotation: object) -> object:
     """`X | None` as X, without validators; other annotations unchanged."""
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
@@ -27,27 +27,29 @@ def without_none(annotation: Any) -> Any:
     return annotation
 
 
-def model_of(annotation: Any) -> type[Settings] | None:
+def model_of(annotation: object) -> type[Settings] | None:
     """The settings model that an annotation names, or None."""
     inner = without_none(annotation)
     return inner if isinstance(inner, type) and issubclass(inner, Settings) else None
 
 
-def choices_of(annotation: Any) -> tuple[str, ...]:
+def choices_of(annotation: object) -> tuple[str, ...]:
     """The names that a Literal annotation allows; empty for other annotations."""
     inner = without_none(annotation)
     return tuple(map(str, get_args(inner))) if get_origin(inner) is Literal else ()
 
 
-def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tuple[Any, Sequence[Any], int]:
+def field_at(
+    location: Location, root: type[Settings] = BenchmarkSettings
+) -> tuple[object, Sequence[object], int]:
     """Follow a location into the models as far as possible, starting from `root`.
 
     Returns:
         The annotation and its constraints there, and how many parts of the location were used: a
         number inside a vector belongs to the vector's field.
     """
-    annotation: Any = root
-    constraints: Sequence[Any] = ()
+    annotation: object = root
+    constraints: Sequence[object] = ()
     for used, part in enumerate(location):
         annotation = without_none(annotation)
         model = model_of(annotation)
@@ -63,7 +65,7 @@ def field_at(location: Location, root: type[Settings] = BenchmarkSettings) -> tu
     return annotation, constraints, len(location)
 
 
-def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
+def wanted(annotation: object, constraints: Sequence[object]) -> str:
     """The expected value of a field, such as `a number from 0.001 to 0.05`."""
     inner = without_none(annotation)
     model = model_of(inner)
@@ -81,11 +83,12 @@ def wanted(annotation: Any, constraints: Sequence[Any]) -> str:
     if get_origin(inner) is list:
         (entry,) = get_args(inner)
         return f"a list with at least one entry, each {'a mapping' if model_of(entry) else 'a text'}"
-    name = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}[inner]
-    return f"{name} {limits}" if (limits := range_in_words(constraints)) else name
+    names: dict[object, str] = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+    limits = range_in_words(constraints)
+    return f"{names[inner]} {limits}" if limits else names[inner]
 
 
-def range_in_words(constraints: Sequence[Any]) -> str:
+def range_in_words(constraints: Sequence[object]) -> str:
     """The range of the constraints, such as `from 1 to 64` or `above 0`; empty if there is none."""
     words = []
     for constraint in constraints:

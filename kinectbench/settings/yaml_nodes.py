@@ -74,7 +74,7 @@ class _Counting(Composer):
 
     allowance: Allowance
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """The next node; refuses a file with more than `MOST_VALUES` keys and values."""
         self.allowance.values -= 1
         if self.allowance.values < 0:
@@ -86,7 +86,7 @@ class _Counting(Composer):
 class _FastLoader(_Counting, Resolver):
     """libyaml's parser, and PyYAML's composer with the scalars of YAML 1.2."""
 
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own
 
     def __init__(self, text: str, source: str, allowance: Allowance) -> None:
         self.allowance = allowance
@@ -221,7 +221,7 @@ def plain(node: yaml.Node) -> Any:
         raise SettingsError(f"{place(node)}: nested too deeply", what="bad-yaml") from None
 
 
-def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
+def _plain(node: yaml.Node, done: dict[int, object], open_nodes: set[int]) -> object:
     # An aliased node is turned once, so a file of nested aliases costs no more than its own length.
     if id(node) in done:
         return done[id(node)]
@@ -231,7 +231,7 @@ def _plain(node: yaml.Node, done: dict[int, Any], open_nodes: set[int]) -> Any:
         )
     open_nodes.add(id(node))
     if isinstance(node, yaml.MappingNode):
-        value: Any = {key: _plain(child, done, open_nodes) for key, child in _checked_items(node)}
+        value: object = {key: _plain(child, done, open_nodes) for key, child in _checked_items(node)}
     elif isinstance(node, yaml.SequenceNode):
         value = [_plain(child, done, open_nodes) for child in node.value]
     else:
@@ -258,7 +258,7 @@ def _checked_items(node: yaml.MappingNode) -> Iterator[tuple[str, yaml.Node]]:
         yield key.value, child
 
 
-def _scalar(node: yaml.Node) -> Any:
+def _scalar(node: yaml.Node) -> object:
     text = str(node.value)
     try:
         if node.tag == NULL_TAG:

@@ -1,7 +1,7 @@
 """benchmark.json, the description of a release, and publish.json, the record of the last publication."""
 
 import contextlib
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -50,15 +50,15 @@ class SettingsInfo(StoredPart):
     """The settings that the release was built with, as in benchmark.yaml."""
 
     source: str | None = Field(None, description="who recorded the data, or where it is from")
-    recordings: tuple[dict[str, Any], ...] | None = Field(
+    recordings: tuple[dict[str, object], ...] | None = Field(
         None, description="without their paths; null or missing: not made from recordings"
     )
-    tracking: dict[str, Any] | None = Field(None, description="of the camera's path")
-    fusion: dict[str, Any] | None = Field(None, description="of the TSDF fusion")
-    segmentation: dict[str, Any] | None = Field(None, description="of floor and object")
-    views: dict[str, Any] | None = Field(None, description="of the sampling of the views")
+    tracking: dict[str, object] | None = Field(None, description="of the camera's path")
+    fusion: dict[str, object] | None = Field(None, description="of the TSDF fusion")
+    segmentation: dict[str, object] | None = Field(None, description="of floor and object")
+    views: dict[str, object] | None = Field(None, description="of the sampling of the views")
     pairs: PairsInfo = Field(description="of the pairs")
-    publish: dict[str, Any] | None = Field(None, description="of the release")
+    publish: dict[str, object] | None = Field(None, description="of the release")
 
 
 class RecordingInfo(StoredPart):

@@ -116,7 +116,7 @@ class MethodFile(Stored):
 
     @field_validator("frame", "form", "unit", "axes", "scale", mode="before")
     @classmethod
-    def _a_known_word(cls, value: Any, info: ValidationInfo) -> Any:
+    def _a_known_word(cls, value: object, info: ValidationInfo) -> object:
         words = get_args(cls.model_fields[str(info.field_name)].annotation)
         if value not in words:
             raise ValueError(f"{printable(repr(value), 60)} is none of {', '.join(words)}")

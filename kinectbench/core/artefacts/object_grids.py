@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class OnGrid:
     """
 
     FILE: ClassVar[str]
-    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {}
+    VERSION: ClassVar[Mapping[str, NDArray[np.generic]]] = {}
     ADDED: ClassVar[tuple[str, ...]] = ()
 
     grid: Grid
@@ -93,7 +93,7 @@ class ObjectVolume(OnGrid):
 
     FILE: ClassVar[str] = "volume.npz"
     ADDED: ClassVar[tuple[str, ...]] = ("underside",)
-    VERSION: ClassVar[Mapping[str, NDArray[Any]]] = {"format_version": np.asarray(1)}
+    VERSION: ClassVar[Mapping[str, NDArray[np.generic]]] = {"format_version": np.asarray(1)}
 
     solid: Bools
     labels: NDArray[np.uint8]

@@ -1,7 +1,7 @@
 """The provenance of a release: lineage.json, privacy.json and thresholds.json."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -25,7 +25,7 @@ class LineageStage(StoredPart):
     stage_version: int | None = Field(
         None, description="of what the stage writes; null or missing: the artefact is older than the key"
     )
-    settings: dict[str, Any] = Field(description="those the stage depends on")
+    settings: dict[str, object] = Field(description="those the stage depends on")
     fingerprint: str = Field(description="of stage, version, settings and inputs")
 
 

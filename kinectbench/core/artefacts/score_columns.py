@@ -9,10 +9,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
 from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, ScoredPair, ScoreRow, fields_of
@@ -20,6 +18,7 @@ from kinectbench.core.artefacts.score_marks import Sha256
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import StorageError, pydantic_message
 from kinectbench.core.storage import canonical_json, replaced_file, storage_errors
+from kinectbench.core.types import Arrays
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
 
@@ -79,9 +78,9 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path) -> RowsFile | None:
     return RowsFile(rows=len(rows), sha256=hashlib.sha256(content).hexdigest())
 
 
-def _columns(rows: Sequence[ScoreRow]) -> dict[str, NDArray[Any]]:
+def _columns(rows: Sequence[ScoreRow]) -> Arrays:
     """The arrays of rows.npz."""
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: Arrays = {}
     for name in (*TEXTS, IN_SPACE):
         positions: dict[str, int] = {}
         places = [positions.setdefault(_text(row, name), len(positions)) for row in rows]
@@ -136,7 +135,7 @@ def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
     raise StorageError(f"{path}: not the rows of a score table ({why}); score the predictions again")
 
 
-def _check(arrays: dict[str, NDArray[Any]], count: int) -> None:
+def _check(arrays: Arrays, count: int) -> None:
     """Refuse columns of other shapes and types, and texts that are not listed."""
     texts = (*TEXTS, *(name for name in (IN_SPACE,) if name in arrays))
     for name in (*texts, *NUMBERS, CURVE):
@@ -155,23 +154,25 @@ def _check(arrays: dict[str, NDArray[Any]], count: int) -> None:
             raise ValueError(f"'{name}' names texts that are not in '{WORDS.format(name)}'")
 
 
-def _rows(arrays: dict[str, NDArray[Any]], start: int) -> Iterator[ScoreRow]:
+def _rows(arrays: Arrays, start: int) -> Iterator[ScoreRow]:
     """Up to `AT_ONCE` rows from an index on; the caller checks their bounds."""
     batch = slice(start, start + AT_ONCE)
-    columns: dict[str, list[Any]] = {}
+    columns: dict[str, list[object]] = {}
     for name in TEXTS:
         words = arrays[WORDS.format(name)].tolist()
         columns[name] = [words[at] for at in arrays[name][batch].tolist()]
     for name in NUMBERS:
         columns[name] = [None if math.isnan(of) else of for of in arrays[name][batch].tolist()]
-    columns["cells"] = [int(of) if of is not None and of.is_integer() else of for of in columns["cells"]]
+    columns["cells"] = [
+        int(of) if isinstance(of, float) and of.is_integer() else of for of in columns["cells"]
+    ]
     columns[CURVE] = [None if math.isnan(of[0]) else tuple(of) for of in arrays[CURVE][batch].tolist()]
     more = _in_space(arrays, batch) if IN_SPACE in arrays else [{}] * len(columns[CURVE])
     for *values, beside in zip(*columns.values(), more, strict=True):
         yield ScoreRow(**dict(zip(columns, values, strict=True)), **beside)
 
 
-def _in_space(arrays: dict[str, NDArray[Any]], batch: slice) -> list[dict[str, Any]]:
+def _in_space(arrays: Arrays, batch: slice) -> list[dict[str, object]]:
     """Values of some rows that have no column."""
     words = arrays[WORDS.format(IN_SPACE)].tolist()
     used = {at: words[at] for at in set(arrays[IN_SPACE][batch].tolist())}

@@ -157,14 +157,14 @@ class Hashes(StoredPart):
     )
 
 
-def _without_nulls(content: Any) -> Any:
+def _without_nulls(content: object) -> object:
     """The keys with a value of an untrusted object; null stands for no keys."""
     if not isinstance(content, Mapping):
         return {} if content is None else content
     return {key: value for key, value in content.items() if value is not None}
 
 
-def _lines(content: Any) -> Any:
+def _lines(content: object) -> object:
     """The tuple in a list of JSON; null stands for an empty one."""
     return tuple(content) if isinstance(content, list) else () if content is None else content
 

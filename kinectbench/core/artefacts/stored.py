@@ -54,7 +54,7 @@ EARLY = [
 ]
 
 
-def _leave_early(schema: Any) -> None:
+def _leave_early(schema: object) -> None:
     """Set pydantic's `fail_fast` in all lists, tuples and mappings of a core schema."""
     if isinstance(schema, list):
         for part in schema:
@@ -84,7 +84,7 @@ class StoredPart(BaseModel):
     )
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's schema; validation of lists and mappings stops at the first error, to save memory."""
         schema = handler(source)
         _leave_early(schema)
@@ -183,7 +183,7 @@ class Stored(StoredPart):
             raise cls.ERROR(f"{where}: not valid JSON ({error}); {cls.ADVICE}") from error
 
     @classmethod
-    def _missing(cls, content: Any) -> str:
+    def _missing(cls, content: object) -> str:
         """The first key that an object lacks, or ""."""
         keys = (field.alias or name for name, field in cls.model_fields.items() if field.is_required())
         return next((key for key in keys if isinstance(content, dict) and key not in content), "")
@@ -198,7 +198,7 @@ class Bare(Stored):
     """A whole file that is the value of the model's one field, such as a list of rows without a key."""
 
     @classmethod
-    def _missing(cls, content: Any) -> str:
+    def _missing(cls, content: object) -> str:
         return ""
 
     @classmethod
@@ -206,12 +206,12 @@ class Bare(Stored):
         """The value of the one field, from the whole text."""
         ((name, field),) = cls.model_fields.items()
         early: Any = Annotated[field.rebuild_annotation(), FailFast()]
-        kind: TypeAdapter[Any] = TypeAdapter(early)
+        kind: TypeAdapter[object] = TypeAdapter(early)
         value = kind.validate_json(text, strict=True, by_alias=True, by_name=False)
         return cls(**{name: value})
 
     @model_serializer(mode="wrap")
-    def _without_absent_keys(self, to_dict: SerializerFunctionWrapHandler) -> Any:
+    def _without_absent_keys(self, to_dict: SerializerFunctionWrapHandler) -> object:
         (value,) = to_dict(self).values()
         return value
 
@@ -228,13 +228,13 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _scaled_in_file(factor: float, decimals: int) -> tuple[Any, ...]:
+def _scaled_in_file(factor: float, decimals: int) -> tuple[object, ...]:
     """Annotations of a number that the file holds `factor` times larger, rounded to `decimals`.
 
     The value in memory is rounded, too, so that it equals the value that is read.
     """
 
-    def from_file(value: Any, info: ValidationInfo) -> Any:
+    def from_file(value: object, info: ValidationInfo) -> object:
         return value / factor if info.mode == "json" and isinstance(value, int | float) else value
 
     def as_in_file(value: float) -> float:
@@ -276,11 +276,11 @@ class ScaledPart(StoredPart):
         return self
 
 
-def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any, ...]:
+def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[object, ...]:
     """Annotations of a numpy array of this shape and type, finite; nested lists in the file."""
     number_type = Integral if np.issubdtype(dtype, np.integer) else Real
 
-    def checked(value: Any) -> NDArray[Any]:
+    def checked(value: object) -> NDArray[np.generic]:
         """The array, read-only; ValueError if it is of another shape, or not of finite numbers."""
         refusal = ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
         # Numpy would take texts and booleans for numbers.
@@ -288,7 +288,7 @@ def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any
         if any(not isinstance(one, number_type) or isinstance(one, bool) for one in given.flat):
             raise refusal
         try:
-            array: NDArray[Any] = given.astype(dtype)
+            array: NDArray[np.generic] = given.astype(dtype)
         except OverflowError as error:
             raise refusal from error
         if array.shape != shape or not np.isfinite(array).all():
@@ -296,7 +296,7 @@ def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[Any
         array.flags.writeable = False
         return array
 
-    schema: dict[str, Any] = {"type": "number"}
+    schema: dict[str, object] = {"type": "number"}
     for side in reversed(shape):
         schema = {"type": "array", "items": schema, "minItems": side, "maxItems": side}
     return (

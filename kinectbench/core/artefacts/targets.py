@@ -238,7 +238,7 @@ def benchmark_sha256(sums: str, stated: str) -> str:
     Raises:
         ValueError, RecursionError: it is not JSON.
     """
-    content: dict[str, Any] = strict_json(stated)
+    content: dict[str, object] = strict_json(stated)
     if content.get(SHA256_VERSION_KEY) is None:
         return sha256_text(list_of_files(sums))
     covered = {key: value for key, value in content.items() if key not in HASH_KEYS}

@@ -1,6 +1,6 @@
 """Files beside the poses of a trajectory: health.json and depth_calibration.json."""
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -19,7 +19,7 @@ from kinectbench.core.types import Float64
 Grade = Literal["good", "fair", "not good"]
 GRADES: tuple[Grade, ...] = ("not good", "fair", "good")  # rising
 # Files of older versions name millimetres, which no recording promised.
-OLDER_GRADES: dict[Any, Grade] = {"5 mm": "good", "10 mm": "fair"}
+OLDER_GRADES: dict[object, Grade] = {"5 mm": "good", "10 mm": "fair"}
 Source = Literal["trust", "refine", "tracked"]
 Recommendation = Literal["trust", "refine", "ignore"]
 FrameState = Literal["tracked", "relocalised", "lost", "rejected"]

@@ -1,7 +1,7 @@
 """views.json and pairs.json: the views of a recording with their figures, and the pairs made of them."""
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, StringConstraints
 
@@ -19,10 +19,10 @@ Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
 
 
-def _must(what: str, is_so: Callable[[Any], bool]) -> AfterValidator:
+def _must(what: str, is_so: Callable[[object], bool]) -> AfterValidator:
     """Refuse a value that is not as it must be, by this message."""
 
-    def checked(value: Any) -> Any:
+    def checked(value: object) -> object:
         if not is_so(value):
             raise ValueError(f"must {what}")
         return value

@@ -1,7 +1,6 @@
 """Pinhole cameras with optical axes (x right, y down, z forward) and integer pixel centres."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +42,7 @@ class Camera:
         """Directions through every pixel centre with z = 1: (height, width, 3), camera frame."""
         return self.rays_at(*np.meshgrid(np.arange(self.width), np.arange(self.height)))
 
-    def rays_at(self, u: NDArray[Any], v: NDArray[Any]) -> Float64:
+    def rays_at(self, u: NDArray[np.number], v: NDArray[np.number]) -> Float64:
         """Directions through pixels (...) with z = 1: (..., 3), camera frame."""
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,13 @@ from kinectbench.core.geometry.boxes import OrientedBox
 from kinectbench.core.geometry.rigid import transform_points
 from kinectbench.core.types import Bools, Float32, Float64, Int32
 from kinectbench.core.untrusted import read_plain
+
+if TYPE_CHECKING:
+    from open3d.core import Tensor
+    from open3d.t.geometry import RaycastingScene
+
+# The function that makes Open3D's tensors of arrays.
+Tensors = Callable[[NDArray[np.generic]], "Tensor"]
 
 # Two triangles a side, by the order of `OrientedBox.corners_floor`.
 BOX_FACES = np.array(
@@ -98,7 +105,7 @@ def box_mesh(box: OrientedBox) -> TriangleMesh:
     return TriangleMesh(box.corners_floor(), BOX_FACES)
 
 
-def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple[Any, Any]:
+def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple["RaycastingScene", Tensors]:
     """Meshes prepared for casting rays, in float32 (Open3D's RaycastingScene, which is Embree).
 
     Args:
@@ -169,7 +176,7 @@ def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) 
 
 
 @cache
-def _open3d() -> Any:
+def _open3d() -> ModuleType:
     """Open3D, whose functions for plotly are imported on their first call only.
 
     They import dash and plotly: 0.42 of the 0.68 CPU s that `import open3d` takes (version 0.20), in every
@@ -177,12 +184,12 @@ def _open3d() -> Any:
     """
     name = "open3d.visualization.draw_plotly"
 
-    def later(function: str) -> Callable[..., Any]:
+    def later(function: str) -> Callable[..., object]:
         """A function whose module is imported at the first call."""
         if function.startswith("__"):  # such as __file__, which `inspect` asks every module for
             raise AttributeError(function)
 
-        def call(*args: Any, **named: Any) -> Any:
+        def call(*args: object, **named: object) -> object:
             sys.modules.pop(name, None)
             return getattr(importlib.import_module(name), function)(*args, **named)
 

@@ -13,7 +13,7 @@ import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import urljoin
 
 from kinectbench._version import __version__
@@ -163,7 +163,7 @@ class _Download:
                 self._copy(answer, part, self._goes_on(answer, at, size), size)
         return self._taken(part, size)
 
-    def _checked_size(self, answer: Any) -> int:
+    def _checked_size(self, answer: http.client.HTTPResponse) -> int:
         coding, length = answer.headers.get("Content-Encoding"), answer.headers.get("Content-Length", "")
         if coding not in (None, "", "identity"):
             raise _RefusedError(f"sends it packed ({printable(coding, 20)}), though nobody asked for that")
@@ -176,7 +176,7 @@ class _Download:
             raise _RefusedError(f"has {size} bytes, where {self.size} are known")
         return size
 
-    def _goes_on(self, answer: Any, at: int, size: int) -> int:
+    def _goes_on(self, answer: http.client.HTTPResponse, at: int, size: int) -> int:
         """Offset of an answer's first byte in the file; 0 if the server ignores the requested range."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
@@ -187,7 +187,7 @@ class _Download:
             raise _RefusedError(f"asked for bytes from {at} of {size}, it sends '{printable(span, 40)}'")
         return at
 
-    def _copy(self, answer: Any, part: Path, at: int, size: int) -> None:
+    def _copy(self, answer: http.client.HTTPResponse, part: Path, at: int, size: int) -> None:
         """Write the bytes of an answer from an offset on, up to the expected size."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
@@ -225,7 +225,7 @@ class _Download:
         return content
 
 
-def _mark(answer: Any) -> str:
+def _mark(answer: http.client.HTTPResponse) -> str:
     """The validator of this content, which changes with it (RFC 9110, 8.8), or ""."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
@@ -239,15 +239,15 @@ def _host(url: str) -> str:
     return _shown(url).split("/")[2]
 
 
-def _read(answer: IO[bytes], most: int) -> bytes:
+def _read(answer: http.client.HTTPResponse, most: int) -> bytes:
     try:
-        return bytes(answer.read1(most))  # type: ignore[attr-defined] # of http.client.HTTPResponse
+        return answer.read1(most)
     except (OSError, http.client.HTTPException) as error:
         raise _BrokenError(_why(error)) from None
 
 
 @contextlib.contextmanager
-def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[Any]:
+def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPResponse]:
     """A server's answer, from a byte on if supported; redirections only lead to web servers."""
     headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
     if at:
@@ -277,7 +277,7 @@ def _any_answers(urls: Sequence[str]) -> None:
     raise _BrokenError
 
 
-def _next(url: str, answer: Any) -> str | None:
+def _next(url: str, answer: http.client.HTTPResponse) -> str | None:
     """The target of a redirect; None if the answer is the file."""
     status = answer.status
     if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
@@ -300,13 +300,14 @@ def _joined(url: str, place: str) -> str:
         return place
 
 
-def _answer(request: urllib.request.Request) -> Any:
+def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     opener = urllib.request.OpenerDirector()
     # No handler of errors or redirections: they read the body of an answer, however long it is.
     for handler in (urllib.request.ProxyHandler(), _Plain(), _Secure()):
         opener.add_handler(handler)
     try:
-        return opener.open(request, timeout=NEXT_S)
+        answer: http.client.HTTPResponse = opener.open(request, timeout=NEXT_S)
+        return answer
     except urllib.error.URLError as error:
         cause = error.reason if isinstance(error.reason, OSError) else error
         kind: type[Exception] = _BrokenError
@@ -356,10 +357,10 @@ class _BoundedTls(_Bounded, http.client.HTTPSConnection):
 
 
 class _Plain(urllib.request.HTTPHandler):
-    def http_open(self, req: urllib.request.Request) -> Any:
+    def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
         return self.do_open(_Bounded, req)
 
 
 class _Secure(urllib.request.HTTPSHandler):
-    def https_open(self, req: urllib.request.Request) -> Any:
+    def https_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
         return self.do_open(_BoundedTls, req, context=ssl.create_default_context())

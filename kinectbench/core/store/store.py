@@ -10,7 +10,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from types import ModuleType
+from typing import IO, TYPE_CHECKING, TypeVar
 from urllib.parse import unquote
 
 from kinectbench.core.errors import StorageError
@@ -20,7 +21,8 @@ from kinectbench.core.store.attempts import MissingObjectError, UnsettledError, 
 from kinectbench.core.untrusted import TEXT_BYTES, printable
 
 if TYPE_CHECKING:
-    from obstore.store import ObjectStore
+    from obstore import GetOptions, ObjectMeta
+    from obstore.store import ClientConfig, ObjectStore
 
 T = TypeVar("T")
 
@@ -106,7 +108,7 @@ class Store:
             StorageError: it is larger than `most_bytes`, cannot be read, or the disk cannot be written.
         """
         with replaced_file(path) as temporary, temporary.open("wb") as out:
-            first: list[Any] = []
+            first: list[ObjectMeta] = []
             self._try_read(name, lambda: self._append(name, out, first, most_bytes), out.tell)
 
     def put(self, name: str, content: bytes | Path) -> None:
@@ -185,7 +187,7 @@ class Store:
         """A small request that tests whether the store answers."""
         return next(self._chunks(None, None, 1), None)
 
-    def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence[Any]]:
+    def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence["ObjectMeta"]]:
         """Batches of a listing; each has the store's usual timeout.
 
         Raises:
@@ -239,12 +241,12 @@ class Store:
             ) from None
         return True
 
-    def _append(self, name: str, out: IO[bytes], first: list[Any], most_bytes: int) -> None:
+    def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
         """Download the rest of a file; `first` keeps the metadata of its first answer."""
         at = out.tell()
         if first and at == first[0]["size"]:
             return
-        options: Any = {"range": {"offset": at}} if at else {}
+        options: GetOptions = {"range": {"offset": at}} if at else {}
         if at and first[0]["e_tag"]:
             options["if_match"] = first[0]["e_tag"]
         result = _obstore().get(self._opened(), name, options=options or None)
@@ -316,7 +318,7 @@ def in_parallel(
         return results
 
 
-async def _next(pages: AsyncIterator[Sequence[Any]]) -> Sequence[Any] | None:
+async def _next(pages: AsyncIterator[Sequence["ObjectMeta"]]) -> Sequence["ObjectMeta"] | None:
     """The next objects of a listing; None at its end.
 
     Raises:
@@ -325,13 +327,13 @@ async def _next(pages: AsyncIterator[Sequence[Any]]) -> Sequence[Any] | None:
     return await asyncio.wait_for(anext(pages, None), LISTED_S)
 
 
-def _obstore() -> Any:
+def _obstore() -> ModuleType:
     import obstore
 
     return obstore
 
 
-def _object(meta: Any) -> StoredObject:
+def _object(meta: "ObjectMeta") -> StoredObject:
     return StoredObject(meta["path"], meta["size"], meta["e_tag"] or "", meta["last_modified"].timestamp())
 
 
@@ -353,7 +355,11 @@ def _opened(url: str, make: bool, process: int) -> "ObjectStore":
             raise FileNotFoundError(str(folder))
         return LocalStore(folder, mkdir=make)
     plain = url.startswith("http:") or os.environ.get("AWS_ENDPOINT_URL", "").startswith("http:")
-    client: Any = {"timeout": REQUEST_TIMEOUT, "connect_timeout": CONNECT_TIMEOUT, "allow_http": plain}
+    client: ClientConfig = {
+        "timeout": REQUEST_TIMEOUT,
+        "connect_timeout": CONNECT_TIMEOUT,
+        "allow_http": plain,
+    }
     # Attempts are counted and bounded in one place, `attempts.patiently`.
     return from_url(url, client_options=client, retry_config={"max_retries": 0})
 

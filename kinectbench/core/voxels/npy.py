@@ -11,7 +11,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import IO, Any, cast
+from typing import IO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,9 @@ class NpyHeader:
         return math.prod(self.shape) * self.dtype.itemsize
 
 
-def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | None = None) -> NDArray[Any]:
+def read_npy(
+    file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | None = None
+) -> NDArray[np.generic]:
     """Read an npy stream whose length must match its header.
 
     Args:
@@ -82,7 +84,7 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None] | No
     return data.reshape(header.shape, order="F" if header.fortran_order else "C")
 
 
-def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[Any]:
+def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[np.generic]:
     """Copy a stream's data into a new flat array."""
     data = np.empty(math.prod(header.shape), header.dtype)
     if data.nbytes:
@@ -96,7 +98,7 @@ def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[Any]:
     return data
 
 
-def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[Any]:
+def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[np.generic]:
     """A flat view of data in memory.
 
     To copy the grids of a pair takes as long as to inflate them: 3 ms, most of it for fresh pages.
@@ -106,11 +108,11 @@ def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[Any]:
         raise NpyError(f"cut short: {len(view)} bytes of data, {header.data_bytes} are claimed")
     file.seek(header.data_bytes, io.SEEK_CUR)
     # Unlike np.ndarray's, this holds the buffer: the stream can be neither closed nor made longer meanwhile.
-    data: NDArray[Any] = np.frombuffer(view, header.dtype, math.prod(header.shape))
+    data: NDArray[np.generic] = np.frombuffer(view, header.dtype, math.prod(header.shape))
     return data if data.flags.aligned else data.copy()
 
 
-def _check_texts(data: NDArray[Any]) -> None:
+def _check_texts(data: NDArray[np.generic]) -> None:
     """Refuse invalid Unicode code points, which Python's str cannot hold."""
     if data.dtype.kind == "U" and data.size:
         points = data.view(np.dtype(np.uint32).newbyteorder(data.dtype.byteorder))

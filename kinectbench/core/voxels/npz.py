@@ -12,12 +12,14 @@ from collections.abc import Collection, Mapping
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from types import ModuleType
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import StorageError
+from kinectbench.core.types import Arrays
 from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
@@ -37,7 +39,7 @@ REUSED_BYTES = 16 << 20
 _LENGTHS_AT = 26
 
 
-def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = 6) -> bytes:
+def npz_bytes(arrays: Mapping[str, NDArray[np.generic]], level: int = 6) -> bytes:
     """Serialise named arrays as a compressed npz with fixed time stamps (np.savez writes the time of day).
 
     Args:
@@ -93,7 +95,7 @@ def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -
     return archive
 
 
-def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> dict[str, NDArray[Any]]:
+def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> Arrays:
     """Read all arrays of an npz; no pickles.
 
     Args:
@@ -111,8 +113,8 @@ def arrays_of(
     file: IO[bytes],
     most_bytes: int,
     names: Collection[str] | None = None,
-    absent: Mapping[str, NDArray[Any]] | None = None,
-) -> dict[str, NDArray[Any]]:
+    absent: Mapping[str, NDArray[np.generic]] | None = None,
+) -> Arrays:
     """Read the named arrays of an open npz, by default all, in C order; no pickles.
 
     Args:
@@ -148,7 +150,7 @@ def _reuse_memory() -> None:
     np.empty(REUSED_BYTES, np.uint8)
 
 
-def _read(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+def _read(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[np.generic]:
     """The array of an entry that `open_npz` let pass."""
     large = max(entry.file_size, entry.compress_size) > AT_ONCE_BYTES
     if large or entry.compress_type != zipfile.ZIP_DEFLATED:
@@ -179,7 +181,7 @@ def _inflated(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo)
     return io.BytesIO(content)
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path) -> Arrays:
     """Read all arrays of an npz of a build.
 
     Raises:
@@ -199,7 +201,7 @@ _KIND = struct.pack("<5H", 20, 0, 8, 0, 1 << 5 | 1)
 _MADE_BY, _ATTRIBUTES = struct.pack("<H", 3 << 8 | 20), struct.pack("<3HI", 0, 0, 0, 0o644 << 16)
 
 
-def packed_npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+def packed_npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
     """The same as `npz_bytes`, with matches of runs only (zlib's Z_RLE).
 
     On packed solids it takes two thirds of the time of level 3 for the same size. The layout is that of
@@ -222,7 +224,7 @@ def packed_npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return b"".join([*parts, listing, b"PK\5\6", end])
 
 
-def _entry(array: NDArray[Any]) -> tuple[bytes, bytes]:
+def _entry(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
     """An array's checksum and sizes as a zip file states them, and its compressed npy file."""
     if array.dtype == np.uint8 and array.size:
         values = array.reshape(-1)
@@ -238,7 +240,7 @@ def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
     return _deflated(np.full(shape, value, np.uint8))
 
 
-def _deflated(array: NDArray[Any]) -> tuple[bytes, bytes]:
+def _deflated(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(array))
     head, body = header.getvalue(), array.reshape(-1).view(np.uint8).data
@@ -249,7 +251,7 @@ def _deflated(array: NDArray[Any]) -> tuple[bytes, bytes]:
 
 
 @cache
-def _zlib() -> Any:
+def _zlib() -> ModuleType:
     """zlib-ng, three times as fast; it finds the same runs, so the bytes are the same as zlib's."""
     try:
         return import_module("zlib_ng.zlib_ng")

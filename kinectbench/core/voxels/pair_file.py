@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import PairError
 from kinectbench.core.geometry import Grid
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Arrays, Bools, FileArray, Float64
 from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, arrays_of, open_npz, packed_npz_bytes
 
@@ -199,7 +199,7 @@ def pair_content(path: Path) -> bytes:
         raise PairError(f"{path}: cannot be read as a pair file ({error}); make it again") from error
 
 
-def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
+def pair_values(content: bytes, where: str) -> Arrays:
     """The arrays of an untrusted pair file by key, unchecked.
 
     Raises:
@@ -211,7 +211,7 @@ def pair_values(content: bytes, where: str) -> dict[str, NDArray[Any]]:
         raise PairError(f"{where}: cannot be read as a pair file ({error}); make it again") from error
 
 
-def pair_parts(content: bytes, names: Collection[str]) -> list[NDArray[Any]]:
+def pair_parts(content: bytes, names: Collection[str]) -> list[FileArray]:
     """Some arrays of a pair file's bytes, checked, in the order of `names`; the others are not unpacked.
 
     A key that files of earlier versions lack has its default.
@@ -226,7 +226,7 @@ def pair_parts(content: bytes, names: Collection[str]) -> list[NDArray[Any]]:
     return [checked_parts(values, names)[name] for name in names]
 
 
-def checked_parts(values: dict[str, NDArray[Any]], names: Collection[str]) -> dict[str, NDArray[Any]]:
+def checked_parts(values: Arrays, names: Collection[str]) -> Arrays:
     """Some arrays of a pair, with those of `names` checked.
 
     Raises:
@@ -257,7 +257,7 @@ def keys_there(names: Sequence[str], content: bytes) -> list[str]:
     return [name for name in names if name not in OPTIONAL or name in present]
 
 
-def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where: str) -> AnyPair:
+def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[np.generic]], where: str) -> AnyPair:
     """The values of a pair file as a pair or an input; every key, shape and dtype is checked.
 
     Raises:
@@ -276,13 +276,13 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[Any]], where:
     return kind(**checked)
 
 
-def _defaults(kind: type[Pair] | type[PairInput]) -> dict[str, NDArray[Any]]:
+def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
     """Defaults of keys that earlier versions of the file lack."""
     defaults = {f.name: f.default for f in fields(kind) if f.name not in OPTIONAL}
     return {name: np.asarray(value) for name, value in defaults.items() if value is not MISSING}
 
 
-def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:
+def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
     """The fault of a pair file's format version, or None."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
@@ -290,7 +290,7 @@ def _version_fault(values: Mapping[str, NDArray[Any]]) -> str | None:
     return None
 
 
-def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str | None:
+def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str]) -> str | None:
     """The first fault of a pair file's values, or None."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
@@ -299,7 +299,9 @@ def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str
         if name in names and (values[name].shape != (side, side) or not _finite(values[name])):
             return f"'{name}' is not a finite {side}x{side} matrix"
     for name in NUMBERS:
-        if name in names and (values[name].shape != () or not _finite(values[name]) or values[name] < 0):
+        if name in names and (
+            values[name].shape != () or not _finite(values[name]) or values[name].item() < 0
+        ):
             return f"'{name}' is not a length in metres"
     for name in TEXTS:
         if name in names and (values[name].shape != () or values[name].dtype.kind != "U"):
@@ -307,5 +309,5 @@ def _fault_in(values: Mapping[str, NDArray[Any]], names: Collection[str]) -> str
     return None
 
 
-def _finite(values: NDArray[Any]) -> bool:
+def _finite(values: NDArray[np.generic]) -> bool:
     return values.dtype.kind in "fiu" and bool(np.isfinite(values).all())

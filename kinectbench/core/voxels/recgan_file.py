@@ -1,7 +1,6 @@
 """One file of the paper's authors: a grid of cells in their axes."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +50,7 @@ def read_recgan_file(path: Path) -> Bools:
     return np.ascontiguousarray(centred[::-1, ::-1, :])
 
 
-def _is_binary(cells: NDArray[Any]) -> bool:
+def _is_binary(cells: NDArray[np.generic]) -> bool:
     """Whether a grid holds only 0 and 1; checked slab by slab to save memory."""
     return all(bool(((slab == 0) | (slab == 1)).all()) for slab in cells)
 

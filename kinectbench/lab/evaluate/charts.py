@@ -1,7 +1,6 @@
 """Pictures of an evaluation: path, surface errors, meshes coloured by error, slices of the solid; as PNG."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +155,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
     for axes_row, (mesh, other, signed, name, least_m, label) in zip(grid, rows, strict=True):
         scale = ScalarMappable(Normalize(least_m * 1000, SCALE_M * 1000), mpl.colormaps[name])
 
-        def colors(error_m: Float64, scale: Any = scale) -> Float64:
+        def colors(error_m: Float64, scale: ScalarMappable = scale) -> Float64:
             return np.asarray(scale.to_rgba(error_m * 1000)[:, :3], dtype=np.float64)
 
         for axes, viewpoint in zip(axes_row, looks, strict=True):

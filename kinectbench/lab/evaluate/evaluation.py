@@ -242,7 +242,7 @@ def evaluate(
     )
 
 
-def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
+def evaluation_json(evaluation: Evaluation) -> dict[str, object]:
     """The content of evaluation.json: all figures in SI units and radians, to six digits."""
     head = {"format_version": FORMAT_VERSION, "package_version": __version__}
     return {**head, **_plain(evaluation)}
@@ -259,7 +259,7 @@ def _alignment(registration: BuildRegistration) -> AlignmentFigures:
     return AlignmentFigures(registration.aligned, moved_m, turned_rad, T)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Dataclasses, tuples and arrays as JSON values; numbers are rounded."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -117,7 +116,7 @@ class ReferenceSurface:
         distances = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
         return np.asarray(distances.numpy(), dtype=np.float64)
 
-    def _local(self, points: Float64) -> Any:
+    def _local(self, points: Float64) -> object:
         return self._tensor(np.ascontiguousarray(points - self._center, dtype=np.float32))
 
 

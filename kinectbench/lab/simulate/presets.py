@@ -5,10 +5,9 @@ gets the next version. The hash of each is held by `tests/lab/simulate/test_simu
 """
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,14 +19,14 @@ from kinectbench.scoring.workers import run_tasks
 from kinectbench.settings.overrides import merged, settings_from_options
 
 # 300 frames at 15 Hz: twenty seconds around the object and a little farther, at an easy pace.
-_ORBIT: dict[str, Any] = {"path": {"frames": 300, "rate_hz": 15.0}}
+_ORBIT: dict[str, object] = {"path": {"frames": 300, "rate_hz": 15.0}}
 
 
-def _orbit(**sections: dict[str, Any]) -> dict[str, Any]:
+def _orbit(**sections: dict[str, object]) -> dict[str, object]:
     return merged(_ORBIT, sections)
 
 
-PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
+PRESETS: dict[str, tuple[str, dict[str, object]]] = {
     "orbit-v1": ("a full orbit indoors, Kinect v1", _orbit()),
     "ideal-v1": ("the same with exact depth and colour", _orbit(sensor={"model": "ideal"})),
     "arc-v1": (
@@ -135,7 +134,7 @@ PRESETS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def preset_spec(name: str, changes: dict[str, Any], overrides: Sequence[str] = ()) -> SimulationSpec:
+def preset_spec(name: str, changes: Mapping[str, object], overrides: Sequence[str] = ()) -> SimulationSpec:
     """The spec of a preset, with some of its values changed.
 
     Args:
@@ -185,7 +184,7 @@ DEMO: dict[str, SimulationSpec] = {
 def simulate_named(
     out: Path | None,
     preset: str,
-    changes: dict[str, Any],
+    changes: dict[str, object],
     overrides: Sequence[str],
     samples: Path | None,
     demo: Path | None,

@@ -50,8 +50,8 @@ class GrownSettings(Settings):
     """Settings to which some were added later."""
 
     @model_serializer(mode="wrap")
-    def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = write(self)
+    def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+        values: dict[str, object] = write(self)
         return {key: value for key, value in values.items() if key not in LATER or value != LATER[key]}
 
 

@@ -4,7 +4,6 @@ import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +138,7 @@ def is_truth(folder: Path) -> bool:
         return False
 
 
-def write_truth(truth: Truth, spec: dict[str, Any]) -> None:
+def write_truth(truth: Truth, spec: dict[str, object]) -> None:
     """Write all but the images into the truth's folder, which exists.
 
     truth.json (with the spec's JSON values in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt
@@ -173,7 +172,7 @@ def write_truth(truth: Truth, spec: dict[str, Any]) -> None:
         pretty_json({"plane_world": truth.floor_plane_world.tolist()}), encoding="utf-8"
     )
     write_ply(truth.mesh_world, folder / "object.ply")
-    surface: dict[str, NDArray[Any]] = {
+    surface: dict[str, NDArray[np.generic]] = {
         "points_world": truth.surface.points_world.astype(np.float32),
         "normals_world": truth.surface.normals_world.astype(np.float32),
         "frames_seen": truth.surface.frames_seen,

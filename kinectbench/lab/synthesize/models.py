@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.names import Category, Name, category_problem
@@ -58,7 +58,7 @@ class SynthesisSettings(Settings):
         """The axis of the models that points up."""
         return self.up or ("z" if self.models is None else "y")
 
-    def stored(self, without: set[str]) -> dict[str, Any]:
+    def stored(self, without: set[str]) -> dict[str, JsonValue]:
         """The settings as JSON; `noise` only where there is some, so that others keep their bytes."""
         values = self.model_dump(mode="json", exclude=without)
         return {key: value for key, value in values.items() if (key, value) != ("noise", "none")}

@@ -1,16 +1,19 @@
 """Azure Kinect by Microsoft's SDK: depth of its narrow mode, colour as the JPEG that the camera makes."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera, rigid
-from kinectbench.core.types import MM_PER_M
+from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration
 from kinectbench.stages.ingest.undistortion import Undistortion
+
+if TYPE_CHECKING:
+    from pyk4a import PyK4ACapture
 
 # Sizes of NFOV_UNBINNED and of RES_720P.
 DEPTH_PX, COLOR_PX = (640, 576), (1280, 720)
@@ -73,7 +76,7 @@ class AzureKinect(Device):
         if hasattr(self, "_device"):
             self._device.stop()
 
-    def _next(self) -> Any:
+    def _next(self) -> "PyK4ACapture | None":
         import pyk4a
 
         try:
@@ -82,5 +85,5 @@ class AzureKinect(Device):
             return None
 
 
-def _camera(K: Any, size_px: tuple[int, int]) -> Camera:
+def _camera(K: Float64, size_px: tuple[int, int]) -> Camera:
     return Camera(*size_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))

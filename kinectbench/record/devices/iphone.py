@@ -3,12 +3,12 @@
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
+from kinectbench.core.types import Float32
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.images import FLOAT_SCALE, quantised
 from kinectbench.stages.ingest.recording import ColorCalibration
@@ -76,7 +76,7 @@ class IPhone(Device):
             return None
         self._came.clear()
         stamp_ns = time.monotonic_ns()
-        metres: Any = np.array(self._stream.get_depth_frame(), np.float32)
+        metres: Float32 = np.array(self._stream.get_depth_frame(), np.float32)
         with np.errstate(invalid="ignore"):  # of what is no depth
             depth = quantised(metres)
         confidence = np.asarray(self._stream.get_confidence_frame())

@@ -1,13 +1,13 @@
 """Kinect for Xbox 360 and for Windows v1 by libfreenect: depth is registered to colour by it."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.types import MM_PER_M
+from kinectbench.core.types import MM_PER_M, Rgb
 from kinectbench.record.interface import Device, Frame, Setup
 
 # What ROS's openni_launch has for it where nobody calibrated it: depth lies on colour's pixels.
@@ -46,8 +46,10 @@ class Kinect(Device):
 
         ticks, clock = None, 0
         while True:
-            found: Any = freenect.sync_get_depth(0, freenect.DEPTH_REGISTERED)
-            seen: Any = freenect.sync_get_video(0, freenect.VIDEO_RGB)
+            found: tuple[NDArray[np.uint16], int] | None = freenect.sync_get_depth(
+                0, freenect.DEPTH_REGISTERED
+            )
+            seen: tuple[Rgb, int] | None = freenect.sync_get_video(0, freenect.VIDEO_RGB)
             if found is None or seen is None:
                 raise CaptureError(f"{self.name}: no frame came; look at its cable and its power")
             (depth, depth_ticks), (rgb, color_ticks) = found, seen

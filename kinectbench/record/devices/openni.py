@@ -3,7 +3,7 @@
 import sysconfig
 from collections.abc import Iterator
 from math import tan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
+
+if TYPE_CHECKING:
+    from openni.openni2 import VideoFrame
 
 # VGA at 30 Hz: the largest mode of a PrimeSense sensor in which depth lies on colour.
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
@@ -72,7 +75,7 @@ class OpenNI(Device):
             if hasattr(self, name):
                 getattr(self, name).stop()
 
-    def _next(self) -> tuple[Any, Any] | None:
+    def _next(self) -> tuple["VideoFrame", "VideoFrame"] | None:
         if _library().wait_for_any_stream([self._depth], POLL_MS / 1000) is None:
             return None
         return self._depth.read_frame(), self._color.read_frame()

@@ -1,7 +1,7 @@
 """Orbbec's Femto and Gemini by Orbbec's SDK: colour as the JPEG that the camera makes."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration
 from kinectbench.stages.ingest.undistortion import Undistortion
+
+if TYPE_CHECKING:
+    from pyorbbecsdk import FrameSet, OBCameraDistortion, OBCameraIntrinsic
 
 # The order of OpenCV; Orbbec's Brown model has the same coefficients.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -79,14 +82,14 @@ class Orbbec(Device):
         if hasattr(self, "_pipeline"):
             self._pipeline.stop()
 
-    def _next(self) -> Any:
+    def _next(self) -> "FrameSet | None":
         """A pair of frames; None: none came."""
         found = self._pipeline.wait_for_frames(POLL_MS)
         if found is None or found.get_depth_frame() is None or found.get_color_frame() is None:
             return None
         return found
 
-    def _frame(self, found: Any) -> Frame:
+    def _frame(self, found: "FrameSet") -> Frame:
         depth, color = found.get_depth_frame(), found.get_color_frame()
         shape = depth.get_height(), depth.get_width()
         image = np.frombuffer(bytes(depth.get_data()), np.uint16).reshape(shape)
@@ -104,9 +107,9 @@ def _sdk() -> Any:
     return ob
 
 
-def _camera(said: Any) -> Camera:
+def _camera(said: "OBCameraIntrinsic") -> Camera:
     return Camera(said.width, said.height, said.fx, said.fy, said.cx, said.cy)
 
 
-def _distortion(said: Any) -> tuple[float, ...]:
+def _distortion(said: "OBCameraDistortion") -> tuple[float, ...]:
     return tuple(float(getattr(said, name)) for name in COEFFICIENTS)

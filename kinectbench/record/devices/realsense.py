@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -10,6 +10,9 @@ from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.record.interface import POLL_MS, Acceleration, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration
+
+if TYPE_CHECKING:
+    import pyrealsense2 as rs
 
 # Width, height and rate that all D400 and L500 have for depth and for colour; else the first that there is.
 USUAL = (640, 480, 30)
@@ -31,8 +34,8 @@ class RealSense(Device):
             file: a recording of librealsense that takes the camera's place.
         """
         self._file = file
-        self._started: list[Any] = []
-        self._playback: Any = None
+        self._started: list[rs.sensor] = []
+        self._playback: rs.playback | None = None
         self._last: int | None = None
 
     def plugged_in(self) -> tuple[str, ...]:
@@ -57,7 +60,7 @@ class RealSense(Device):
             device = found[0]
         wanted = {rs.stream.depth: rs.format.z16, rs.stream.color: rs.format.rgb8}
         wanted[rs.stream.accel] = rs.format.motion_xyz32f
-        profiles: dict[Any, Any] = {}
+        profiles: dict[rs.stream, rs.stream_profile] = {}
         chosen = []
         for sensor in device.query_sensors():
             offered = sensor.get_stream_profiles()
@@ -88,8 +91,8 @@ class RealSense(Device):
         """Each depth image once the next has come, with the colour nearest to it in time."""
         import pyrealsense2 as rs
 
-        held: Any = None
-        colors: list[Any] = []
+        held: rs.frame | None = None
+        colors: list[rs.frame] = []
         felt: list[Acceleration] = []
         for each in polled(self._next, self.name):
             stream = each.get_profile().stream_type() if each else rs.stream.depth
@@ -112,7 +115,7 @@ class RealSense(Device):
             sensor.stop()
             sensor.close()
 
-    def _next(self) -> Any:
+    def _next(self) -> "rs.frame | Literal[False] | None":
         """What came; None: nothing; False: the file is at its end."""
         import pyrealsense2 as rs
 
@@ -123,7 +126,7 @@ class RealSense(Device):
             return False
         return None
 
-    def _frame(self, depth: Any, colors: list[Any], felt: tuple[Acceleration, ...]) -> Frame:
+    def _frame(self, depth: "rs.frame", colors: list["rs.frame"], felt: tuple[Acceleration, ...]) -> Frame:
         """A depth image, and the nearest colour; older ones go."""
         number, stamp_ns = depth.get_frame_number(), _stamp_ns(depth)
         if self._last is not None:
@@ -138,20 +141,22 @@ class RealSense(Device):
         rgb = np.array(np.asanyarray(color.get_data()), np.uint8)
         return Frame(stamp_ns, image, rgb, _stamp_ns(color), felt)
 
-    def _felt(self, frame: Any) -> Acceleration:
+    def _felt(self, frame: "rs.frame") -> Acceleration:
         """In the axes of depth; librealsense measures m/s^2."""
         said = frame.as_motion_frame().get_motion_data()
         x, y, z = (self._R_depth_accel @ [said.x, said.y, said.z]).tolist()
         return Acceleration(_stamp_ns(frame), (x, y, z))
 
 
-def _stamp_ns(frame: Any) -> int:
+def _stamp_ns(frame: "rs.frame") -> int:
     """Its stamp, which librealsense has in ms."""
     milliseconds: float = frame.get_timestamp()
     return round(milliseconds * 1e6)
 
 
-def _usual(profiles: Sequence[Any], stream: Any, form: Any) -> Any:
+def _usual(
+    profiles: Sequence["rs.stream_profile"], stream: "rs.stream", form: "rs.format"
+) -> "rs.stream_profile | None":
     """The usual profile of a stream in a format, or its first; None: there is none."""
     found = [each for each in profiles if each.stream_type() == stream and each.format() == form]
     for each in found:
@@ -162,11 +167,11 @@ def _usual(profiles: Sequence[Any], stream: Any, form: Any) -> Any:
     return found[0] if found else None
 
 
-def _camera(said: Any) -> Camera:
+def _camera(said: "rs.intrinsics") -> Camera:
     return Camera(said.width, said.height, said.fx, said.fy, said.ppx, said.ppy)
 
 
-def _calibration(depth: Any, color: Any) -> ColorCalibration | None:
+def _calibration(depth: "rs.stream_profile", color: "rs.stream_profile | None") -> ColorCalibration | None:
     if color is None:
         return None
     said, place = color.as_video_stream_profile().get_intrinsics(), depth.get_extrinsics_to(color)

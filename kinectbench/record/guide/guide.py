@@ -2,7 +2,7 @@
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,7 @@ class Guide:
         self._picked, self._looked_at = (index, point), (0, -np.inf)
         return True
 
-    def shown(self) -> dict[str, Any]:
+    def shown(self) -> dict[str, object]:
         """Path, ring and box, for the page: metres, floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}

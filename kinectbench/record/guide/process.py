@@ -10,7 +10,7 @@ from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -168,7 +168,7 @@ class _Shown:
         if last is None or guide is None or picture is None:
             return None
         self._asked = dict([*self._asked.items(), picture][-KEPT_PICTURES:])
-        value: dict[str, Any] = {"number": last.number, "kind": last.advice.kind}
+        value: dict[str, object] = {"number": last.number, "kind": last.advice.kind}
         value |= {"sentence": last.advice.sentence, "lost": last.lost, "looks": last.looks}
         value |= {"picture": picture[0], "picked": guide.has_picked}
         value |= {"distance_m": last.distance_m, "speed_mps": last.speed_mps, **guide.shown()}

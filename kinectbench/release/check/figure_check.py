@@ -4,7 +4,6 @@ Of releases whose benchmark.json has `benchmark_sha256_version`; earlier ones ma
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -80,7 +79,7 @@ def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
             yield f"{where}: is rejected by no review of the settings"
 
 
-def _reviewed(review: Any, decision: str) -> bool:
+def _reviewed(review: object, decision: str) -> bool:
     return isinstance(review, dict) and review.get("decision") == decision
 
 
@@ -105,7 +104,7 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
             yield f"'poor' does not name publish.gate.{key}, which its quality does not keep"
 
 
-def _other_keys(row: Mapping[str, Any], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
+def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
     """Keys of a recording's settings that its entry has otherwise; null: as the benchmark has it."""
     defaults = {
         "object": row["id"],

@@ -2,17 +2,16 @@
 
 import struct
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
-from kinectbench.core.types import Float64
+from kinectbench.core.types import Arrays, Float64
 from kinectbench.core.untrusted import printable
 from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
@@ -23,7 +22,7 @@ from kinectbench.release.publish.object_glb import T_GLTF_FLOOR
 MESH = OBJECT_FILES[0]
 SLAB_BYTES = 1 << 20
 MOST_SMALL_BYTES = 4096
-KINDS: dict[str, np.dtype[Any]] = {
+KINDS: dict[str, np.dtype[np.generic]] = {
     "solid": np.dtype(np.bool_),
     "labels": np.dtype(np.uint8),
     "probability": np.dtype(np.float16),
@@ -132,7 +131,7 @@ def _volume_fault(file: IO[bytes]) -> str | None:
         kinds = {key: kind for key, kind in KINDS.items() if key in entries or key != OPTIONAL}
         if missing := [key for key in (*kinds, *GRID_KEYS) if key not in entries]:
             return f"holds no '{missing[0]}'"
-        small = dict[str, NDArray[Any]]()
+        small: Arrays = {}
         for key in GRID_KEYS:
             with archive.open(entries[key]) as stream:
                 small[key] = read_npy(stream, entries[key].file_size, _check_small)

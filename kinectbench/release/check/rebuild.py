@@ -1,15 +1,15 @@
 """Make a release's pairs again from its recordings: the settings for it, and the differences."""
 
 import hashlib
+import io
 import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from kinectbench._version import __version__
@@ -19,6 +19,7 @@ from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, Lineage
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
+from kinectbench.core.types import FileArray
 from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
@@ -266,7 +267,7 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
         return
     try:
         with contents.stream(name) as published:
-            digest = hashlib.file_digest(cast(Any, published), "sha256").hexdigest()
+            digest = hashlib.file_digest(cast(io.BufferedIOBase, published), "sha256").hexdigest()
         if digest != sha256_file(made):
             yield f"{name}: {AGAIN}"
     except OSError as error:
@@ -302,7 +303,7 @@ def _unreadable(made: Path, error: OSError) -> str:
     return f"what was made again cannot be read ({made}: {error.strerror or error})"
 
 
-def _key_difference(key: str, old: NDArray[Any] | None, new: NDArray[Any] | None) -> str | None:
+def _key_difference(key: str, old: FileArray | None, new: FileArray | None) -> str | None:
     """The difference of a key's values, or None."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"

@@ -6,7 +6,6 @@ no pair can be changed alone. If mesh, volume and pairs are changed together, on
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.types import Bools
 from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
@@ -112,7 +112,7 @@ def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: T
         yield from glb_faults(content, mesh, T_floor_world)
 
 
-def _volume(contents: Contents, name: str) -> tuple[Grid, NDArray[Any], NDArray[Any], NDArray[Any]]:
+def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.integer], Bools]:
     """A volume's grid, solid, labels and underside.
 
     Raises:
@@ -147,7 +147,7 @@ def _published(name: str, whole: Collection[str]) -> str:
 
 
 def _volume_faults(
-    mesh: TriangleMesh, grid: Grid, solid: NDArray[Any], labels: NDArray[Any]
+    mesh: TriangleMesh, grid: Grid, solid: Bools, labels: NDArray[np.integer]
 ) -> Iterator[str]:
     """Differences of a volume to its mesh, and of its solid to its labels."""
     nx, ny, nz = grid.shape

@@ -1,10 +1,11 @@
 """Check a release, every byte and every pair of it, in a folder or in an archive."""
 
 import hashlib
+import io
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -134,7 +135,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
         return f"{name}: {entry.problem}"
     try:
         with contents.stream(name) as file:
-            digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
+            digest = hashlib.file_digest(cast(io.BufferedIOBase, file), "sha256").hexdigest()
     except ReleaseError as error:
         return str(error)
     return None if digest == sha256 else CHANGED.format(name)

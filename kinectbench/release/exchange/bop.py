@@ -68,7 +68,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
 
     Source: the format page of the BOP benchmark (Hodan et al., ECCV 2018).
     """
-    infos, scenes = dict[str, Any](), list[dict[str, Any]]()
+    infos, scenes = dict[str, object](), list[dict[str, Any]]()
     camera: Camera | None = None
     done = 0
     with new_folder(out) as folder:
@@ -104,7 +104,7 @@ def _write_dataset_files(
     release: Release,
     folder: Path,
     scenes: list[dict[str, Any]],
-    infos: dict[str, Any],
+    infos: dict[str, object],
     camera: Camera | None,
 ) -> None:
     """Write the files common to all scenes."""
@@ -157,9 +157,9 @@ def write_scene(
     """
     renderer = None if model is None else DepthRenderer(model.mesh)
     colored = color_registered(release, targets[0].recording)
-    cameras: dict[str, Any] = {}
-    poses: dict[str, Any] = {}
-    infos: dict[str, Any] = {}
+    cameras: dict[str, dict[str, object]] = {}
+    poses: dict[str, object] = {}
+    infos: dict[str, object] = {}
     for done, target in enumerate(targets, start=before + 1):
         image = int(target.view)
         source = f"views/{target.recording}/{target.view}"

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.targets import Target
@@ -55,7 +54,7 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
         yield folder
 
 
-def write_export_json(folder: Path, release: Release, rows: Mapping[str, Any]) -> None:
+def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:
     """Write export.json: the release, and facts that the exported files lack."""
     content = {
         "format_version": 1,
@@ -86,12 +85,12 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
     return f"P1_{synset_of(category)}_{category}/{group}/{name}.npz"
 
 
-def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, Any]:
+def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, object]:
     """A pair's name, its files, and its numbers, texts and matrices, as JSON values.
 
     With the share of its true shape that is not known, where the truth is there.
     """
-    row: dict[str, Any] = {name: getattr(target, name) for name in NAMES} | files
+    row: dict[str, object] = {name: getattr(target, name) for name in NAMES} | files
     row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}
     if isinstance(pair, Pair):
         row["unknown_share"] = pair.stated_unknown_share

@@ -7,7 +7,6 @@ The masks are under a licence of NVIDIA that allows no commercial use, and are p
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
 from kinectbench.core.storage import sha256_file, write_below
-from kinectbench.core.types import MM_PER_M, Bools, Float64, Progress
+from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress
 from kinectbench.core.untrusted import IMAGE_BYTES, followed, lies_below, read_plain
 from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.pair_file import PairInput, pair_bytes
@@ -155,7 +154,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
     )
 
 
-def _chosen(kept: NDArray[Any], count: int, path: Path) -> Bools:
+def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
     """Whether each vertex is the object's."""
     if kept.dtype == bool and kept.shape == (count,):
         return kept
@@ -178,7 +177,7 @@ def _content(folder: Path, name: str, most: int) -> bytes:
         raise PairError(f"{path}: cannot be read ({error.strerror or error}); fetch it") from error
 
 
-def _array(folder: Path, name: str) -> NDArray[Any]:
+def _array(folder: Path, name: str) -> FileArray:
     content = _content(folder, name, MAX_FILE_BYTES)
     try:
         return read_npy(io.BytesIO(content), len(content))

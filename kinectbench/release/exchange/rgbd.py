@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,14 @@ from kinectbench.core.errors import KinectBenchError, PredictionError, ReleaseEr
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import MM_PER_M, Bools, Float32, Float64, Progress, Rgb
+from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Float64, Progress, Rgb
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_parts
 from kinectbench.release import view_images
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release
+
+_Pixel = TypeVar("_Pixel", bound=np.generic)
 
 # Values of `color` in camera.json.
 REGISTERED = "on the pixels of depth"
@@ -105,7 +107,7 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
         extent >= size, np.clip(middle - size // 2, 0, np.maximum(extent - size, 0)), (extent - size) // 2
     )
 
-    def cut(image: NDArray[Any]) -> NDArray[Any]:
+    def cut(image: NDArray[_Pixel]) -> NDArray[_Pixel]:
         """The window of an image (h, w, ...), zeros beyond it."""
         kept = image[::step, ::step]
         out = np.zeros((height, width, *image.shape[2:]), image.dtype)
@@ -149,7 +151,7 @@ class ViewCamera(Stored):
 
 # Writes the files of one view into a folder that is there, and returns further keys of its camera.json. It
 # may frame the images in another way, and returns the view that they then show.
-WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, Any]]]
+WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, object]]]
 
 
 def export_rgbd(
@@ -210,7 +212,7 @@ def _write(
     return stated
 
 
-def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write rgb.png if there is colour, depth.png, depth_m.npy, pointmap_cv.npy and mask.png."""
     write_color(view, folder)
     write_png(folder / "depth.png", view.depth_mm)
@@ -277,7 +279,7 @@ def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
     return K, T_world_camera
 
 
-def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[NDArray[Any]]:
+def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[FileArray]:
     """Some arrays of a pair; the others are not unpacked.
 
     Raises:
@@ -304,6 +306,6 @@ def color_registered(release: Release, recording: str) -> bool:
     return bool(ViewsFile.parse(release.text(name), name).color_registered)
 
 
-def write_png(path: Path, image: NDArray[Any]) -> None:
+def write_png(path: Path, image: NDArray[np.generic]) -> None:
     """Write a PNG; see `images.png`."""
     path.write_bytes(images.png(image))

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import yaml
 
@@ -99,7 +98,7 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
         name: of the benchmark.
         license: left out where it is no SPDX identifier, as the format asks for.
     """
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "cff-version": "1.2.0",
         "message": "If you use this benchmark, please cite it.",
         "type": "dataset",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from string import Template
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import yaml
@@ -181,7 +181,7 @@ def card(
 def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: bool) -> str:
     """The card's YAML: https://huggingface.co/docs/hub/datasets-cards."""
     known = HUGGING_FACE.get(license)
-    content: dict[str, Any] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
+    content: dict[str, object] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
     if content["license"] == "other":
         content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
         content |= {"license_link": LICENSE}

@@ -31,7 +31,7 @@ VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
 RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
 
 
-def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS)) -> dict[str, Any]:
+def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS)) -> dict[str, object]:
     """Content of croissant.json.
 
     Args:
@@ -67,7 +67,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
     return content
 
 
-def _file_objects(folder: Path) -> list[dict[str, Any]]:
+def _file_objects(folder: Path) -> list[dict[str, object]]:
     """The files at the top, each with its hash."""
     return [
         {
@@ -83,7 +83,7 @@ def _file_objects(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _file_sets(folder: Path) -> list[dict[str, Any]]:
+def _file_sets(folder: Path) -> list[dict[str, object]]:
     """Sets of files in folders, by pattern, if any exist."""
     return [
         {
@@ -99,7 +99,7 @@ def _file_sets(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _targets(columns: Sequence[str]) -> dict[str, Any]:
+def _targets(columns: Sequence[str]) -> dict[str, object]:
     """targets.csv as records."""
     return {
         "@type": "cr:RecordSet",
@@ -111,7 +111,7 @@ def _targets(columns: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _pairs() -> dict[str, Any]:
+def _pairs() -> dict[str, object]:
     """The pair files as records: numpy.load(io.BytesIO(record["pairs/npz"])) has the arrays."""
     arrays = "; ".join(f"{field.name}: {field.metadata['description']}" for field in fields(Pair))
     content = (
@@ -131,9 +131,9 @@ def _pairs() -> dict[str, Any]:
     }
 
 
-def _cameras() -> dict[str, Any]:
+def _cameras() -> dict[str, object]:
     """views.json as records: the camera of each view."""
-    parts: dict[str, tuple[str, str, dict[str, Any]]] = {
+    parts: dict[str, tuple[str, str, dict[str, object]]] = {
         "view": ("zero-padded index", "sc:Text", {}),
         "K": ("intrinsics, pixels", "cr:Float64", {"isArray": True, "arrayShape": "3,3"}),
         "width": ("of the view's images, pixels", "sc:Integer", {}),
@@ -167,8 +167,8 @@ def _of_files(record_set: str, name: str, text: str, extract: dict[str, str], fi
     }
 
 
-def _field(column: str, text: str) -> dict[str, Any]:
-    source: dict[str, Any] = {"fileObject": {"@id": TARGETS_CSV}, "extract": {"column": column}}
+def _field(column: str, text: str) -> dict[str, object]:
+    source: dict[str, object] = {"fileObject": {"@id": TARGETS_CSV}, "extract": {"column": column}}
     if column == "view":
         source |= {"extract": {"column": "file"}, "transform": {"regex": VIEW_IN_FILE}}
     return {
@@ -187,14 +187,14 @@ def _creator(author: str) -> Mapping[str, str]:
     return {"@type": kind, "name": f"{given} {family}" if comma else author}
 
 
-def _context() -> dict[str, Any]:
+def _context() -> dict[str, object]:
     """The context of Croissant 1.1, word for word; readers compare it."""
     of_croissant = (
         "arrayShape citeAs column containedIn equivalentProperty extract field fileProperty fileObject "
         "fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet "
         "references regex repeated replace samplingRate separator source subField transform"
     )
-    context: dict[str, Any] = {"@language": "en", "@vocab": "https://schema.org/"}
+    context: dict[str, object] = {"@language": "en", "@vocab": "https://schema.org/"}
     context |= {word: f"cr:{word}" for word in of_croissant.split()}
     return context | {
         "conformsTo": "dct:conformsTo",

@@ -3,8 +3,6 @@
 It is what `POST https://api.datacite.org/dois` takes as `attributes`, and what Zenodo and others export.
 """
 
-from typing import Any
-
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED
 from kinectbench.release.publish.about import SUBJECTS, About
 from kinectbench.release.publish.attribution import HUGGING_FACE, authors, license_url
@@ -13,13 +11,13 @@ SCHEMA = "http://datacite.org/schema/kernel-4"
 FORMATS = ("application/x-npz", "image/png", "application/json", "model/gltf-binary")
 
 
-def datacite(about: About) -> dict[str, Any]:
+def datacite(about: About) -> dict[str, object]:
     """Content of datacite.json.
 
     Source: DataCite Metadata Schema 4.5, https://datacite-metadata-schema.readthedocs.io/en/4.5/
     """
     citation = about.citation
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "schemaVersion": SCHEMA,
         "creators": [_creator(author) for author in authors(citation, about.name)],
         "titles": [{"title": citation.title or about.name}],

@@ -6,7 +6,6 @@ than a viewer needs, they are fewer here, and the file says how far its surface 
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -100,8 +99,7 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
         process=False,
         metadata=extras,
     )
-    content: Any = trimesh.exchange.gltf.export_glb(shell, include_normals=True)
-    return bytes(content)
+    return bytes(trimesh.exchange.gltf.export_glb(shell, include_normals=True))
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:

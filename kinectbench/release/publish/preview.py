@@ -6,7 +6,6 @@ view. Scripts turn the objects and search the list.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +118,7 @@ def _part(
     here: Sequence[Target],
     held_back: bool,
     views: int,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """One recording on the page, with this many of its pairs, evenly spread."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {

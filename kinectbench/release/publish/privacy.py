@@ -52,7 +52,7 @@ APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 
-def scrubbed(value: Any, file: str, removals: list[Removed], model: Any = None) -> Any:
+def scrubbed(value: object, file: str, removals: list[Removed], model: object = None) -> Any:
     """A JSON value without private facts; removals are recorded.
 
     Args:
@@ -124,7 +124,7 @@ def _rows(file: str, removed: list[str]) -> list[Removed]:
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
-def _scrubbed(value: Any, key: str, removed: list[str], model: Any) -> Any:
+def _scrubbed(value: object, key: str, removed: list[str], model: object) -> object:
     """The value of a key without private facts; adds removals to `removed`."""
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
@@ -148,7 +148,7 @@ def _scrubbed(value: Any, key: str, removed: list[str], model: Any) -> Any:
     return clean
 
 
-def _declared(model: Any) -> Mapping[str, Any]:
+def _declared(model: object) -> Mapping[str, object]:
     """The keys of JSON that a typed value declares, and the typed values below them."""
     if isinstance(model, BaseModel):
         fields = type(model).model_fields.items()
@@ -160,10 +160,10 @@ def _declared(model: Any) -> Mapping[str, Any]:
 class _Entries:
     """A mapping that a model declares: its keys are data."""
 
-    entries: Mapping[str, Any]
+    entries: Mapping[str, object]
 
 
-def _below(value: Any) -> Any:
+def _below(value: object) -> object:
     """The value of a declared key: of a mapping, the keys are declared, too, but not those below them."""
     return _Entries(value) if isinstance(value, Mapping) else value
 

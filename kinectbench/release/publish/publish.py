@@ -276,7 +276,7 @@ def _pairs(
 
 def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
     """A published recording with the limits that it violates and reasons to review it."""
-    changes = dict[str, Any]()
+    changes = dict[str, object]()
     if name in passed.poor:
         changes["poor"], changes["accepted"] = passed.poor[name]
     if name in passed.look:
@@ -387,6 +387,6 @@ def _public_settings(
             hidden_keys = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH
             for key in hidden_keys:
                 recording.pop(key)
-    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, removals, settings)
+    clean: dict[str, object] = scrubbed(public, BENCHMARK_JSON, removals, settings)
     # These statements of people are meant to be public.
     return clean | {"publish": settings.publish.model_dump(mode="json")}

@@ -7,7 +7,6 @@ from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from statistics import fmean
-from typing import Any
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.manifest import Manifest, Sources
@@ -258,11 +257,11 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
     """views.json with the camera of each view, all of a recording's are from one, and its pair's unknown."""
-    more: dict[str, Any] = {"K": camera.K, "width": camera.width, "height": camera.height}
+    more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []
     for row in views.views:
-        of_pair: dict[str, Any] = {"pair": row.view in shares}
+        of_pair: dict[str, object] = {"pair": row.view in shares}
         if row.view in shares:
             of_pair["unknown_share"] = shares[row.view]
         rows.append(row.model_copy(update=more | of_pair))
@@ -285,7 +284,7 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
         source=built.settings.source_of(recording),
     )
     if not built.hidden:
-        more: dict[str, Any] = {"visible_share": round(fmean(visible_shares), SHARE_DECIMALS)}
+        more: dict[str, object] = {"visible_share": round(fmean(visible_shares), SHARE_DECIMALS)}
         if (reference := current_reference(built.folder)) is not None:
             more["reference"] = reference.info
         return info.model_copy(update=more)

@@ -11,7 +11,6 @@ from dataclasses import fields
 from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -114,9 +113,9 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
                     yield f"'{where}': {problem}" if where else problem
 
 
-def _table(columns: Iterable[str] = COLUMNS) -> dict[str, Any]:
+def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
     """A table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, object]] = []
     for column in columns:
         if column == TRUTH_COLUMN:  # the table of a split without such a truth lacks it
             rows.append({"name": column, "type": "string", "constraints": {"enum": [*filter(None, TRUTHS)]}})
@@ -124,7 +123,7 @@ def _table(columns: Iterable[str] = COLUMNS) -> dict[str, Any]:
         if column in NUMBER_COLUMNS:
             rows.append({"name": column, "type": "number", "constraints": {"minimum": 0, "maximum": 1}})
             continue
-        constraints: dict[str, Any] = {"required": True}
+        constraints: dict[str, object] = {"required": True}
         if column in PATTERNS:
             constraints["pattern"] = PATTERNS[column]
         if column == "split":
@@ -135,13 +134,13 @@ def _table(columns: Iterable[str] = COLUMNS) -> dict[str, Any]:
     return {"$comment": comment, **fewer, "fields": rows, "primaryKey": ["recording", "view"]}
 
 
-def _pair() -> dict[str, Any]:
+def _pair() -> dict[str, object]:
     """The keys of a pair file."""
     keys = []
     about = {field.name: field.metadata["description"] for field in fields(Pair)}
     about["format_version"] = str(FORMAT_VERSION)
     for name in about:
-        row: dict[str, Any] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
+        row: dict[str, object] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
         if name in PACKED_SHAPES:
             row |= {"dtype": "uint8", "shape": list(PACKED_SHAPES[name]), "packed": True}
         elif name in MATRIX_SIDES:

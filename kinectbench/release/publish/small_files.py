@@ -4,7 +4,6 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import (
@@ -87,7 +86,7 @@ class Head:
     license: str
     framing: Framing
     partial_rule: PartialRule
-    settings: Mapping[str, Any]
+    settings: Mapping[str, object]
     texts: CardTexts = RECORDED
     citation: CitationSettings = field(default_factory=CitationSettings)
     held_back: tuple[Split, ...] = ()

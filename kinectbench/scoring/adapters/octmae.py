@@ -5,7 +5,6 @@ Source: its repository, commit 08c1be6: `demo.py` reads the files, and writes ou
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ COUNTED, SEED = 100_000, 0
 NUMBERS = 7
 
 
-def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report points outside its cube."""
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)

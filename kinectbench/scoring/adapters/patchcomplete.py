@@ -5,7 +5,6 @@ in voxels; values up to 1e-10 are solid. The cube is that of the pair, in the ca
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ KEY = "predicted_voxels"
 MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
 
 
-def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write input.npz: `tsdf` (32, 32, 32) float32 in units of the cube's edge, clipped at 2.5 voxels."""
     T_world_grid, size = parts_of(release, view.target, ("T_world_grid", "voxel_size_m"))
     edge_m = float(size) * FULL_CELLS

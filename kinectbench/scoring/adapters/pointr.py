@@ -6,7 +6,6 @@ here that changes nothing.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ POINTS = 2048
 SEED = 0
 
 
-def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write points.npy: 2,048 measured points of the object, mean 0, largest norm 1, y up.
 
     Up is that of the floor, or of the image where no floor is known.

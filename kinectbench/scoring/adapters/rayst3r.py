@@ -4,7 +4,6 @@ Source: its repository, commit 2c93f81: `eval_wrapper/eval.py` reads a folder an
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ WIDTH, HEIGHT = 640, 480
 MOST_M, STEPS = 10.0, 65535
 
 
-def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m) and intrinsics.pt.
 
     Without cam2world.pt its output is in the camera.

@@ -5,7 +5,6 @@ Source: its repository, commit cf06676: `Inference(...)(image, mask, pointmap=..
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T
 POSE, POSE_BYTES = "pose.npz", 1 << 16
 
 
-def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, Any]]:
+def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write image.png, mask.png and pointmap.npy (float32, PyTorch3D's camera, metres, NaN = none)."""
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)

@@ -4,9 +4,8 @@ Of cells voxel metrics only: a table needs no more to show what a method is wort
 the time. Beside predictions in the camera frame baselines are scored under `camera` alone.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
@@ -58,9 +57,9 @@ def baselines_beside(
     names = [name for name in possible_baselines(release) if name not in without]
     counting = Counting(tuple(protocols), upsampling, surface=False)
     settings, sign = describe(counting, "error"), ""
-    make: Any = counted_baselines
-    differ: Any = baselines_that_differ
-    how: Any = counting
+    make: Callable[..., list[ScoreTable]] = counted_baselines
+    differ: Callable[..., Iterable[str]] = baselines_that_differ
+    how: Counting | tuple[str, ...] = counting
     if any_in_space(protocols):
         names, how = [name for name in names if name not in WITHOUT_SURFACE], ("camera",)
         settings, sign = settings_in_space(how, "error"), "+camera"

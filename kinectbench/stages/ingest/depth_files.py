@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from itertools import permutations
 from math import prod
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
 from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_depth_png, image_header
+
+if TYPE_CHECKING:
+    from h5py import File
 
 UInt16 = NDArray[np.uint16]
 Channels = tuple[int, int]
@@ -157,7 +161,7 @@ def _array(data: bytes, name: str) -> NDArray[np.generic]:
     return array.reshape(sides)
 
 
-def _stored(data: bytes, name: str) -> NDArray[Any]:
+def _stored(data: bytes, name: str) -> NDArray[np.generic]:
     """The array of a .npy, .npz or HDF5 file."""
     if data.startswith(HDF5_MAGIC):
         arrays = hdf5_arrays(data, name, (KEY,), MOST_PIXELS)
@@ -167,7 +171,7 @@ def _stored(data: bytes, name: str) -> NDArray[Any]:
     return _of_npz(data, name) if data.startswith(ZIP_MAGIC) else read_npy(io.BytesIO(data), len(data))
 
 
-def _of_npz(data: bytes, name: str) -> NDArray[Any]:
+def _of_npz(data: bytes, name: str) -> NDArray[np.generic]:
     """The array `depth` of a .npz file, or its only image."""
     file = io.BytesIO(data)
     with open_npz(file, UNPACKED_BYTES) as archive:
@@ -184,7 +188,7 @@ def _of_npz(data: bytes, name: str) -> NDArray[Any]:
     return images[0]
 
 
-def _sides(array: NDArray[Any]) -> tuple[int, ...]:
+def _sides(array: NDArray[np.generic]) -> tuple[int, ...]:
     return tuple(side for side in array.shape if side != 1)
 
 
@@ -242,7 +246,7 @@ def hdf5_arrays(
     return found
 
 
-def _hdf5_array(h5py: Any, file: Any, key: str, most_values: int) -> NDArray[np.generic]:
+def _hdf5_array(h5py: ModuleType, file: "File", key: str, most_values: int) -> NDArray[np.generic]:
     """One array; ValueError: it is none that is read."""
     if not isinstance(file.get(key, getlink=True), h5py.HardLink):
         raise ValueError(f"'{key}' is a link")

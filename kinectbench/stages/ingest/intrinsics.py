@@ -172,7 +172,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     return Intrinsics(**values)
 
 
-def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, Any]:
+def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
     """A file's depth scale in units a metre, and a note if it is stated otherwise."""
     if of_bop and stated < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
@@ -297,7 +297,7 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     return replace(matrix, width=width, height=height)
 
 
-def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, Any]:
+def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, object]:
     """Read a JSON object.
 
     Args:
@@ -311,7 +311,7 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
     return object_of(read_text(path, most_bytes), str(path), what)
 
 
-def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, Any] | None:
+def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
     """One frame's camera in a JSON object: its `keys` and "file", its name; None if there is none.
 
     Each value is a number, None, a text, or an array of numbers: a list of anything takes many times the

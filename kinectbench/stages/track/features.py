@@ -11,7 +11,6 @@ estimates: Sivic & Zisserman 2003 ("Video Google"), as in Galvez-Lopez & Tardos 
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +52,7 @@ class FeatureCache(OrderedDict[int, Features]):
         super().__init__()
         self.maps = maps
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickled with its maps."""
         return type(self), (self.maps,), None, None, iter(self.items())
 

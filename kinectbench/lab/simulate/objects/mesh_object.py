@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +190,7 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
 
 def _face_colors(mesh: "trimesh.Trimesh") -> NDArray[np.uint8]:
     """Colours (m, 3) of a mesh's faces, not more than 64 different ones."""
-    visual: Any = mesh.visual
+    visual = mesh.visual
     default = np.round(np.array(DEFAULT_RGB) * 255).astype(np.uint8)
     faces = len(mesh.faces)
     if visual.kind in ("face", "vertex"):

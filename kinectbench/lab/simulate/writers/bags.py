@@ -5,16 +5,23 @@ Messages are those of `MessageMaker`, in the order of the frames. Same frames, s
 
 import shutil
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, quaternion_xyzw_from_rotation
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
+from kinectbench.stages.ingest.bags.ros_messages import Message
 from kinectbench.stages.ingest.bags.rvl import encode_rvl
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys.store import Typestore
 
 DepthCode = Literal["raw", "png", "rvl"]
 
@@ -36,13 +43,15 @@ class MessageMaker:
     has none.
     """
 
-    def __init__(self, types: Any, rig: Rig, depth_code: DepthCode, *, ros2: bool) -> None:
+    def __init__(
+        self, types: Mapping[str, Callable[..., Message]], rig: Rig, depth_code: DepthCode, *, ros2: bool
+    ) -> None:
         """Make messages of a type store's `types`."""
         self._types, self._rig, self._code, self._ros2 = types, rig, depth_code, ros2
         self._depth_folder = "/camera/depth_registered" if rig.color_registered else "/camera/depth"
         self._depth_frame_id = COLOR_FRAME_ID if rig.color_registered else DEPTH_FRAME_ID
 
-    def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Any]]:
+    def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Message]]:
         """Topic, type and message of everything that belongs to a frame."""
         depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
         logged = [
@@ -63,13 +72,13 @@ class MessageMaker:
             logged.append(("/camera/pose", POSE, pose))
         return logged
 
-    def header(self, index: int, stamp_ns: int, frame_id: str) -> Any:
+    def header(self, index: int, stamp_ns: int, frame_id: str) -> Message:
         """A std_msgs/Header; ROS 2's has no number."""
         stamp = self._types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
         number = {} if self._ros2 else {"seq": index}
         return self._types["std_msgs/msg/Header"](**number, stamp=stamp, frame_id=frame_id)
 
-    def image(self, header: Any, pixels: NDArray[Any], encoding: str) -> Any:
+    def image(self, header: Message, pixels: NDArray[np.generic], encoding: str) -> Message:
         """A sensor_msgs/Image of (height, width) or (height, width, channels), little-endian."""
         height, width = pixels.shape[:2]
         data = np.frombuffer(pixels.astype(pixels.dtype.newbyteorder("<")).tobytes(), np.uint8)
@@ -83,7 +92,7 @@ class MessageMaker:
             data=data,
         )
 
-    def camera_info(self, header: Any, camera: Camera) -> Any:
+    def camera_info(self, header: Message, camera: Camera) -> Message:
         """The CameraInfo of an undistorted camera."""
         matrices = {
             "D": np.zeros(5),
@@ -103,7 +112,7 @@ class MessageMaker:
             roi=self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
         )
 
-    def transform(self, T_parent_child: NDArray[np.float64]) -> Any:
+    def transform(self, T_parent_child: NDArray[np.float64]) -> Message:
         """A geometry_msgs/Transform."""
         quaternion_xyzw = quaternion_xyzw_from_rotation(T_parent_child[:3, :3])
         return self._types["geometry_msgs/msg/Transform"](
@@ -111,7 +120,7 @@ class MessageMaker:
             self._types["geometry_msgs/msg/Quaternion"](*quaternion_xyzw.tolist()),
         )
 
-    def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Any]]:
+    def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Message]]:
         """The pose of the colour camera relative to depth, on /tf_static; nothing if they are one camera."""
         if self._rig.color_registered:
             return []
@@ -121,7 +130,7 @@ class MessageMaker:
         )
         return [("/tf_static", TF, self._types[TF]([stamped]))]
 
-    def _depth(self, header: Any, depth: NDArray[np.uint16]) -> tuple[str, str, Any]:
+    def _depth(self, header: Message, depth: NDArray[np.uint16]) -> tuple[str, str, Message]:
         topic = f"{self._depth_folder}/image_raw"
         if self._code == "raw":
             return topic, IMAGE, self.image(header, depth, "16UC1")
@@ -130,7 +139,7 @@ class MessageMaker:
         message = self._types[COMPRESSED_IMAGE](header, f"16UC1; compressedDepth {self._code}", data)
         return f"{topic}/compressedDepth", COMPRESSED_IMAGE, message
 
-    def _pose(self, header: Any, T_world_camera: NDArray[np.float64]) -> Any:
+    def _pose(self, header: Message, T_world_camera: NDArray[np.float64]) -> Message:
         quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
         position = self._types["geometry_msgs/msg/Point"](*T_world_camera[:3, 3].tolist())
         orientation = self._types["geometry_msgs/msg/Quaternion"](*quaternion_xyzw.tolist())
@@ -140,13 +149,15 @@ class MessageMaker:
 NAME = "recording"
 
 # Topic, type, time in nanoseconds at which it is logged, and message.
-Messages = Iterator[tuple[str, str, int, Any]]
+Messages = Iterator[tuple[str, str, int, Message]]
 
 
-def log_messages(writer: Any, store: Any, messages: Messages, *, ros2: bool = False) -> None:
+def log_messages(
+    writer: "Writer1 | Writer2", store: "Typestore", messages: Messages, *, ros2: bool = False
+) -> None:
     """Write messages to a bag that is open, each topic's connection with its first message."""
     serialize = store.serialize_cdr if ros2 else store.serialize_ros1
-    connections: dict[str, Any] = {}
+    connections: dict[str, Connection] = {}
     for topic, kind, stamp_ns, message in messages:
         if topic not in connections:
             connections[topic] = writer.add_connection(topic, kind, typestore=store)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,7 +178,7 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     return bytes(encoded)
 
 
-def color_json(rig: Rig) -> dict[str, Any]:
+def color_json(rig: Rig) -> dict[str, object]:
     """The pose of colour relative to depth, as plain JSON values.
 
     `color_registered`, which readers know; where it is false also `color_camera` (size and intrinsics in

@@ -7,14 +7,14 @@ reference to the stream; with a common reference they give the transform between
 import re
 import struct
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
-from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
+from kinectbench.stages.ingest.bags.ros_messages import BagTopic, Message, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
@@ -149,7 +149,7 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
     return str(extrinsics.reference_point_id), rigid(closest_rotation(R), extrinsics.extrinsics.translation)
 
 
-def _old_stream_info(bag: RosBag, name: str) -> Any | None:
+def _old_stream_info(bag: RosBag, name: str) -> Message | None:
     """The stream_info message of version 1 about a stream such as /camera/DEPTH/image_raw/0."""
     match = OLD_STREAM.fullmatch(name)
     if not match:

@@ -1,13 +1,14 @@
 """ROS image messages to depth and colour: raw with any row padding and byte order, and compressed."""
 
 import struct
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
 from kinectbench.core.untrusted import MOST_PIXELS, MOST_SIDE_PX, is_too_large
+from kinectbench.stages.ingest.bags.ros_messages import Message
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
     decode_depth_png,
@@ -31,6 +32,7 @@ COLOR_CHANNELS: dict[str, tuple[int, ...]] = {
     "mono8": (0,),
     "8UC1": (0,),
 }
+_Value = TypeVar("_Value", bound=np.generic)
 # encoding -> OpenCV's conversion to blue, green, red; its names count the pattern from the second row.
 CONVERSIONS = {
     "bayer_rggb8": (1, "COLOR_BayerBG2BGR"),
@@ -48,12 +50,12 @@ COMPRESSED_DEPTH = "compressedDepth"
 COMPRESSED_DEPTH_HEADER = 12
 
 
-def is_compressed(message: Any) -> bool:
+def is_compressed(message: Message) -> bool:
     """Whether a message is a CompressedImage, not an Image: only that has a format."""
     return hasattr(message, "format")
 
 
-def depth_encoding(message: Any) -> str | None:
+def depth_encoding(message: Message) -> str | None:
     """The encoding of the depth in an image message, such as "16UC1"; None if it holds no depth."""
     if not is_compressed(message):
         return message.encoding if message.encoding in DEPTH_ENCODINGS else None
@@ -63,7 +65,7 @@ def depth_encoding(message: Any) -> str | None:
     return "16UC1" if is_depth_png(bytes(message.data[:32])) else None
 
 
-def color_encoding(message: Any) -> str | None:
+def color_encoding(message: Message) -> str | None:
     """The encoding of the colour in an image message; None if it holds none that can be read."""
     if not is_compressed(message):
         known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
@@ -74,7 +76,7 @@ def color_encoding(message: Any) -> str | None:
     return "compressed" if data.startswith((PNG_MAGIC, JPEG_MAGIC)) else None
 
 
-def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:
+def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:
     """Depth of an Image or CompressedImage message.
 
     Args:
@@ -121,7 +123,7 @@ def depth_of(message: Any, name: str, float_units_per_m: float = 1.0) -> NDArray
     return quantised(metres / float_units_per_m)
 
 
-def color_of(message: Any, name: str) -> tuple[str, bytes]:
+def color_of(message: Message, name: str) -> tuple[str, bytes]:
     """Colour of an Image or CompressedImage message: (suffix, encoded); raw pixels become PNG.
 
     Raises:
@@ -145,7 +147,7 @@ def color_of(message: Any, name: str) -> tuple[str, bytes]:
     return ".png", encode_png(np.ascontiguousarray(pixels[..., order]).astype(np.uint8))
 
 
-def _pixels(message: Any, name: str, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
+def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
     """The pixels (height, width, channels) of a raw image, without row padding, in any byte order."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if is_too_large(width, height):

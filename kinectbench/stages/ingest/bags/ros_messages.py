@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 from kinectbench.core.untrusted import HEAD_BYTES
 
 if TYPE_CHECKING:
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
     from rosbags.interfaces import Typestore
+    from rosbags.interfaces.typing import Typesdict
 import bz2
 import struct
 from collections.abc import Callable, Iterable
@@ -26,6 +28,8 @@ from typing import BinaryIO, Literal, NamedTuple
 from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.images import DamagedImageError
 
+# A decoded message: it has the attributes that its type defines, as rosbags makes its class.
+Message = Any
 Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 # The longest name of a topic or type, and its description in a bag: mostly its definition.
@@ -106,11 +110,11 @@ class RosBag:
     trouble: str = ""
 
     @cached_property
-    def _decoders(self) -> dict[Encoding, Callable[[bytes, str], Any]]:
+    def _decoders(self) -> dict[Encoding, Callable[[bytes, str], Message]]:
         own = {t.type: t.definition for t in reversed(self.topics) if t.definition}
         return {"ros1": _ros1_decoder(tuple(sorted(own.items()))), "cdr": _ros2_decoder()}
 
-    def decode(self, topic: BagTopic, index: int) -> Any:
+    def decode(self, topic: BagTopic, index: int) -> Message:
         """The index-th message of a topic.
 
         Raises:
@@ -124,19 +128,19 @@ class RosBag:
         except (SerdeError, ValueError, struct.error, LookupError, OverflowError, RecursionError) as error:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
-    def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Any]:
+    def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Message]:
         """Every message of a topic that decodes; `most` messages are tried, or all."""
         for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
 
-    def first(self, topic: BagTopic) -> Any | None:
+    def first(self, topic: BagTopic) -> Message | None:
         """The first message that decodes, or None if none of the first thousand does."""
         return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
-def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Any]:
+def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Message]:
     """A decoder of ROS 1's types, those of tf, and a bag's own (type, definition) pairs."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
@@ -147,16 +151,16 @@ def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], An
         # Messages of a type whose definition is damaged, or more than is compiled, do not decode.
         with suppress(ValueError, TypesysError):
             store.register(known_types(long_type(name), definition, store))
-    decode: Callable[[bytes, str], Any] = store.deserialize_ros1
+    decode: Callable[[bytes, str], Message] = store.deserialize_ros1
     return decode
 
 
 @cache
-def _ros2_decoder() -> Callable[[bytes, str], Any]:
+def _ros2_decoder() -> Callable[[bytes, str], Message]:
     """Decodes ROS 2's types."""
     from rosbags.typesys import Stores, get_typestore
 
-    decode: Callable[[bytes, str], Any] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+    decode: Callable[[bytes, str], Message] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
     return decode
 
 
@@ -265,7 +269,7 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
         if compression == "bz2":
             return _unpacked(bz2.BZ2Decompressor(), data, size)
         if compression == "lz4":
-            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+            from lz4.frame import LZ4FrameDecompressor
 
             return _unpacked(LZ4FrameDecompressor(), data, size)
         if compression == "zstd":
@@ -276,7 +280,7 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
     raise DamagedRecordError
 
 
-def _unpacked(unpacker: Any, data: bytes, size: int) -> bytes:
+def _unpacked(unpacker: "bz2.BZ2Decompressor | LZ4FrameDecompressor", data: bytes, size: int) -> bytes:
     """Decompress at most `size` bytes by bz2 or lz4, with one copy in memory."""
     target = BytesIO()
     part = unpacker.decompress(data, max_length=min(max(size, 1), PART_BYTES))
@@ -316,7 +320,7 @@ def unpacked_message(data: bytes) -> bytes:
         return b""
 
 
-def known_types(name: str, definition: str, store: "Typestore") -> dict[str, Any]:
+def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
     """The types of a definition that a store lacks, for it to register.
 
     Args:

@@ -2,7 +2,6 @@
 
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from kinectbench.core.trajectory.trajectory_file import (
     trajectory_from_poses,
 )
 from kinectbench.core.types import Float64, Int64
-from kinectbench.stages.ingest.bags.ros_messages import BagTopic, RosBag
+from kinectbench.stages.ingest.bags.ros_messages import BagTopic, Message, RosBag
 from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageTopic
 
 Given = tuple[GivenTrajectory | None, list[str]]
@@ -108,7 +107,7 @@ def read_transforms(bag: RosBag) -> TransformTree:
     )
 
 
-def matrix_of(transform: Any) -> Float64 | None:
+def matrix_of(transform: Message) -> Float64 | None:
     """The (4, 4) matrix of a geometry_msgs/Transform; None if it is not finite, far, or has no rotation."""
     t, q = transform.translation, transform.rotation
     quaternion_xyzw, translation_m = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])

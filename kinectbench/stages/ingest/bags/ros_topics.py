@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.bags.ros_images import (
@@ -14,7 +13,7 @@ from kinectbench.stages.ingest.bags.ros_images import (
     depth_encoding,
     is_compressed,
 )
-from kinectbench.stages.ingest.bags.ros_messages import OLD_TF_MESSAGE, TF_MESSAGE, BagTopic, RosBag
+from kinectbench.stages.ingest.bags.ros_messages import OLD_TF_MESSAGE, TF_MESSAGE, BagTopic, Message, RosBag
 from kinectbench.stages.ingest.intrinsics import Intrinsics
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
@@ -29,7 +28,7 @@ BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "
 NO_MODELS = frozenset({"", "None", "none"})
 BROWN_LENGTHS = frozenset({4, 5, 8})
 # A message of sensor_msgs/CameraInfo, and with its topic's name.
-CameraInfo = Any
+CameraInfo = Message
 NamedInfo = tuple[str, CameraInfo]
 # How well a CameraInfo fits images: of their size, beside them, of their frame, folders that both lie in.
 Rank = tuple[bool, bool, bool, int]
@@ -76,7 +75,7 @@ COLOR_KIND = ImageKind(
 )
 
 
-def image_topics(bag: RosBag, encoding_of: Callable[[Any], str | None]) -> list[ImageTopic]:
+def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> list[ImageTopic]:
     """The image topics whose first readable message has an encoding by `encoding_of`."""
     topics = []
     for topic in bag.topics:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ class AzureCalibration:
     of_color: AzureCamera | None
 
     @classmethod
-    def of(cls, raw: dict[str, Any], path: Path) -> "AzureCalibration":
+    def of(cls, raw: dict[str, object], path: Path) -> "AzureCalibration":
         """Take the cameras from the file's object; `path` is the recording, for messages.
 
         Raises:
@@ -124,7 +123,7 @@ def _in_pixels(
     return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
+def _camera(raw: dict[str, object], where: str) -> AzureCamera:
     location = str(raw.get("Location")).removeprefix("CALIBRATION_CameraLocation")
     where = f"{where}: camera {location}"
     intrinsics, place = raw.get("Intrinsics"), raw.get("Rt")
@@ -164,7 +163,7 @@ def _camera(raw: dict[str, Any], where: str) -> AzureCamera:
     )
 
 
-def _place(raw: dict[str, Any], where: str) -> Float64:
+def _place(raw: dict[str, object], where: str) -> Float64:
     """Rig to camera (4, 4), metres, of Rotation (nine numbers by row) and Translation."""
     R, t_m = json_numbers(raw.get("Rotation")), json_numbers(raw.get("Translation"))
     if R.size == 9 and t_m.size == 3:

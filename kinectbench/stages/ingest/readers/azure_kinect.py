@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,7 +239,7 @@ def _color_mode(track: "VideoStream") -> str:
     return mode or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
 
 
-def _attached(container: "InputContainer", path: Path) -> dict[str, Any]:
+def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
     """The calibration that is attached to the file."""
     for attachment in container.streams.attachments:
         if attachment.name == CALIBRATION_FILE and attachment.data:

@@ -145,7 +145,9 @@ def _read_by_image(file: Path) -> dict[int, Any]:
         raise RecordingError(f"{file}: is not a JSON object of image numbers ({error})") from error
 
 
-def _shared(path: Path, cameras: dict[int, Any]) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
+def _shared(
+    path: Path, cameras: dict[int, dict[str, Any]]
+) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
     """The common matrix and depth scale (mm a unit) of all images after shifting each by some pixels."""
     file = path / "scene_camera.json"
     of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
@@ -179,7 +181,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
     return K, scale
 
 
-def _pose(camera: dict[str, Any]) -> Float64 | None:
+def _pose(camera: dict[str, object]) -> Float64 | None:
     """Camera to world, of `cam_R_w2c` and `cam_t_w2c` (mm); None if it has none."""
     R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:

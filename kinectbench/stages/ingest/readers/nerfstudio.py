@@ -9,7 +9,7 @@ up, but poses of COLMAP are not turned so, and the file does not tell: gravity i
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 # Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
 METRES_PER_UNIT = 0.001
 
-Frame = dict[str, Any]
+Frame = dict[str, object]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]
     return content, sorted(named, key=lambda row: counting_key(row[0])), warnings
 
 
-def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> Any:
+def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> object:
     return next((shared[key] for key in keys if shared.get(key) is not None), default)
 
 

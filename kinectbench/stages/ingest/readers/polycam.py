@@ -8,7 +8,7 @@ and the undistorted images.
 
 import re
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,9 @@ class PolycamRecording(PhoneRecording):
         return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
 
 
-def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64, tuple[int, int], list[str]]:
+def _shared(
+    folder: Path, cameras: list[dict[str, object] | None]
+) -> tuple[Float64, tuple[int, int], list[str]]:
     """The pinhole matrix of all images, their size, and warnings."""
     known = [camera for camera in cameras if camera]
     if not known:
@@ -119,7 +121,7 @@ def _shared(folder: Path, cameras: list[dict[str, Any] | None]) -> tuple[Float64
     return K, (int(rows[0, 4]), int(rows[0, 5])), warnings
 
 
-def _pose(camera: dict[str, Any] | None) -> Float64 | None:
+def _pose(camera: dict[str, object] | None) -> Float64 | None:
     """Camera to world in optical axes."""
     if camera is None or POSE_KEYS[0] not in camera:
         return None

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -158,13 +158,13 @@ def _unpacked(data: bytes, size: int, name: str) -> bytes:
     return unpacked
 
 
-def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, Any]:
+def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, object]:
     if METADATA not in members:
         raise RecordingError(f"{archive.path}: holds no {METADATA}; export it from Record3D as .r3d again")
     return object_of(archive.read(METADATA), f"{archive.path}: {METADATA}", "K, w, h and poses")
 
 
-def _intrinsics(path: Path, metadata: dict[str, Any]) -> tuple[Float64, tuple[int, int], list[str]]:
+def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple[int, int], list[str]]:
     """The pinhole matrix of colour, its size, and warnings."""
     width, height = (int(number_of(metadata.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
     rows = json_numbers(metadata.get("perFrameIntrinsicCoeffs"))
@@ -178,7 +178,7 @@ def _intrinsics(path: Path, metadata: dict[str, Any]) -> tuple[Float64, tuple[in
 
 
 def _depth_size(
-    archive: Archive, metadata: dict[str, Any], color_px: tuple[int, int], numbers: list[int]
+    archive: Archive, metadata: dict[str, object], color_px: tuple[int, int], numbers: list[int]
 ) -> tuple[int, int]:
     """Width and height of depth: dw and dh of the metadata, else the known size with as many bytes."""
     where = f"{archive.path}: {METADATA}"
@@ -196,7 +196,7 @@ def _depth_size(
     return width, height
 
 
-def _stamps_ns(path: Path, metadata: dict[str, Any], numbers: list[int]) -> tuple[list[int], list[str]]:
+def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
     """The frames' times if all have one and they increase; else frames counted at `fps`."""
     times_s = json_numbers(metadata.get("frameTimestamps"))
     usable = times_s.ndim == 1 and numbers[-1] < len(times_s)
@@ -211,7 +211,7 @@ def _stamps_ns(path: Path, metadata: dict[str, Any], numbers: list[int]) -> tupl
 
 
 def _trajectory(
-    path: Path, metadata: dict[str, Any], numbers: list[int], stamps_ns: Sequence[int]
+    path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Camera to world in optical axes; None if the camera never moved, as for the face camera."""
     poses = metadata.get("poses")

@@ -3,7 +3,7 @@
 import re
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -86,7 +86,7 @@ class ScannerAppRecording(PhoneRecording):
         )
 
 
-def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:
+def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
     """A square matrix that is stored row by row."""
     numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
@@ -94,7 +94,7 @@ def _matrix(camera: dict[str, Any], key: str, side: int) -> Float64:
     return numbers.reshape(side, side)
 
 
-def _pose(camera: dict[str, Any] | None) -> Float64 | None:
+def _pose(camera: dict[str, object] | None) -> Float64 | None:
     """Camera to world in optical axes."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
@@ -102,7 +102,7 @@ def _pose(camera: dict[str, Any] | None) -> Float64 | None:
         return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
 
 
-def _stamps_ns(path: Path, cameras: list[dict[str, Any] | None]) -> tuple[list[int], list[str]]:
+def _stamps_ns(path: Path, cameras: list[dict[str, object] | None]) -> tuple[list[int], list[str]]:
     """The frames' times if all have one and they increase; else the frames count seconds."""
     times_s = json_numbers([camera.get("time") if camera else None for camera in cameras])
     if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):

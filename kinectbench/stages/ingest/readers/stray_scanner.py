@@ -6,7 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
@@ -17,6 +20,9 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
+
+if TYPE_CHECKING:
+    from cv2 import VideoCapture
 
 DEPTH_SCALE = 1000.0
 NUMBER = re.compile(r"\d{1,9}")
@@ -32,10 +38,10 @@ class _Video:
     """Frames of a video by number; those in a row are read without seeking."""
 
     path: Path
-    capture: Any = None
+    capture: "VideoCapture | None" = None
     next: int = 0
 
-    def frame(self, number: int) -> Any:
+    def frame(self, number: int) -> NDArray[np.uint8] | None:
         """BGR (height, width, 3) uint8; None if the video does not hold it."""
         import cv2
 

@@ -1,6 +1,6 @@
 """The connected pieces of the fused surface above the floor, and which of them is the object."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,6 +8,9 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Bools, Float64, Int32, Int64
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # A piece whose lowest point is higher is in the air, and something not too far away holds it.
 GROUNDED_M = 0.12
@@ -84,7 +87,7 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
     return holder[label]
 
 
-def nearest_within(tree: Any, points: Float64, most_m: float) -> tuple[float, int | None]:
+def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
     """Distance of points (n, k) to the nearest of a `cKDTree`, and its index.
 
     They are inf and None where nothing is within `most_m`. A search without a bound visits most of the tree.

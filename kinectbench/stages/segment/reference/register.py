@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations, product
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,15 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, transform_points
-from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.geometry.mesh import Tensors, raycaster
 from kinectbench.core.geometry.rigid import rotation_angle_rad, rotation_from_quaternion_xyzw
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.solid import SolidShape
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import RaycastingScene
 
 # Samples of each surface that are found as the nearest: 9 mm apart on a chair of 1.5 m2 (chosen here). The
 # object and the reference have seeds of their own: two equal meshes would else have equal samples.
@@ -86,7 +89,7 @@ class Sampled:
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
     @cached_property
-    def _caster(self) -> tuple[Any, Any, Float64]:
+    def _caster(self) -> tuple["RaycastingScene", Tensors, Float64]:
         middle = self.points.mean(axis=0)  # the library computes in float32
         scene, tensor = raycaster(TriangleMesh(self.mesh.vertices - middle, self.mesh.faces))
         return scene, tensor, middle
