@@ -59,7 +59,7 @@ def check_command(common: Common, predictions: Predictions) -> int:
         check_folder(predictions)  # before the benchmark is built
     release, rows = find_release(common)
     methods = split_methods(predictions, release.targets)
-    problems, notes = list[str](), list[str]()
+    problems, notes, shown = list[str](), list[str](), list[str]()
     for name, folder in methods.items():
         method, lines = read_in_camera(folder), list[str]()
         with console.progress_bar(f"check {name}") as progress:
@@ -69,7 +69,8 @@ def check_command(common: Common, predictions: Predictions) -> int:
                 faults, lines = check_camera(release, folder, method, progress)
         begin = f"{name}: " if len(methods) > 1 else ""
         problems += [begin + line for line in faults]
+        shown += [begin + line for line in console.by_mistake(faults)]
         notes += [begin + line for line in lines]
     console.lines("note", notes, "cyan")
-    common.tell_problems(problems, f"{predictions}: all well")
+    common.tell_problems(problems, f"{predictions}: all well", shown)
     return SOME_FAILED if problems else exit_status(rows)

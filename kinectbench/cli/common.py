@@ -182,12 +182,18 @@ class Common:
         """Print the files or folders that were written."""
         self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
 
-    def tell_problems(self, problems: list[str], well: str) -> None:
-        """Print one line per problem, on standard error, or one line that all is well; a thousand at most."""
+    def tell_problems(self, problems: list[str], well: str, shown: list[str] | None = None) -> None:
+        """Print one line per problem, on standard error, or one line that all is well; a thousand at most.
+
+        Args:
+            problems: for machines.
+            well: if there are none.
+            shown: the lines for a reader; default: `problems`.
+        """
         from kinectbench.cli import console
 
         self.tell(console.at_most(problems), () if problems else [well])
-        console.lines("error", problems, "red")
+        console.lines("error", problems if shown is None else shown, "red")
 
 
 Command = Callable[..., None]

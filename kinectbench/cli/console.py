@@ -5,6 +5,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import typer
@@ -26,6 +27,8 @@ PLAIN_WIDTH = 160
 LONGEST = 900
 # Lines of one kind: more than anybody reads; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
+# A number in a message.
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 # Where no bar can be drawn, a line is printed as often as this; shorter work prints none.
 LOG_EVERY_S = 10.0
 # The fields of a summary that each stage provides.
@@ -91,6 +94,20 @@ def at_most(messages: Sequence[str]) -> list[str]:
     """The first `MOST_LINES` messages, then a line with the number of the others."""
     more = len(messages) - MOST_LINES
     return [*messages[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])]
+
+
+def by_mistake(messages: Iterable[str]) -> list[str]:
+    """One line for each mistake: the first message about it, and of how many files it is.
+
+    Args:
+        messages: `<file>: <what is wrong>`; one mistake differs in its file and numbers only.
+    """
+    groups: dict[str, list[str]] = {}
+    for message in messages:
+        file, _, what = message.partition(": ")
+        stem = file.removesuffix(PurePosixPath(file).suffix)
+        groups.setdefault(NUMBER.sub("#", what.replace(stem, "*")) if what else message, []).append(message)
+    return [f"{len(of)} files, first {of[0]}" if len(of) > 1 else of[0] for of in groups.values()]
 
 
 def lines(kind: str, messages: Sequence[str], style: str) -> None:

@@ -1,7 +1,9 @@
 """The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,12 +38,12 @@ STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 def init_command(
     common: Common,
     folder: Annotated[Path, typer.Argument(help="recordings are looked for here and below")],
-    force: Annotated[bool, typer.Option("--force", help="replace a benchmark.yaml that is there")] = False,
+    force: Annotated[bool, typer.Option("--force", help="add to a benchmark.yaml what it lacks")] = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
-    from kinectbench.settings.template import init_benchmark
+    from kinectbench.settings.reading import read_bytes
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
     target = folder / "benchmark.yaml"
@@ -51,8 +53,10 @@ def init_command(
         )
     if target.exists() and not force:
         raise SettingsError(
-            f"{target}: is there already; edit it, or use --force to replace it", what="already-exists"
+            f"{target}: is there already; edit it, or use --force to add the recordings that it lacks",
+            what="already-exists",
         )
+    written = read_bytes(target) if target.exists() else None
     recordings = find_recordings(folder)
     rows = [(path.relative_to(folder).as_posix(), name) for path, name in recordings]
     suffixes = name_suffixes()
@@ -63,13 +67,54 @@ def init_command(
         names += f" and {more} more" if more > 0 else ""
         why = "`kinectbench inspect FOLDER` says why"
         console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
-    text = init_benchmark(folder, rows, suffixes)
+    text, said = _benchmark_text(target, written, rows, suffixes)
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    count = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
+    common.tell([str(target)], said)
+
+
+def _benchmark_text(
+    target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str]
+) -> tuple[str, list[str]]:
+    """The text of a benchmark.yaml, and lines about it; what cannot be added to is kept beside it."""
+    from kinectbench.cli import console
+    from kinectbench.core.errors import StorageError
+    from kinectbench.settings.reading import as_text
+    from kinectbench.settings.template import extended_benchmark, init_benchmark
+
+    fresh = init_benchmark(target.parent, rows, suffixes)
+    all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
     what = "category, object and underside of each, license and source"
-    advice = f"{count}: fill in {what}, then run `kinectbench build`"
-    common.tell([str(target)], [f"wrote {target}", advice])
+    said = [f"wrote {target}", f"{all_of}: fill in {what}, then run `kinectbench build`"]
+    if written is None:
+        return fresh, said
+    try:
+        done = extended_benchmark(target, as_text(written, str(target)), rows, suffixes)
+    except (SettingsError, StorageError) as error:
+        kept = _kept_beside(target, written)
+        console.lines("note", [f"{error.lines[0]}; it is kept as {kept}"], "yellow")
+        return fresh, said
+    names = ", ".join(done.missing[:SHOWN_LEFT_OUT])
+    lost = [f"in {target}, but not found here: {names}" + ", …" * (len(done.missing) > SHOWN_LEFT_OUT)]
+    console.lines("note", lost if names else [], "yellow")
+    new = f"{done.added} recording{'s' * (done.added != 1)}"
+    return done.text, [f"{target}: added {new} of {len(rows)} found; what was in it stays"]
+
+
+def _kept_beside(path: Path, content: bytes) -> Path:
+    """Write the content of a file to a new one beside it.
+
+    Raises:
+        StorageError: nothing can be written there.
+    """
+    from kinectbench.core.storage import storage_errors
+
+    for number in count(1):
+        kept = path.with_name(f"{path.name}.old{number if number > 1 else ''}")
+        with storage_errors(kept), suppress(FileExistsError), kept.open("xb") as file:
+            file.write(content)
+            return kept
+    raise AssertionError("there is a next number")
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:

@@ -270,12 +270,12 @@ def baselines_of(
 
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
-    """Warnings and failures of each method, one line each."""
+    """Warnings and failures of each method, one line for each mistake."""
     from kinectbench.cli import console
 
     for table in tables:
-        console.lines(f"{table.method}: warning", table.warnings, "yellow")
-        reasons = [failure.reason for failure in table.failures]
+        console.lines(f"{table.method}: warning", console.by_mistake(table.warnings), "yellow")
+        reasons = console.by_mistake(failure.reason for failure in table.failures)
         if len(reasons) > SHOWN_FAILURES:
             more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json and `kinectbench check` list all"
             reasons = [*reasons[:SHOWN_FAILURES], more]

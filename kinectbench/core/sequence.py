@@ -72,6 +72,7 @@ class Sequence:
         up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: the recording does not
             say.
         up_cameras: up in some frames' own axes, by an accelerometer.
+        recorded: number of each frame in the recording, where damaged frames count; None: its index.
         beside_m: of a recording whose depth is the object's only (`own_pixels`): index -> (height, width)
             float32 metres, depth that certainly is not the object's, 0 = nothing; else None.
     """
@@ -87,6 +88,7 @@ class Sequence:
     trajectory_error: str = ""
     up_world: Float64 | None = None
     up_cameras: tuple[UpSample, ...] = ()
+    recorded: tuple[int, ...] | None = None
     beside_m: Callable[[int], Float32] | None = None
 
     def __len__(self) -> int:

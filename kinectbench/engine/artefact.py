@@ -31,7 +31,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
 # models, tables of scores, and the predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 12,
+    "ingest": 13,
     "track": 12,
     "fuse": 6,
     "segment": 37,

@@ -21,6 +21,7 @@ from kinectbench.engine.pipeline import artefacts_upto
 from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.engine.stored_stage import is_stored
+from kinectbench.settings.pick import PICK_FILE
 from kinectbench.stages.ingest.readers.seven_scenes import names_beside
 from kinectbench.stages.ingest.sources import MOST_FILES
 
@@ -190,7 +191,9 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
             "recordings of a benchmark in a store lie below it",
             what="outside-folder",
         )
-    listed = [each for each in store.objects(str(path), MOST_FILES) if not _hidden(each.name)]
+    clicked = str(path / PICK_FILE)  # none of its files, as in `source_files`
+    objects = store.objects(str(path), MOST_FILES)
+    listed = [each for each in objects if not _hidden(each.name) and each.name != clicked]
     if listed:
         names = names_beside(PurePosixPath(each.name).name for each in listed)
         beside = in_parallel(partial(store.head, str(path.parent / name)) for name in names)

@@ -11,6 +11,7 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import StorageError
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
+from kinectbench.release.triage.rules import KNOWN_IOU
 from kinectbench.report.looks import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 
@@ -25,7 +26,7 @@ class Card:
 
     row: TriageRow
     tone: str
-    estimate: str
+    figures: str
     pictures: tuple[str, ...]
 
 
@@ -67,8 +68,20 @@ def _card(row: TriageRow, folder: Path) -> Card:
         pictures = ()
     quality = QualityFile.read_if_there(folder / "object") if row.built else None
     high = quality.estimated_iou_high if quality else None
-    estimate = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2) or ""
-    return Card(row, TONES[row.decision], estimate, pictures)
+    return Card(row, TONES[row.decision], _figures(row, high), pictures)
+
+
+def _figures(row: TriageRow, high: float | None) -> str:
+    """The estimates that no reason states, and whose word the underside is."""
+    words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
+    parts = [f"estimated IoU {words}"] if words else []
+    known = row.estimated_known_iou
+    if known is not None and not any(KNOWN_IOU in line and f"{known:.2f}" in line for line in row.reasons):
+        parts.append(f"{KNOWN_IOU} {known:.2f}")
+    if row.underside is not None:
+        by = f"as its {row.underside_by} says" if row.underside_by else "as nobody said more"
+        parts.append(f"underside {row.underside}, {by}")
+    return "; ".join(parts)
 
 
 def _pictures(folder: Path) -> list[str]:

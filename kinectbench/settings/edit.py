@@ -1,6 +1,7 @@
 """Change a benchmark.yaml as text: comments and layout stay as they are."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -91,3 +92,51 @@ def box_line(box: BoxPart) -> str:
     """The line `box: {…}` of benchmark.yaml."""
     inner = ", ".join(f"{key}: {json.dumps(value)}" for key, value in box.json_value().items())
     return f"box: {{{inner}}}"
+
+
+def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
+    """The text of a benchmark.yaml with further recordings behind its own, and no other change.
+
+    Args:
+        text: of the file.
+        source: its name.
+        lines: of the entries, each from `  - id:` on.
+
+    Raises:
+        SettingsError: the file cannot be changed safely.
+    """
+    if not lines:
+        return text
+    root = yaml_nodes.compose(text, source)
+    wanted = yaml_nodes.plain(root)
+    added = yaml_nodes.plain(yaml_nodes.compose("\n".join(["recordings:", *lines]), source))["recordings"]
+    own = yaml_nodes.items(root).get("recordings")
+    changed = _with_lines(text, own, lines)
+    try:
+        done = yaml_nodes.plain(yaml_nodes.compose(changed, source))
+    except SettingsError:
+        done = None
+    if done != {**wanted, "recordings": [*(wanted.get("recordings") or []), *added]}:
+        place = yaml_nodes.place(own or root)
+        raise SettingsError(f"{place}: recordings cannot be added safely", what="not-editable")
+    return changed
+
+
+def _with_lines(text: str, recordings: yaml.Node | None, lines: Sequence[str]) -> str:
+    """The text with lines behind the last recording and the comments that are indented like it."""
+    rows = text.removesuffix("\n").split("\n")
+    if recordings is None:
+        return "\n".join([*rows, "", "recordings:", *lines, ""])
+    margin, end = recordings.start_mark.column, len(rows)
+    if recordings.end_mark.index < len(text):
+        end = min(end, recordings.end_mark.line)
+    while end and not _is_indented(rows[end - 1], margin):
+        end -= 1
+    moved = [" " * margin + line[2:] for line in lines]
+    return "\n".join([*rows[:end], *moved, *rows[end:], ""])
+
+
+def _is_indented(row: str, margin: int) -> bool:
+    """Whether a row is no blank one, and no comment that begins at a margin or before it."""
+    inner = row.lstrip(" ")
+    return bool(inner.strip()) and (not inner.startswith("#") or len(row) - len(inner) > margin)

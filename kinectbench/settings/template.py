@@ -1,17 +1,21 @@
 """Write a commented benchmark.yaml for the recordings of a folder; the comments come from the models."""
 
+import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import read_plain_text
+from kinectbench.settings import edit, yaml_nodes
 from kinectbench.settings.base import Settings
+from kinectbench.settings.file import nodes_of
 from kinectbench.settings.models import BenchmarkSettings, CategorySettings, RecordingSettings
 from kinectbench.settings.pick import PICK_BYTES, PICK_FILE, PickSettings
 from kinectbench.settings.words import field_range, model_of
@@ -46,18 +50,71 @@ def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes
             "and `kinectbench formats` what is read; put one there and try again",
             what="no-recording",
         )
-    folder_name = folder.resolve().name
-    # A folder that is itself the recording goes by its own name.
-    names = _unique_ids([folder_name if path == "." else path for path, _ in recordings], suffixes)
-    lines = [HEADER.rstrip(), "", *_top_level(folder_name), "", "recordings:"]
-    for number, ((path, kind), name) in enumerate(zip(recordings, names, strict=True)):
-        lines += _recording(name, path, kind) + _picked(folder / path)
-        lines += _recording_options() if number == 0 else []
+    first, *others = _entries(folder, recordings, suffixes)
+    lines = [HEADER.rstrip(), "", *_top_level(folder.resolve().name), "", "recordings:"]
+    lines += [*first, *_recording_options(), *(line for entry in others for line in entry)]
     lines += ["", *_categories()]
     for section, field in BenchmarkSettings.model_fields.items():
         if isinstance(field.default, Settings):
             lines += ["", *_section(section, field.default)]
     return "\n".join(lines) + "\n"
+
+
+class Extended(NamedTuple):
+    """A benchmark.yaml with the recordings that it lacked.
+
+    Attributes:
+        text: of the file; what was in it stays.
+        added: how many recordings are new in it.
+        missing: ids of those that were not found in the folder.
+    """
+
+    text: str
+    added: int
+    missing: tuple[str, ...]
+
+
+def extended_benchmark(
+    config: Path, text: str, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]
+) -> Extended:
+    """The text of a benchmark.yaml with the recordings of its folder that it lacks, behind its own.
+
+    Args:
+        config: the file; paths are relative to its folder.
+        text: of it.
+        recordings: as for `init_benchmark`.
+        suffixes: as for `init_benchmark`.
+
+    Raises:
+        SettingsError: the text is no YAML with settings, or cannot be changed safely.
+    """
+    listed = yaml_nodes.items(nodes_of(text, str(config), config)).get("recordings")
+    entries = listed.value if isinstance(listed, yaml.SequenceNode) else []
+    rows = [row for row in map(yaml_nodes.items, entries) if {"id", "path"} <= set(row)]
+    known = [(str(row["id"].value), _place(config, str(row["path"].value))) for row in rows]
+    found = {_place(config, each[0]): each for each in recordings}
+    ids, places = [name for name, _ in known], {place for _, place in known}
+    new = [each for place, each in found.items() if place not in places]
+    lines = [line for entry in _entries(config.parent, new, suffixes, ids) for line in entry]
+    missing = tuple(name for name, place in known if place not in found)
+    return Extended(edit.with_recordings(text, str(config), lines), len(new), missing)
+
+
+def _place(config: Path, path: str) -> str:
+    """The absolute path of a recording, without looking at the disk."""
+    return os.path.normpath(config.parent.absolute() / path)
+
+
+def _entries(
+    folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str], taken: Iterable[str] = ()
+) -> list[list[str]]:
+    """The lines of each recording; a folder that is itself the recording goes by its own name."""
+    paths = [folder.resolve().name if path == "." else path for path, _ in recordings]
+    names = _unique_ids(paths, suffixes, taken)
+    return [
+        _recording(name, path, kind) + _picked(folder / path)
+        for name, (path, kind) in zip(names, recordings, strict=True)
+    ]
 
 
 def _top_level(folder_name: str) -> list[str]:
@@ -149,13 +206,14 @@ def _safe(text: str, otherwise: str) -> str:
     return f"{name}_" if name_problem(name) else name
 
 
-def _unique_ids(paths: Sequence[str], suffixes: Sequence[str]) -> list[str]:
+def _unique_ids(paths: Sequence[str], suffixes: Sequence[str], others: Iterable[str] = ()) -> list[str]:
     """An id for each path: its last part, or all of it if that is taken, with a number if needed."""
+    taken = {name.lower() for name in others}
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
     whole = [ending.sub("", path.strip("/")) for path in paths]
     last = [path.rsplit("/", 1)[-1] for path in whole]
-    times = Counter(name.lower() for name in last)
-    ids, taken, numbers = list[str](), set[str](), Counter[str]()
+    times = Counter([name.lower() for name in last] + list(taken))
+    ids, numbers = list[str](), Counter[str]()
     for path, name in zip(whole, last, strict=True):
         base = candidate = _safe(name if times[name.lower()] == 1 else path, "recording")
         while candidate.lower() in taken:

@@ -65,6 +65,20 @@ def test_a_flood_of_messages_is_cut(terminal: io.StringIO, capsys: pytest.Captur
     assert shown[-1] == "error: and 249000 more" and told[-1] == "and 249000 more"
 
 
+def test_one_line_for_each_mistake() -> None:
+    """Messages of one mistake differ in their files and numbers; others stay as they are."""
+    missing = [f"{name}: no prediction; expected {name}.npy" for name in ("chair/000", "table/12", "x/y")]
+    wrong = [
+        "chair/001.npy: nan at (3, 2, 1)",
+        "table/13.npz: nan at (30, 0, 1)",
+        "chair/2.npy: inf at (3, 2, 1)",
+    ]
+    whole = ["method.json: no `name`", "incomplete: 7 predictions could not be scored"]
+    lines = console.by_mistake([*whole, missing[0], *wrong, *missing[1:]])
+    assert lines == [*whole, f"3 files, first {missing[0]}", f"2 files, first {wrong[0]}", wrong[2]]
+    assert console.by_mistake(["", ": ", "x", "x: "]) == ["", ": ", "x", "x: "]
+
+
 def test_tables_and_titles(terminal: io.StringIO) -> None:
     rows = [{"recording": EVIL, "status": f"{EVIL}"}]
     console.out.print(

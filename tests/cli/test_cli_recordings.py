@@ -9,6 +9,7 @@ from pathlib import Path
 from small_benchmark import Run, copied
 
 from kinectbench.cli.recordings import _without_recording
+from kinectbench.settings.file import load_benchmark
 from kinectbench.stages.ingest.readers import FORMATS, find_recordings
 
 NAMES = ("chair", "table")
@@ -91,9 +92,7 @@ def test_what_was_built_is_no_recording(command: Callable[..., Run], small: Path
     assert find_recordings(root / "build") == []
     run = command(root, "init", ".", "--force")
     assert run.status == 0
-    paths = [
-        line.split()[1] for line in (root / "benchmark.yaml").read_text().splitlines() if " path: " in line
-    ]
+    paths = [recording.path for recording in load_benchmark(root / "benchmark.yaml").recordings]
     each = [
         ("", "nested/", "elsewhere/results/")[n] + f"recordings/{name}" for n in range(3) for name in NAMES
     ]

@@ -203,6 +203,12 @@ def test_other_times_change_nothing(command: Command, one: Path) -> None:
     assert made(command(one, "build", "--json")) == ()
 
 
+def test_a_click_is_no_frame(command: Command, one: Path) -> None:
+    """What lies beside the frames as pick.json is asked for in benchmark.yaml: no stage is made for it."""
+    (one / "recordings/chair/pick.json").write_text('{"frame": 3, "pixel": [80, 60]}')
+    assert made(command(one, "build", "--json")) == ()
+
+
 def test_one_byte_of_a_depth_image_changes_everything(command: Command, one: Path) -> None:
     path = sorted((one / "recordings" / "chair" / "depth").iterdir())[2]
     image = read_picture(path, cv2.IMREAD_UNCHANGED)

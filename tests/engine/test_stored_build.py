@@ -141,7 +141,7 @@ def test_a_changed_recording_is_noticed(small: Path, tmp_path: Path, s3: str) ->
 def test_what_lies_beside_a_sequence_belongs_to_it(small: Path, tmp_path: Path, s3: str) -> None:
     """As of 7-Scenes, where one camera file above all sequences holds their intrinsics."""
     store, names = Store(s3), ["r/camera-intrinsics.txt", "r/s/frame-000000.depth.png", "r/s/.hidden"]
-    for name in [*names, "r/other.bag"]:
+    for name in [*names, "r/other.bag", "r/s/pick.json"]:
         store.put(name, b"1")
     job = replace(jobs_of(small)[0], root=Path(s3))
     job = replace(job, recording=job.recording.model_copy(update={"path": "r/s"}))

@@ -11,27 +11,30 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from headless import Browser, find_chromium
 from made_once import made_once
+from numpy.typing import NDArray
 from raising import raises
 from small_benchmark import Run
 from written_frames import read
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import compare_poses
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import truth_folder
 from kinectbench.record.devices.replay import Replay
 from kinectbench.record.guide import looking
-from kinectbench.record.guide.guide import Guide
-from kinectbench.record.guide.process import GuideProcess
+from kinectbench.record.guide.guide import FLOOR_THERE, NOTHING_THERE, Guide
+from kinectbench.record.guide.process import NO_CLICK, GuideProcess
 from kinectbench.record.guide.tracker import LiveTracker
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.odometry_process import GrowingFrames
@@ -115,6 +118,34 @@ def test_the_camera_is_followed_lost_and_found_again(source: Path, monkeypatch: 
     assert np.linalg.norm(guide.tracker.poses()[1][-1, :3, 3] - moved[23]) < 0.01
 
 
+def test_a_click_on_the_floor_is_refused_in_a_sentence(source: Path) -> None:
+    """Once the floor is known; before, and where a thing stands, a click is taken."""
+    setup, frames = replayed(source)
+    guide = Guide(setup, beside=False)
+    pixels = dict(zip(("floor", "chair"), pixels_of_floor_and_chair(source, frames[-1], setup), strict=True))
+    guide.take(0, frames[0])
+    assert guide.pick(frames[0], (160, 120)) == ""
+    for number, each in enumerate(frames[1:], 1):
+        guide.take(number, each)
+    assert guide.pick(frames[-1], pixels["floor"]) == FLOOR_THERE
+    assert guide.pick(frames[-1], pixels["chair"]) == ""
+    dark = later(frames[-1], 1, covered=True)
+    guide.take(FRAMES, dark)
+    assert guide.pick(dark, pixels["chair"]) == NOTHING_THERE
+
+
+def pixels_of_floor_and_chair(source: Path, frame: Frame, setup: Setup) -> list[tuple[int, int]]:
+    """A pixel on the floor, and one on the chair, of the last frame, by the true poses."""
+    given, _ = read_trajectory_file(truth_folder(source) / "trajectory.txt")
+    rows, columns = np.nonzero(frame.depth)
+    depth_m = frame.depth[rows, columns] / setup.depth_scale
+    points = setup.camera.rays_at(columns, rows) * depth_m[:, None]
+    x, y, z = transform_points(given.T_world_camera[-1], points).T
+    near = np.hypot(x, y) < 1.0
+    chosen = [np.flatnonzero(near & (abs(z) < 0.005)), np.flatnonzero(near & (z > 0.2))]
+    return [(int(columns[each[len(each) // 2]]), int(rows[each[len(each) // 2]])) for each in chosen]
+
+
 def test_the_keyframes_are_placed_as_a_build_places_them(source: Path, tmp_path: Path) -> None:
     """Poses are near those of a build, nearer than at first; what came meanwhile goes with its keyframe."""
     setup, frames = replayed(source)
@@ -190,7 +221,9 @@ def test_the_page_shows_what_was_seen(guide: GuideProcess, source: Path) -> None
     assert len(state["ring"]) == 12 and np.any(state["ring"]) and state["path"] and state["box"]
     points, faces = struct.unpack("<II", mesh[:8])
     assert points > 1000 and len(mesh) == 8 + 12 * points + 12 * faces
-    assert fetched(guide.url + "picture?1")[:2] == b"\xff\xd8"
+    assert fetched(f"{guide.url}picture?{state['picture']}")[:2] == b"\xff\xd8"
+    assert [fetched(f"{guide.url}picture{other}") for other in ("", "?-1", "?999999", "?x")] == [b""] * 4
+    assert fetched(guide.url + "picked") == b""
     assert [said.number for said in guide.said] == list(range(number))
 
 
@@ -202,37 +235,51 @@ def test_a_click_says_what_the_object_is(source: Path, tmp_path: Path) -> None:
         for number in range(3):
             guide.see(number, frames[number], setup)
         number = json.loads(fetched(guide.url + "state"))["picture"]
-        assert told(guide, picture=number, x=0.5, y=0.5) == 204
+        assert told(guide, picture=number, x=0.5, y=0.5) == (204, "")
         picked = {"frame": number, "pixel": [160, 120]}
         assert json.loads((tmp_path / "pick.json").read_text()) == picked
-        assert json.loads(fetched(guide.url + "state"))["picked"]
+        assert json.loads(fetched(guide.url + "state"))["picked"] == picked
+        # What was picked is shown, with a ring; the picture of a number is that frame, whatever came since.
+        shown, plain = (pixels(fetched(guide.url + name)) for name in ("picked", f"picture?{number}"))
+        guide.see(3, frames[3], setup)
+        fetched(guide.url + "state")
+        assert np.array_equal(pixels(fetched(f"{guide.url}picture?{number}")), plain)
+        assert not np.array_equal(pixels(fetched(f"{guide.url}picture?3")), plain)
+        changed = np.abs(shown.astype(int) - plain).max(axis=2) > 60
+        rows, columns = np.nonzero(changed)
+        assert changed.sum() > 100 and np.hypot(columns - 160, rows - 120).max() < 20
         pictures: tuple[dict[str, Any], ...] = (
             {"picture": number + 5},
             {"picture": number, "x": 1.5, "y": 0.5},
             {"x": []},
         )
         for wrong in pictures:
-            assert told(guide, **wrong) == 422
-        assert told(guide, body=b"[" * 1000) == 422
+            assert told(guide, **wrong) == (422, NO_CLICK)
+        assert told(guide, body=b"[" * 1000) == (422, NO_CLICK)
         assert json.loads((tmp_path / "pick.json").read_text()) == picked
         (tmp_path / "pick.json").unlink()
         (tmp_path / "pick.json").mkdir()
-        assert told(guide, picture=number, x=0.5, y=0.5) == 422
+        status, why = told(guide, picture=number, x=0.5, y=0.5)
+        assert status == 422 and why.startswith("it is not kept: ")
     finally:
         guide.close()
 
 
-def told(guide: GuideProcess, body: bytes = b"", **click: object) -> int:
-    """The status of a click that is told to the page."""
+def pixels(jpeg: bytes) -> NDArray[np.uint8]:
+    return np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+
+
+def told(guide: GuideProcess, body: bytes = b"", **click: object) -> tuple[int, str]:
+    """The status of a click that is told to the page, and the sentence."""
     origin = guide.url.rsplit("/", 2)[0]
     request = urllib.request.Request(
         guide.url + "pick", body or json.dumps(click).encode(), {"Origin": origin}
     )
     try:
         with urllib.request.urlopen(request, timeout=20) as answer:
-            return int(answer.status)
+            return int(answer.status), answer.read().decode()
     except urllib.error.HTTPError as error:
-        return error.code
+        return error.code, error.read().decode()
 
 
 @pytest.mark.skipif(find_chromium() is None, reason="no chromium")
@@ -254,7 +301,8 @@ def test_the_page_draws_the_object_and_obeys_its_policy(
         assert browser.evaluate(PAINTED) > 1000
         box = browser.evaluate(f"JSON.parse(JSON.stringify({PICTURE}.getBoundingClientRect()))")
         browser.drag(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0, 0)
-        browser.wait_for(f"{PICTURE}.className === 'picked'")
+        browser.wait_for("document.getElementById('answer').className === 'picked'")
+        browser.wait_for("document.getElementById('picked').naturalWidth > 0")
         assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
         # The software renderer says that it is slow to be read back.
         assert [text for text in browser.complaints() if "GPU stall" not in text] == []

@@ -8,13 +8,16 @@ import pytest
 from raising import raises
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.record.guide.server import FILES, PageServer
+from kinectbench.record.guide.server import FILES, Answer, PageServer
 
 
 @pytest.fixture
 def server() -> Iterator[PageServer]:
-    answers = {"state": lambda: ("application/json", b"{}"), "mesh": lambda: None}
-    made = PageServer(answers, posts={"pick": lambda body: body == b"here"})
+    answers: dict[str, Answer] = {
+        "state": lambda query: ("application/json", query.encode() or b"{}"),
+        "mesh": lambda query: None,
+    }
+    made = PageServer(answers, posts={"pick": lambda body: "" if body == b"here" else "nothing é"})
     yield made
     made.close()
 
@@ -36,6 +39,7 @@ def test_files_and_answers_come_with_the_token(server: PageServer) -> None:
     for name, (_, kind) in FILES.items():
         answer = ask(server, base + name)
         assert answer.status == 200 and answer.headers["Content-Type"] == kind
+    assert ask(server, base + "state?7").body == b"7"  # type: ignore[attr-defined]
     assert ask(server, base + "state").body == b"{}"  # type: ignore[attr-defined]
     assert ask(server, base + "mesh").status == 204 and ask(server, base + "other").status == 404
     assert ask(server, base + "picture?3").status == 404
@@ -72,7 +76,8 @@ def test_only_the_page_itself_may_post(server: PageServer) -> None:
     base, host = urlsplit(server.url).path, urlsplit(server.url).netloc
     own = {"Origin": f"http://{host}", "body": "here"}
     assert ask(server, f"{base}pick", "POST", **own).status == 204
-    assert ask(server, f"{base}pick", "POST", **{**own, "body": "there"}).status == 422
+    refused = ask(server, f"{base}pick", "POST", **{**own, "body": "there"})
+    assert (refused.status, refused.body.decode()) == (422, "nothing é")  # type: ignore[attr-defined]
     assert ask(server, f"{base}pick", "POST", body="here").status == 403
     assert ask(server, f"{base}pick", "POST", **{**own, "Origin": "http://evil.example"}).status == 403
     assert ask(server, "/x/pick", "POST", **own).status == 403
@@ -86,7 +91,7 @@ def test_only_the_page_itself_may_post(server: PageServer) -> None:
 
 
 def test_a_reader_that_goes_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    def gone() -> None:
+    def gone(query: str) -> None:
         raise ConnectionResetError
 
     made = PageServer({"state": gone})

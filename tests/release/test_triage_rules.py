@@ -118,6 +118,38 @@ def test_a_doubt_is_not_said_twice(tmp_path: Path) -> None:
     assert (row.decision, row.reasons) == ("look", ("it is several things",))
 
 
+def test_a_fact_is_stated_once(tmp_path: Path) -> None:
+    """A limit states it; what else is said of it is not said again."""
+    build = built(tmp_path, "not good", estimated_known_iou=0.6, unknown_share=0.6)
+    row = _row(triage(settings(min_grade="fair", max_unknown_share=0.5), build, [NAME]))
+    lines = (*row.reasons, *row.incomplete)
+    for fact in ("IoU on known voxels", "of the solid is unknown", "the trajectory is not good, below"):
+        assert sum(fact in line for line in lines) == 1, lines
+    assert not any(line.startswith("the trajectory is not good: ") for line in lines)
+    health_of(8, grade="not good", verdict="not good: 9 mm off").write(build / NAME / "trajectory")
+    row = _row(triage(settings(min_grade="fair"), build, [NAME]))
+    assert "9 mm off" in row.reasons and "the trajectory is not good: 9 mm off" not in row.reasons
+
+
+@pytest.mark.parametrize(
+    ("own", "categories", "stated"),
+    [
+        ("open", {"chair": {"underside": "closed"}}, ("open", "recording")),
+        (None, {"chair": {"underside": "closed"}}, ("closed", "category")),
+        (None, {"chair": {}}, ("unseen", None)),
+        (None, {}, ("unseen", None)),
+    ],
+)
+def test_whose_word_the_underside_is(
+    own: str | None, categories: dict[str, Any], stated: tuple[str, str | None], tmp_path: Path
+) -> None:
+    made = settings().model_dump(mode="json", exclude_unset=True)
+    made["recordings"][0] |= {"category": "chair", "underside": own}
+    of = type(settings()).model_validate(made | {"categories": categories})
+    row = _row(triage(of, built(tmp_path), [NAME]))
+    assert (row.underside, row.underside_by) == stated
+
+
 def test_the_largest_doubt_comes_first_and_what_failed_says_why(tmp_path: Path) -> None:
     build = built(tmp_path)
     (build / NAMES[1]).mkdir()

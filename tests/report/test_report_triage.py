@@ -34,6 +34,10 @@ def test_triage_of_a_build(two: Path, command: Command) -> None:
     page = (two / "triage/index.html").read_text(encoding="utf-8")
     assert page.count("<article>") == 3 and page.count('<img src="data:image/') == 4
     assert "There is no picture of it." in page and "http" not in page.replace("http-equiv", "")
+    chair = page.partition("<h3>chair ")[2].partition("</article>")[0]
+    assert "underside closed, as its recording says" in chair
+    known = f"IoU on known voxels {rows['chair'].estimated_known_iou:.2f}"
+    assert chair.count(known) == 1 and chair.count("on known voxels") == 1
     counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())
     assert counts in done.out and "its build failed at ingest" in " ".join(done.out.split())
     again = command(two, "triage", "--jobs", "1", "--json")

@@ -263,7 +263,10 @@ def test_the_commands(published: Release, analytic: Path, tmp_path: Path, comman
     assert run.status == 1 and "no <recording>/<view>/mesh.glb of the benchmark's views there" in run.err
     folder_of(published, tmp_path / "net", np.diag([1000.0, 1000, 1000, 1]))
     run = command(tmp_path, "check", "net", "--benchmark", benchmark)
-    assert run.status == 3 and run.err.count("1000 times too far: millimetres for metres?") == 7
+    assert run.status == 3 and run.err.count("1000 times too far: millimetres for metres?") == 1
+    assert "error: 7 files, first " in run.err
+    told = json.loads(command(tmp_path, "check", "net", "--benchmark", benchmark, "--json").out)
+    assert sum("1000 times too far: millimetres for metres?" in line for line in told) == 7
     (tmp_path / "net" / "method.json").write_text('{"name": "net", "frame": "camera", "unit": "mm"}')
     run = command(tmp_path, "check", "net", "--benchmark", benchmark)
     assert run.status == 0 and "net: all well" in run.out and "median distance from each" in run.err

@@ -68,6 +68,10 @@ class FrameRow(StoredPart):
     """One frame of frames.json; paths are relative to the sequence folder."""
 
     index: int = Field(description="Index of the frame, from 0.")
+    recorded: int | None = Field(
+        default=None,
+        description="Number of the frame in the recording, from 0: damaged frames count; absent: as index.",
+    )
     stamp_ns: int = Field(description="Stamp of the depth image, nanoseconds.")
     depth: str = Field(description="Path of the depth image, native units, 0 = no measurement.")
     color: str | None = Field(description="Path of the colour image as it was encoded, or null.")
@@ -86,3 +90,8 @@ class FramesFile(Bare):
     def stamps_ns(self) -> Int64:
         """Stamp of each frame: (n,) int64, nanoseconds."""
         return np.array([row.stamp_ns for row in self.rows], np.int64)
+
+    @property
+    def recorded(self) -> tuple[int, ...]:
+        """Number of each frame in the recording."""
+        return tuple(row.index if row.recorded is None else row.recorded for row in self.rows)

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from kinectbench.core.artefacts.stored import Stored, StoredPart
-from kinectbench.core.types import Split
+from kinectbench.core.types import Split, Underside
 
 Decision = Literal["accept", "look", "reject"]
 DECISIONS: tuple[Decision, ...] = ("reject", "look", "accept")  # the gravest first
@@ -27,6 +27,10 @@ class TriageRow(StoredPart):
     estimated_iou: float | None = Field(None, description="of quality.json")
     estimated_iou_low: float | None = Field(None, description="of quality.json")
     estimated_known_iou: float | None = Field(None, description="of quality.json")
+    underside: Underside | None = Field(None, description="as benchmark.yaml states it")
+    underside_by: Literal["recording", "category"] | None = Field(
+        None, description="whose line states it; null: nobody's"
+    )
     incomplete: tuple[str, ...] = Field(
         (), description="much that nobody saw, one line each: scores leave it out"
     )

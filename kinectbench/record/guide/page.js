@@ -109,11 +109,32 @@ function tone() {
   source.stop(sound.currentTime + 0.15);
 }
 
+// A click is on the picture that is seen: a picture has its number once it is loaded, and one loads at a time.
+function show(number) {
+  const at = by("picture");
+  if (at.dataset.loading || at.dataset.number === String(number)) return;
+  at.dataset.loading = number;
+  at.src = `picture?${number}`;
+}
+by("picture").addEventListener("load", event => {
+  event.target.dataset.number = event.target.dataset.loading;
+  delete event.target.dataset.loading;
+});
+by("picture").addEventListener("error", event => { delete event.target.dataset.loading; });
+
+function showPicked() {
+  const at = by("picked");
+  at.hidden = !state.picked;
+  const name = state.picked ? `picked?${state.picked.frame},${state.picked.pixel}` : "";
+  if (name && at.getAttribute("src") !== name) at.src = name;
+}
+
 by("picture").addEventListener("click", async event => {
   const at = event.target, box = at.getBoundingClientRect();
   const told = { picture: Number(at.dataset.number), x: (event.clientX - box.left) / box.width, y: (event.clientY - box.top) / box.height };
   const answer = await fetch("pick", { method: "POST", body: JSON.stringify(told) });
-  at.className = answer.ok ? "picked" : "missed";
+  by("answer").className = answer.ok ? "picked" : "missed";
+  by("answer").textContent = answer.ok ? "this is the object:" : await answer.text();
 });
 
 async function turn() {
@@ -127,8 +148,8 @@ async function turn() {
       if (state.sentence !== spoken) { spoken = state.sentence; tone(); }
       const distance = state.distance_m === null ? "" : `, ${state.distance_m.toFixed(2)} m away`;
       by("figures").textContent = `frame ${state.number}, ${state.speed_mps.toFixed(2)} m/s${distance}`;
-      by("picture").src = `picture?${state.picture}`;
-      by("picture").dataset.number = state.picture;
+      show(state.picture);
+      showPicked();
       draw();
       above();
     }

@@ -31,6 +31,9 @@ PICTURE_PX = 320
 NICER = 5
 # The newest pictures that can be clicked: of the last second and a half.
 KEPT_PICTURES = 6
+NO_CLICK = "that picture is gone: click the one that is shown"
+# The radius of the ring around what was picked, pixels of the small picture.
+RING_PX = 12
 # The newest figures of so many frames are kept for whoever measures.
 KEPT_FIGURES = 20_000
 
@@ -124,6 +127,7 @@ def _run(connection: Connection, port: int, folder: Path | None) -> None:
         os.nice(NICER)
     shown = _Shown(folder)
     answers = {"state": shown.state, "mesh": shown.mesh, "picture": shown.picture}
+    answers["picked"] = shown.picked
     try:
         server = PageServer(answers, port, {"pick": shown.pick})
     except SettingsError as error:
@@ -152,6 +156,7 @@ class _Shown:
         self._picture: tuple[int, Frame] | None = None
         # By their numbers, the newest pictures that were asked for: what is clicked is one of them.
         self._asked: dict[int, Frame] = {}
+        self._picked: tuple[PickSettings, Frame] | None = None
 
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
         """Have the guide look at a frame."""
@@ -162,7 +167,7 @@ class _Shown:
             self._picture = number, frame
         return self._last
 
-    def state(self) -> tuple[str, bytes] | None:
+    def state(self, query: str) -> tuple[str, bytes] | None:
         """Figures of the last frame."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
@@ -170,58 +175,75 @@ class _Shown:
         self._asked = dict([*self._asked.items(), picture][-KEPT_PICTURES:])
         value: dict[str, object] = {"number": last.number, "kind": last.advice.kind}
         value |= {"sentence": last.advice.sentence, "lost": last.lost, "looks": last.looks}
-        value |= {"picture": picture[0], "picked": guide.has_picked}
+        value |= {"picture": picture[0], "picked": self._picked and self._picked[0].model_dump(mode="json")}
         value |= {"distance_m": last.distance_m, "speed_mps": last.speed_mps, **guide.shown()}
         to_go_rad = last.advice.turn_rad
         value["turn_rad"] = -to_go_rad if to_go_rad and last.advice.kind == "left" else to_go_rad
         value["pose"] = None if last.T_floor_camera is None else last.T_floor_camera.tolist()
         return "application/json", json.dumps(value).encode()
 
-    def mesh(self) -> tuple[str, bytes] | None:
+    def mesh(self, query: str) -> tuple[str, bytes] | None:
         """The object as it was last looked at."""
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
-    def pick(self, body: bytes) -> bool:
-        """The object was clicked: `{"picture": number, "x": share of its width, "y": of its height}`."""
+    def pick(self, body: bytes) -> str:
+        """The object was clicked: `{"picture": number, "x": share of its width, "y": of its height}`.
+
+        Returns:
+            Why it is not taken, in a sentence; "": it is.
+        """
         try:
             said = json.loads(body)
             number, across, down = int(said["picture"]), float(said["x"]), float(said["y"])
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-            return False
+            return NO_CLICK
         frame, guide = self._asked.get(number), self._guide
         if frame is None or guide is None or not (0 <= across < 1 and 0 <= down < 1):
-            return False
+            return NO_CLICK
         height, width = frame.depth.shape
         pixel = int(across * width), int(down * height)
-        if not guide.pick(frame, pixel):
-            return False
+        if why := guide.pick(frame, pixel):
+            return why
+        picked = PickSettings(frame=number, pixel=pixel)
+        self._picked = picked, frame
         if self._folder is not None:
-            picked = PickSettings(frame=number, pixel=pixel).model_dump(mode="json")
             try:
                 with replaced_file(self._folder / PICK_FILE) as temporary:
-                    temporary.write_text(pretty_json(picked), encoding="utf-8")
-            except StorageError:
-                return False
-        return True
+                    temporary.write_text(pretty_json(picked.model_dump(mode="json")), encoding="utf-8")
+            except StorageError as error:
+                return f"it is not kept: {error}"
+        return ""
 
-    def picture(self) -> tuple[str, bytes] | None:
-        """The last picture that has a pose: colour, or depth as grey."""
-        import cv2
+    def picture(self, query: str) -> tuple[str, bytes] | None:
+        """The picture of that number, of the newest that have a pose."""
+        frame = self._asked.get(int(query)) if query.isdecimal() and len(query) < 10 else None
+        return None if frame is None else _jpeg(frame)
 
-        asked = list(self._asked.values())
-        if not asked:
-            return None
-        frame = asked[-1]
-        if isinstance(frame.color, tuple):
-            image = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
-        elif frame.color is not None:
-            image = np.ascontiguousarray(frame.color[..., ::-1])
-        else:
-            most = max(int(frame.depth.max()), 1)
-            image = (frame.depth.astype(np.float32) * (255 / most)).astype(np.uint8)
-        if image is None:
-            return None
-        scale = PICTURE_PX / max(image.shape[:2])
-        small = cv2.resize(np.asarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        return "image/jpeg", cv2.imencode(".jpg", small)[1].tobytes()
+    def picked(self, query: str) -> tuple[str, bytes] | None:
+        """The picture that was clicked, with a ring around the pixel."""
+        return None if self._picked is None else _jpeg(self._picked[1], self._picked[0].pixel)
+
+
+def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, bytes] | None:
+    """A frame as a small picture: colour, or depth as grey; a pixel of its depth is marked by a ring."""
+    import cv2
+
+    if isinstance(frame.color, tuple):
+        image = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+    elif frame.color is not None:
+        image = np.ascontiguousarray(frame.color[..., ::-1])
+    else:
+        most = max(int(frame.depth.max()), 1)
+        image = (frame.depth.astype(np.float32) * (255 / most)).astype(np.uint8)
+    if image is None:
+        return None
+    scale = PICTURE_PX / max(image.shape[:2])
+    small = cv2.resize(np.asarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if marked is not None:
+        shares = (marked[0] + 0.5) / frame.depth.shape[1], (marked[1] + 0.5) / frame.depth.shape[0]
+        at = round(shares[0] * small.shape[1]), round(shares[1] * small.shape[0])
+        small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if small.ndim == 2 else small
+        for thickness_px, bgr in ((5, (255, 255, 255)), (2, (60, 28, 192))):
+            cv2.circle(small, at, RING_PX, bgr, thickness_px)
+    return "image/jpeg", cv2.imencode(".jpg", small)[1].tobytes()

@@ -30,10 +30,10 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-# What is asked for again and again: content type and bytes, or None if there is nothing yet.
-Answer = Callable[[], tuple[str, bytes] | None]
-# What is posted: takes the body, and says whether it could be used.
-TakePost = Callable[[bytes], bool]
+# What is asked for again and again: takes the query; content type and bytes, or None if there is nothing.
+Answer = Callable[[str], tuple[str, bytes] | None]
+# What is posted: takes the body, and says in a sentence why it cannot be used; "": it is.
+TakePost = Callable[[bytes], str]
 # A click is 60 bytes.
 MOST_POSTED_BYTES = 1000
 
@@ -104,7 +104,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
         if name not in self.answers:
             return self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"")
-        answer = self.answers[name]()
+        answer = self.answers[name](urlsplit(self.path).query)
         if answer is None:
             return self._answer(HTTPStatus.NO_CONTENT, "text/plain", b"")
         return self._answer(HTTPStatus.OK, *answer)
@@ -117,10 +117,9 @@ class _Handler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
         if name not in self.posts or not _is_short(length):
             return self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"")
-        used = self.posts[name](self.rfile.read(int(length)))
-        return self._answer(
-            HTTPStatus.NO_CONTENT if used else HTTPStatus.UNPROCESSABLE_ENTITY, "text/plain", b""
-        )
+        why = self.posts[name](self.rfile.read(int(length)))
+        status = HTTPStatus.UNPROCESSABLE_ENTITY if why else HTTPStatus.NO_CONTENT
+        return self._answer(status, "text/plain; charset=utf-8", why.encode())
 
     def _allowed(self) -> str | None:
         """The name below the token; None: the request is not from the page's reader."""

@@ -25,7 +25,7 @@ def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         StorageError: a built file is damaged.
     """
     qualities = {name: QualityFile.read(build / name / "object") for name in sorted(built)}
-    rows = [_row(each, qualities.get(each.recording.id)) for each in judged(settings, build, built)]
+    rows = [_row(each, settings, qualities.get(each.recording.id)) for each in judged(settings, build, built)]
     rows.sort(key=_severity)
     wanted = {row.recording for row in rows if row.decision != "reject"}
     sizes_m = {
@@ -36,8 +36,10 @@ def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
     )
 
 
-def _row(each: Judged, quality: QualityFile | None) -> TriageRow:
+def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None) -> TriageRow:
     recording = each.recording
+    category = settings.categories.get(recording.category)
+    of_category = category is not None and "underside" in category.model_fields_set
     failure = () if each.failure is None else (each.failure,)
     return TriageRow(
         recording=recording.id,
@@ -49,6 +51,8 @@ def _row(each: Judged, quality: QualityFile | None) -> TriageRow:
         estimated_iou=quality.estimated_iou if quality else None,
         estimated_iou_low=quality.estimated_iou_low if quality else None,
         estimated_known_iou=quality.estimated_known_iou if quality else None,
+        underside=settings.underside_of(recording),
+        underside_by="recording" if recording.underside else "category" if of_category else None,
         incomplete=each.incomplete,
         built=quality is not None,
     )

@@ -151,6 +151,7 @@ def read_sequence(folder: Path) -> Sequence:
         up_world=None if head.up_world is None else np.array(head.up_world),
         up_cameras=tuple(UpSample(stamp_ns, (x, y, z)) for stamp_ns, x, y, z in head.up_cameras or ()),
         frames=frames,
+        recorded=listed.recorded,
         masks=frames.mask if any(row.mask for row in listed.rows) else None,
     )
 
@@ -336,4 +337,11 @@ def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
             (folder / "mask").mkdir(exist_ok=True)
             pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
             (folder / f"{mask}").write_bytes(encode_png(pixels))
-    return FrameRow(index=index, stamp_ns=frame.stamp_ns, depth=depth, color=color, mask=mask)
+    return FrameRow(
+        index=index,
+        recorded=checked.index,
+        stamp_ns=frame.stamp_ns,
+        depth=depth,
+        color=color,
+        mask=mask,
+    )

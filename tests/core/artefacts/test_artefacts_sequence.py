@@ -23,14 +23,20 @@ def test_camera_json_of_an_earlier_version_is_read_and_written_as_it_was(tmp_pat
 
 def test_frames_json_is_a_list_of_rows(tmp_path: Path) -> None:
     rows = tuple(
-        FrameRow(index=i, stamp_ns=10 * i, depth=f"depth/{i}.kbd", color=None, mask=None) for i in range(3)
+        FrameRow(index=i, recorded=2 * i, stamp_ns=10 * i, depth=f"depth/{i}.kbd", color=None, mask=None)
+        for i in range(3)
     )
     FramesFile(rows=rows).write(tmp_path)
     listed = json.loads((tmp_path / "frames.json").read_text())
-    assert listed[1] == {"index": 1, "stamp_ns": 10, "depth": "depth/1.kbd", "color": None, "mask": None}
+    images = {"depth": "depth/1.kbd", "color": None, "mask": None}
+    assert listed[1] == {"index": 1, "recorded": 2, "stamp_ns": 10, **images}
     again = FramesFile.read(tmp_path)
     assert again.rows == rows
-    assert again.stamps_ns.tolist() == [0, 10, 20]
+    assert again.stamps_ns.tolist() == [0, 10, 20] and again.recorded == (0, 2, 4)
+    for row in listed:
+        del row["recorded"]  # as version 12 of `ingest` wrote it
+    (tmp_path / "frames.json").write_text(json.dumps(listed))
+    assert FramesFile.read(tmp_path).recorded == (0, 1, 2)
     (tmp_path / "frames.json").write_text('[{"index": 0, "stamp_ns": "0", "depth": "a", "color": null}]')
     with raises(StorageError, "storage.damaged", match=r"frames\.json: '0\.stamp_ns'"):
         FramesFile.read(tmp_path)

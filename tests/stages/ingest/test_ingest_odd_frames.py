@@ -14,7 +14,7 @@ from raising import raises
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.stages.ingest.readers import open_recording
-from kinectbench.stages.ingest.sequence_folder import write_sequence
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 MANY = tuple(map(str, range(24)))
 Image = NDArray[np.generic]
@@ -105,6 +105,7 @@ def test_a_frame_of_another_kind_is_left_out(tmp_path: Path, name: str) -> None:
     folder = recorded(tmp_path / "r", suffix, [*right[:7], odd, *right[8:]])
     (warning,) = write_sequence(open_recording(folder), tmp_path / "out")
     assert re.match(f"frame left out: .*{words}", warning)
+    assert read_sequence(tmp_path / "out").recorded == (*range(7), *range(8, 24))
     diagnosis, severities = looked_over(folder)
     assert severities == ["warning"] and not diagnosis.stops
 

@@ -74,6 +74,7 @@ def test_round_trip(tmp_path: Path) -> None:
     rows = json.loads((tmp_path / "s/frames.json").read_text())
     row = {
         "index": 1,
+        "recorded": 1,
         "stamp_ns": START_NS + STEP_NS,
         "depth": "depth/000001.kbd",
         "color": "color/000001.jpg",

@@ -55,6 +55,10 @@ def test_what_was_picked_is_the_object(beside: tuple[Sequence, Trajectory]) -> N
     pixel = pixel_of(sequence, trajectory.T_world_camera[3], (0.4, 0, 0.2))
     picked = picked_point(sequence, trajectory, 3, pixel).point_world
     assert np.allclose(picked, (0.4, 0, 0.2), rtol=0, atol=0.01)
+    # The number is that of the recording, in which a damaged frame came before it.
+    damaged = replace(sequence, recorded=(0, *range(2, 17)))
+    again = picked_point(damaged, trajectory, 4, pixel)
+    assert again.frame == 4 and np.array_equal(again.point_world, picked)
     for point, size_m in ((None, [0.3, 0.2, 0.3]), (picked, [0.2, 0.2, 0.2])):
         hint = floor_hint(sequence, trajectory, None, point)
         found = find_floor_and_object(mesh, trajectory, None, SegmentationSettings(), hint)
@@ -65,13 +69,22 @@ def test_a_pixel_that_shows_nothing_is_one_line(beside: tuple[Sequence, Trajecto
     sequence, trajectory = beside
     lost = replace(trajectory, T_world_camera=trajectory.T_world_camera.copy())
     lost.T_world_camera[2] = np.nan
+    damaged = replace(sequence, recorded=(0, 1, 2, *range(4, 17)))
     dark = sequence_of([np.zeros((240, 320), np.float32)] * 16)
     for shown, poses, frame, pixel, words in (
-        (sequence, trajectory, 16, (10, 10), "no frame 16: the recording has frames 0 to 15"),
-        (sequence, trajectory, 0, (320, 10), "no pixel 320, 10: its depth has 320 x 240 pixels"),
-        (sequence, trajectory, 0, (10, 240), "no pixel 10, 240"),
+        (
+            sequence,
+            trajectory,
+            16,
+            (10, 10),
+            r"pick: {frame: 16, pixel: \[10, 10\]}: there is no frame 16: the recording has frames 0 to 15",
+        ),
+        (sequence, trajectory, 0, (320, 10), r"pixel: \[320, 10\]}: depth has 320 x 240 pixels"),
+        (sequence, trajectory, 0, (10, 240), r"\[10, 240\]}: depth has 320 x 240"),
         (sequence, lost, 2, (10, 10), "frame 2 has no pose; pick one of another frame, or remove `pick`"),
-        (dark, trajectory, 0, (10, 10), "no depth within 20 pixels of 10, 10"),
+        (damaged, trajectory, 3, (10, 10), "frame 3 is damaged, and was left out; pick one of another frame"),
+        (damaged, trajectory, 17, (10, 10), "the recording has frames 0 to 16"),
+        (dark, trajectory, 0, (10, 10), r"\[10, 10\]}: there is no depth within 20 pixels of it"),
     ):
         with raises(SegmentationError, "segmentation.bad-pick", words):
             picked_point(shown, poses, frame, pixel)
@@ -86,7 +99,8 @@ def test_what_stands_beside_a_picked_pixel_is_not_taken(
     fusion = FusionSettings(max_depth_m=1.7)
     mesh = fuse(sequence, trajectory, fusion).mesh
     picked = pick_of(sequence, trajectory, point)
-    words = rf"pick: frame {picked.frame}, pixel [0-9, ]+ shows the floor .* beside .*, or remove `pick`"
+    value = rf"{{frame: {picked.frame}, pixel: \[[0-9, ]+\]}}"
+    words = rf"pick: {value}: it shows the floor .* beside .*, or remove `pick`"
     with raises(SegmentationError, "segmentation.bad-pick", words):
         segment(sequence, trajectory, mesh, None, SegmentationSettings(), fusion, picked=picked)
     hint = floor_hint(sequence, trajectory, None, picked.point_world)
@@ -118,6 +132,7 @@ def test_init_writes_what_was_clicked(command: Callable[..., Run], tmp_path: Pat
     far, padded = '{"frame": 0, "pixel": [1000000000000000000000, 0]}', "{" + " " * 10_000 + '"frame": 4, '
     for wrong in ('{"frame": -4}', far, padded + '"pixel": [1, 1]}', '{"frame": ' + "9" * 5000 + "}"):
         file.write_text(wrong)
+        (tmp_path / "recordings/benchmark.yaml").unlink()
         assert command(tmp_path, "init", "recordings", "--force").status == 0
         assert "    pick:" not in (tmp_path / "recordings/benchmark.yaml").read_text()
     file.unlink()

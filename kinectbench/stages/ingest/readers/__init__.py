@@ -14,6 +14,7 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError, StorageErro
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
+from kinectbench.settings.pick import PICK_FILE
 from kinectbench.stages.ingest.depth_codes import SAMPLED_IMAGES, find_pattern
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.readers.color_only import without_depth
@@ -125,7 +126,8 @@ def known_format(path: Path) -> str:
 def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
     """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden.
 
-    Files outside the folder that belong to it come last. Nothing is listed before its format is known.
+    What was clicked on its object is none of them: it is asked for in benchmark.yaml, and no frame. Files
+    outside the folder that belong to it come last. Nothing is listed before its format is known.
 
     Args:
         path: folder or file; it may be a link itself.
@@ -136,7 +138,8 @@ def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
             file, or too many files.
     """
     try:
-        return _files_of(reader_of(known_format(path)), path, follow_links)
+        files = _files_of(reader_of(known_format(path)), path, follow_links)
+        return [file for file in files if file != path / PICK_FILE]
     except OSError as error:
         raise RecordingError(
             f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"

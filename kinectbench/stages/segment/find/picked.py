@@ -14,6 +14,7 @@ from kinectbench.stages.segment.find.object import Segmentation
 # A hand does not click more exactly: ten pixels of a picture that is shown at 320 of 640 columns are twenty.
 NEAR_PX = 20
 PICK_AGAIN = "pick a pixel on the object, or remove `pick` from benchmark.yaml"
+ANOTHER = "pick one of another frame, or remove `pick` from benchmark.yaml"
 # What was picked is the object's if it lies within so many cells (30 mm; less where cameras were near) of
 # the middle of one that holds its surface: a cell that touches it, and the noise of a pixel's depth.
 BESIDE_CELLS = 2
@@ -23,7 +24,7 @@ class PickedPoint(NamedTuple):
     """What a person picked.
 
     Attributes:
-        frame: its number.
+        frame: its number in the recording.
         pixel: column and row.
         point_world: (3,) what the pixel shows, metres.
     """
@@ -54,21 +55,31 @@ def picked_point(
 ) -> PickedPoint:
     """The point that a pixel of a frame shows.
 
+    Args:
+        sequence: the recording.
+        trajectory: of it.
+        frame: its number in the recording.
+        pixel: column and row.
+
     Raises:
-        SegmentationError: there is no such frame or pixel, the frame has no pose, or no depth near the pixel.
+        SegmentationError: there is no such frame or pixel, the frame was damaged or has no pose, or there is
+            no depth near the pixel.
     """
-    camera, count = sequence.camera, len(sequence)
-    if frame >= count:
-        raise _bad(f"there is no frame {frame}: the recording has frames 0 to {count - 1}")
+    camera, recorded = sequence.camera, sequence.recorded or range(len(sequence))
+    if frame > recorded[-1]:
+        raise _bad(frame, pixel, f"there is no frame {frame}: the recording has frames 0 to {recorded[-1]}")
+    if frame not in recorded:
+        raise _bad(frame, pixel, f"frame {frame} is damaged, and was left out", ANOTHER)
     if pixel[0] >= camera.width or pixel[1] >= camera.height:
-        size = f"{camera.width} x {camera.height}"
-        raise _bad(f"frame {frame} has no pixel {_text(pixel)}: its depth has {size} pixels")
-    if not np.isfinite(trajectory.T_world_camera[frame]).all():
-        raise _bad(f"frame {frame} has no pose", "pick one of another frame, or remove `pick`")
-    found = point_under(sequence.depth_m(frame), camera, pixel)
+        raise _bad(frame, pixel, f"depth has {camera.width} x {camera.height} pixels")
+    index = recorded.index(frame)
+    T_world_camera = trajectory.T_world_camera[index]
+    if not np.isfinite(T_world_camera).all():
+        raise _bad(frame, pixel, f"frame {frame} has no pose", ANOTHER)
+    found = point_under(sequence.depth_m(index), camera, pixel)
     if found is None:
-        raise _bad(f"frame {frame} has no depth within {NEAR_PX} pixels of {_text(pixel)}")
-    return PickedPoint(frame, pixel, transform_points(trajectory.T_world_camera[frame], found))
+        raise _bad(frame, pixel, f"there is no depth within {NEAR_PX} pixels of it")
+    return PickedPoint(frame, pixel, transform_points(T_world_camera, found))
 
 
 def check_picked(picked: PickedPoint, chosen: Segmentation) -> None:
@@ -81,15 +92,10 @@ def check_picked(picked: PickedPoint, chosen: Segmentation) -> None:
     middles_floor = (chosen.object_cells + 0.5) * chosen.cell_m
     beside_m = float(np.linalg.norm(middles_floor - point_floor, axis=1).min())
     if beside_m > BESIDE_CELLS * chosen.cell_m:
-        raise _bad(
-            f"frame {picked.frame}, pixel {_text(picked.pixel)} shows the floor or something else, "
-            f"{beside_m:.2f} m beside the nearest thing that stands on the floor"
-        )
+        shown = f"it shows the floor or something else, {beside_m:.2f} m beside the nearest thing"
+        raise _bad(picked.frame, picked.pixel, f"{shown} that stands on the floor")
 
 
-def _bad(what_is_wrong: str, to_do: str = PICK_AGAIN) -> SegmentationError:
-    return SegmentationError(f"pick: {what_is_wrong}; {to_do}", what="bad-pick")
-
-
-def _text(pixel: tuple[int, int]) -> str:
-    return f"{pixel[0]}, {pixel[1]}"
+def _bad(frame: int, pixel: tuple[int, int], why: str, to_do: str = PICK_AGAIN) -> SegmentationError:
+    value = f"{{frame: {frame}, pixel: [{pixel[0]}, {pixel[1]}]}}"
+    return SegmentationError(f"pick: {value}: {why}; {to_do}", what="bad-pick")
