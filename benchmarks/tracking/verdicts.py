@@ -2,17 +2,24 @@
 
 Limits may be chosen on the families that may be looked at; the hit rates of the others are what is reported.
 A grade hits if `good` poses are within 10 mm (ATE, root mean square), and `not good` ones are not. Poses are
-tracked without a given trajectory, or given ones that drift or jump are trusted.
+tracked without a given trajectory, or given ones that drift or jump are trusted. With `--scans` the
+recordings are those of `tests/robustness/replica.py`: a passer-by, symmetric objects, three frames a second.
 """
 
 import argparse
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
+
 from builds import CORES, run_on_build
 from figures import Figure, arguments, at_least, told
+from replica_scans import CAMERA, Scan, forty, make
 
 from kinectbench.core.artefacts.trajectory import Grade
 from kinectbench.core.errors import TrackingError
@@ -21,7 +28,7 @@ from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.truth import read_truth, truth_folder
-from kinectbench.settings.models import TrackingSettings
+from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.track import track
@@ -50,15 +57,22 @@ class Judged:
 
 @dataclass(frozen=True)
 class Task:
-    """One recording to simulate into a folder, and to track."""
+    """One recording to simulate into a folder, and to track: a family by a preset, or a scan."""
 
     group: str
-    family: str
-    preset: str
+    name: str
     folder: Path
+    family: str = ""
+    preset: str = ""
+    scan: Scan | None = None
 
 
-def judged(task: Task) -> Judged:
+def made(task: Task) -> tuple[Path, CameraSettings | None]:
+    """Simulate the recording; it, and intrinsics that it lacks."""
+    if task.scan is not None:
+        make(task.scan, task.folder)
+        camera = CameraSettings.model_validate(yaml.safe_load(CAMERA))
+        return task.folder / f"{task.scan.name}.zip", camera
     changes = {
         "object": f"{task.family}:seed=7",
         "seed": 7,
@@ -70,20 +84,43 @@ def judged(task: Task) -> Judged:
         changes["given"] = {"trajectory": "none"}
     recording = task.folder / f"{task.family}-{task.preset}"
     simulate(preset_spec(task.preset, changes), recording)
+    return recording, None
+
+
+def judged(task: Task) -> Judged:
+    recording, camera = made(task)
     folder = recording.with_name(f"{recording.name}.sequence")
     folder.mkdir()
-    write_sequence(open_recording(recording), folder)
+    write_sequence(open_recording(recording, camera), folder)
     sequence, truth = read_sequence(folder), read_truth(truth_folder(recording))
-    true = truth.T_world_camera[np.searchsorted(truth.stamps_ns, sequence.stamps_ns)]
-    name = f"{task.family} {task.preset}"
+    nearest = np.abs(truth.stamps_ns - sequence.stamps_ns[:, None]).argmin(axis=1)
+    true = truth.T_world_camera[nearest]
     try:
         found = track(sequence, "trust" if task.preset in GIVEN else "ignore", TrackingSettings())
     except TrackingError:
-        return Judged(task.group, name, "not good", np.nan)
+        return Judged(task.group, task.name, "not good", np.nan)
     assert found.health is not None
     both = np.isfinite(found.T_world_camera[:, 0, 0]) & np.isfinite(true[:, 0, 0])
     ate_m = compare_poses(found.T_world_camera[both], true[both]).ate_m.rmse
-    return Judged(task.group, name, found.health.grade, float(ate_m))
+    return Judged(task.group, task.name, found.health.grade, float(ate_m))
+
+
+def by_preset(presets: list[str], root: Path) -> Iterator[Task]:
+    for group, families in FAMILIES.items():
+        for family in families:
+            for preset in presets or PRESETS:
+                yield Task(group, f"{family} {preset}", root, family=family, preset=preset)
+
+
+def by_scan(seeds: list[int], root: Path) -> Iterator[Task]:
+    """Those whose archives are whole."""
+    for seed in seeds:
+        folder = root / f"scans-{seed}"
+        folder.mkdir()
+        for scan in forty(seed):
+            if scan.kind not in ("cut", "damaged"):
+                name = f"{scan.name} {scan.object} {scan.kind}"
+                yield Task(f"scans of seed {seed}", name, folder, scan=scan)
 
 
 def rows(found: list[Judged], group: str) -> Iterator[Figure]:
@@ -112,19 +149,18 @@ def rows(found: list[Judged], group: str) -> Iterator[Figure]:
 
 
 def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
-    tasks = [
-        Task(group, family, preset, root)
-        for group, families in FAMILIES.items()
-        for family in families
-        for preset in options.presets or PRESETS
-    ]
+    tasks = [*(by_scan(options.scans, root) if options.scans else by_preset(options.presets, root))]
     with worker_pool(CORES) as pool:
         found = [future.result() for future in submit_all(pool, judged, tasks)]
     figures = [told(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm") for each in found]
-    return [*figures, *(figure for group in FAMILIES for figure in rows(found, group))]
+    groups = dict.fromkeys(task.group for task in tasks)
+    return [*figures, *(figure for group in groups for figure in rows(found, group))]
 
 
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--presets", nargs="*", default=[], metavar="NAME", help="only these")
+    parser.add_argument(
+        "--scans", nargs="*", type=int, default=[], metavar="SEED", help="replica's, of seeds"
+    )
     run_on_build(parser, measure)
