@@ -68,8 +68,8 @@ def test_a_grid_has_the_figures_of_the_same_cells_in_the_camera_frame(
     for one, other in zip(space.rows, camera.rows, strict=True):
         assert (one.pair, one.heading) == (other.pair, other.heading)
         # Coordinates that differ by rounding draw other samples: of 20,000 distances that spread as much as
-        # their mean leave 1 / sqrt(20,000) = .7 % of it. Those of visible parts, 1.6 mm, spread more; .1 mm is
-        # what two computations of one Chamfer distance may differ by.
+        # their mean leave 1 / sqrt(20,000) = .7 % of it. Those of visible parts, 1.6 mm, spread more: .1 mm
+        # is what two computations of one Chamfer distance may differ by.
         assert one.chamfer_l1_m == pytest.approx(other.chamfer_l1_m, rel=0.015, abs=1e-4)
         assert one.iou == pytest.approx(other.iou, abs=1e-4)
 

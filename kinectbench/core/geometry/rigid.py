@@ -3,6 +3,8 @@
 A twist is a rotation vector (radians) and a translation (metres), stacked.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -102,32 +104,18 @@ def rotation_angle_rad(rotation: Float64) -> Float64:
 
 
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Float64:
-    """Turn quaternions (..., 4), order x y z w, into rotations (..., 3, 3); they are normalised first."""
+    """Turn quaternions (..., 4), order x y z w, into rotations (..., 3, 3). ValueError: one has no length."""
+    from scipy.spatial.transform import Rotation
+
     q = np.asarray(quaternion_xyzw, dtype=np.float64)
-    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    if not (np.linalg.norm(q, axis=-1) > 0).all():
+        raise ValueError("a rotation whose quaternion has no length")
+    return np.reshape(Rotation.from_quat(q.reshape(-1, 4)).as_matrix(), (*q.shape[:-1], 3, 3))
 
 
 def quaternion_xyzw_from_rotation(rotation: Float64) -> Float64:
-    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), order x y z w, with w >= 0."""
-    # Bar-Itzhack (2000): the quaternion is the dominant eigenvector of this symmetric matrix.
-    r = np.moveaxis(rotation, (-2, -1), (0, 1))
-    k = np.zeros((*rotation.shape[:-2], 4, 4))
-    k[..., 0, 0] = r[0, 0] - r[1, 1] - r[2, 2]
-    k[..., 1, 0], k[..., 1, 1] = r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2]
-    k[..., 2, 0], k[..., 2, 1] = r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
-    k[..., 2, 2] = r[2, 2] - r[0, 0] - r[1, 1]
-    k[..., 3, 0], k[..., 3, 1] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0]
-    k[..., 3, 2], k[..., 3, 3] = r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]
-    _, vectors = np.linalg.eigh(k, UPLO="L")
-    dominant = np.ascontiguousarray(vectors[..., 3])
-    quaternion = dominant / np.sqrt(_dot(dominant, dominant))[..., None]
-    return np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), x y z w, w >= 0. ValueError: one is none."""
+    return np.reshape(_rotations(rotation).as_quat(canonical=True), (*rotation.shape[:-2], 4))
 
 
 def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: ArrayLike) -> Float64:
@@ -138,23 +126,20 @@ def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: ArrayLike) -> 
         T_a_b1: (..., 4, 4), the result at fraction 1.
         fraction: (...) in [0, 1].
     """
-    q0 = quaternion_xyzw_from_rotation(T_a_b0[..., :3, :3])
-    q1 = quaternion_xyzw_from_rotation(T_a_b1[..., :3, :3])
-    dot, share = _dot(q0, q1)[..., None], np.asarray(fraction, np.float64)[..., None]
-    q1, dot = np.where(dot < 0, -q1, q1), np.abs(dot)
-    angle = np.arccos(np.minimum(dot, 1.0))
-    between = np.sin((1 - share) * angle) * q0 + np.sin(share * angle) * q1
-    T = np.zeros_like(T_a_b0)
-    T[..., :3, :3] = rotation_from_quaternion_xyzw(np.where(angle > 1e-9, between, q0))
-    T[..., :3, 3] = (1 - share) * T_a_b0[..., :3, 3] + share * T_a_b1[..., :3, 3]
-    T[..., 3, 3] = 1.0
+    share = np.asarray(fraction, np.float64)[..., None, None]
+    before = _rotations(T_a_b0[..., :3, :3])
+    turn = before.inv() * _rotations(T_a_b1[..., :3, :3])
+    T = T_a_b0 + share * (T_a_b1 - T_a_b0)
+    rotation = (before * type(turn).from_rotvec(turn.as_rotvec() * share.reshape(-1, 1))).as_matrix()
+    T[..., :3, :3] = rotation.reshape(T[..., :3, :3].shape)
     return T
 
 
-def _dot(a: Float64, b: Float64) -> Float64:
-    """Inner products of vectors (..., n): (...)."""
-    product: Float64 = (a[..., None, :] @ b[..., :, None])[..., 0, 0]
-    return product
+def _rotations(rotation: Float64) -> Any:
+    """(..., 3, 3) as one scipy `Rotation` of them all."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation.reshape(-1, 3, 3))
 
 
 def rigid_from_twist(twist: NDArray[np.floating]) -> Float64:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry.gauss_newton import descend, weighted_products
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.types import Float64
 from kinectbench.lab.evaluate.build import BuildRegistration
@@ -113,24 +114,25 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     chosen = np.flatnonzero(faces if faces.sum() >= LEAST_SAMPLES else surface.measured)
     chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
     points, normals = surface.points_world[chosen], surface.normals_world[chosen]
-    built, T = ReferenceSurface(mesh_world), np.eye(4)
+    built = ReferenceSurface(mesh_world)
     if not len(chosen):
-        return T
+        return np.eye(4)
     middle = points.mean(axis=0)
     # In units of the object's size a turn and a shift weigh the same.
     size_m = max(float(np.abs(points - middle).max()), 1e-3)
-    for _ in range(STEPS):
-        back = invert_rigid(T)
-        outward_m = built.signed_distance_m(transform_points(back, points))
+    about = rigid(np.eye(3), middle)
+
+    def advance(T: Float64) -> tuple[Float64, float]:
+        outward_m = built.signed_distance_m(transform_points(invert_rigid(T), points))
         near = np.abs(outward_m) <= REACH_M
-        if not near.any():
-            break
         arms = np.cross(points[near] - middle, normals[near]) / size_m
-        rows = np.column_stack([arms, normals[near]])
-        values, vectors = np.linalg.eigh(rows.T @ rows)
-        kept = values > STIFFNESS * values[-1]
+        rows = np.column_stack([arms, normals[near], outward_m[near]])
+        products = weighted_products(rows, np.ones(len(rows)))
+        values, vectors = np.linalg.eigh(products[:6, :6])
+        kept = values > STIFFNESS * values[-1]  # none, if nothing is near
         along = vectors[:, kept]
-        step = along @ ((along.T @ (rows.T @ outward_m[near])) / values[kept])
-        about = rigid(np.eye(3), middle)
-        T = about @ rigid_from_twist(np.append(step[:3] / size_m, step[3:])) @ invert_rigid(about) @ T
-    return np.asarray(T)
+        step = along @ ((along.T @ products[:6, 6]) / values[kept])
+        motion = rigid_from_twist(np.append(step[:3] / size_m, step[3:]))
+        return about @ motion @ invert_rigid(about) @ T, np.inf
+
+    return np.asarray(descend(advance, np.eye(4), STEPS)[0])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.geometry.rigid import rigid, similarity_scale
 from kinectbench.core.types import Float64
 from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface
@@ -29,13 +29,9 @@ ALONG_COARSE, ALONG_FINE = 0.3, 0.01
 # The surface of cells is a staircase: a sample of it is moved along its normal to the mean of so many around.
 # Of these, sizes come back within 0.04 %; without, within 0.2 % (measured, at 256 cells for 1.1 m).
 SMOOTHED = 32
-# A distance of so many medians counts half (chosen here): what one surface lacks does not pull.
-HALF_AT_MEDIANS = 3.0
 # Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
 # be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
 STILL, OK_STILL = 1e-5, 1e-4
-# Of a step's matrix, so that what nothing holds stays where it is: a ball does not turn.
-DAMPING = 1e-6
 # A registered shape of a size beyond these, in sizes of the truth, is called not ok (chosen here).
 LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
@@ -111,10 +107,7 @@ def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
     ours, theirs = pair.ours.center_m, pair.theirs.center_m
     scale = 1.0 if kind == "t" else pair.theirs.spread_m / max(pair.ours.spread_m, 1e-9)
     for rotation in _rotations() if kind == "R+t+s" else [np.eye(3)]:
-        T = np.eye(4)
-        T[:3, :3] = scale * rotation
-        T[:3, 3] = theirs - T[:3, :3] @ ours
-        yield T
+        yield rigid(scale * rotation, theirs - scale * rotation @ ours)
 
 
 def _rotations() -> Sequence[Float64]:
@@ -129,6 +122,7 @@ Ways = tuple[NearestOfMoving, NearestOfMoving]
 
 def _matches(pair: _Pair, T: Float64, ways: Ways) -> tuple[Float64, Float64, Float64, Float64, int]:
     """Places of the prediction, where each belongs, the normals there, weights; and how many are one way."""
+    from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped
 
     moved = mapped(pair.ours.points_m, T[:3])
@@ -142,18 +136,8 @@ def _matches(pair: _Pair, T: Float64, ways: Ways) -> tuple[Float64, Float64, Flo
     places = np.concatenate([moved, drawn])
     targets = np.concatenate([pair.theirs.points_m[found], pair.theirs.points_m])
     normals = np.concatenate([pair.normals[found], pair.normals])
-    weights = np.concatenate([_weights(there), _weights(back)])
+    weights = np.concatenate([robust_weights(there), robust_weights(back)])
     return places, targets, normals, weights, len(moved)
-
-
-def _weights(distances: Float64) -> Float64:
-    """Of a way, in all 1."""
-    if not len(distances):
-        return distances
-    half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
-    weights: Float64 = 1 / (1 + (distances / half) ** 2)
-    weights /= weights.sum()
-    return weights
 
 
 def _far(pair: _Pair, T: Float64) -> float:
@@ -168,23 +152,21 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
     """The similarity after some steps, and how far the last moved a sample, metres."""
     from scipy.spatial.transform import Rotation
 
+    from kinectbench.core.geometry.gauss_newton import NormalEquations, descend
     from kinectbench.scoring.camera.kernels import step_equations
 
-    T, moved, free, ways = start, np.inf, KINDS[kind], pair.ways()
-    size_m = pair.truth.size_m
-    for _ in range(count):
+    free, ways, size_m = KINDS[kind], pair.ways(), pair.truth.size_m
+
+    def advance(T: Float64) -> tuple[Float64, float]:
         places, targets, normals, weights, _ = _matches(pair, T, ways)
         middle = places.mean(axis=0)
         H, g = step_equations(places, targets, normals, weights, middle, along, free)
         step = np.zeros(7)
-        step[:free] = np.linalg.solve(H + DAMPING * np.trace(H) * np.eye(free), -g)
+        step[:free] = NormalEquations(H, -g).damped().step()
         # No step doubles a size, or turns by more than a third of a circle.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
-        change = np.eye(4)
-        change[:3, :3] = np.exp(step[3]) * Rotation.from_rotvec(step[4:]).as_matrix()
-        change[:3, 3] = middle + step[:3] - change[:3, :3] @ middle
-        T = change @ T
+        turn = np.exp(step[3]) * Rotation.from_rotvec(step[4:]).as_matrix()
         moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) * size_m / 2)
-        if moved < STILL * size_m:
-            break
-    return T, moved
+        return rigid(turn, middle + step[:3] - turn @ middle) @ T, moved
+
+    return descend(advance, start, count, STILL * size_m)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from kinectbench.core.geometry import Camera, rotation_angle_rad, transform_points
+from kinectbench.core.geometry import Camera, gauss_newton, rotation_angle_rad, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry.gauss_newton import NormalEquations
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
@@ -84,48 +84,16 @@ def normal_equations(
         A (6, 6), b (6,) for a twist (rotation, translation) in the source frame, and the residuals (m,)
         in metres; NaN of points that met no measurement within 0.15 m.
     """
-    A, b, residuals = _accumulate(
-        surface.points, surface.normals, surface.sigma_m, depth_m, T_target_source, camera.intrinsics
+    p, n = surface.points, surface.normals
+    no_normals = np.zeros((0, 0, 3), np.float32)
+    residuals = gauss_newton.projective_residuals(
+        p, n, depth_m, no_normals, camera.intrinsics, np.ascontiguousarray(T_target_source), OUTLIER_M, 0.0
     )
-    return A, b, residuals
-
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def _accumulate(points, normals, sigma, depth, T, intrinsics):  # type: ignore[no-untyped-def]
-    height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
-    A, b, J = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
-    residuals = np.full(len(points), np.nan)
-    for i in range(len(points)):
-        p, n = points[i], normals[i]
-        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
-        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
-        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        if z <= 0.1:
-            continue
-        u, v = fx * x / z + cx + 0.5, fy * y / z + cy + 0.5
-        if u < 0 or v < 0 or u >= width or v >= height:
-            continue
-        d = depth[int(v), int(u)]
-        if d <= 0 or abs(d - z) > OUTLIER_M:
-            continue
-        # The measured point q on the pixel's ray, and the residual along the (turned) normal of p.
-        dx, dy, dz = (int(u) - cx) / fx * d - x, (int(v) - cy) / fy * d - y, d - z
-        mx = T[0, 0] * n[0] + T[0, 1] * n[1] + T[0, 2] * n[2]
-        my = T[1, 0] * n[0] + T[1, 1] * n[1] + T[1, 2] * n[2]
-        mz = T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2]
-        r = mx * dx + my * dy + mz * dz
-        s = sigma[i] * 1.4142135
-        huber = min(1.0, HUBER_SIGMAS * s / max(abs(r), 1e-12))
-        w = huber / (s * s)
-        J[0], J[1], J[2] = p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]
-        J[3], J[4], J[5] = n[0], n[1], n[2]
-        for row in range(6):
-            b[row] += w * r * J[row]
-            for column in range(6):
-                A[row, column] += w * J[row] * J[column]
-        residuals[i] = r
-    return A, b, residuals
+    met, s = np.isfinite(residuals), np.sqrt(2) * surface.sigma_m
+    weights = np.minimum(1.0, HUBER_SIGMAS * s / np.maximum(np.abs(residuals), 1e-12)) / s**2
+    rows = np.column_stack([np.cross(p, n), n, residuals])
+    equations = NormalEquations.of_products(gauss_newton.weighted_products(rows[met], weights[met]))
+    return equations.matrix, equations.gradient, residuals
 
 
 @dataclass(frozen=True)
@@ -196,12 +164,13 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
         camera: of the image.
         prior: (6, 6) information of the twist (rotation, translation), in 1 / rad^2 and 1 / m^2.
     """
-    motion = np.eye(4)
-    for _ in range(ITERATIONS):
+
+    def advance(motion: Float64) -> tuple[Float64, float]:
         A, b, _ = normal_equations(surface, depth_m, motion, camera)
-        gradient = b - prior @ twist_from_rigid(motion)
-        motion = motion @ rigid_from_twist(np.linalg.solve(A + prior, gradient))
-    return motion
+        equations = NormalEquations(A, b) + NormalEquations.of_prior(prior, twist_from_rigid(motion))
+        return motion @ rigid_from_twist(equations.step()), np.inf
+
+    return gauss_newton.descend(advance, np.eye(4), ITERATIONS)[0]
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:

@@ -22,10 +22,10 @@ from kinectbench.core.geometry.depth import (
     depth_sigma_m,
     legendre_terms,
 )
+from kinectbench.core.geometry.gauss_newton import NormalEquations, eliminated, weighted_products
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
-from kinectbench.stages.track.linearise import add_products, symmetric_matrix
 from kinectbench.stages.track.registration import CORRELATED_POINTS
 
 # Points used of each pair.
@@ -47,26 +47,6 @@ class CalibrationView:
     source: Level
     target: Level
     T_target_source: Float64
-
-
-@dataclass(frozen=True)
-class _Sums:
-    """The sum of squared residuals as a function of the coefficients x: squares + 2 b x + x A x."""
-
-    A: Float64
-    b: Float64
-    squares: float
-
-    def __add__(self, other: "_Sums") -> "_Sums":
-        return _Sums(self.A + other.A, self.b + other.b, self.squares + other.squares)
-
-    def falls_to(self, coefficients_per_m: Float64) -> float:
-        """Ratio of the squared residuals with these coefficients to those without."""
-        x = coefficients_per_m
-        return 1 + float(2 * x @ self.b + x @ self.A @ x) / max(self.squares, 1e-12)
-
-
-NO_SUMS = _Sums(np.zeros((len(TERMS), len(TERMS))), np.zeros(len(TERMS)), 0.0)
 
 
 def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
@@ -107,32 +87,38 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     return [pairs[row] for row in rows]
 
 
-def _accepted(sums: Sequence[_Sums]) -> DepthCalibration:
+def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
     """The solution, if the estimate of either half of the pairs improves the other half; or none."""
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
 
-def _left(solved: Sequence[_Sums], judged: Sequence[_Sums]) -> float:
+def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
     """Worst-case cross-validated ratio of squared residuals between the two halves of the pairs."""
     half = len(solved) // 2
     return max(
-        sum(judged[half:], NO_SUMS).falls_to(_solved(solved[:half])),
-        sum(judged[:half], NO_SUMS).falls_to(_solved(solved[half:])),
+        _falls_to(judged[half:], _solved(solved[:half])), _falls_to(judged[:half], _solved(solved[half:]))
     )
 
 
-def _solved(sums: Sequence[_Sums]) -> Float64:
-    whole = sum(sums, _Sums(np.diag([((1 + i + j) / PRIOR_PER_M) ** 2 for i, j in TERMS]), NO_SUMS.b, 0.0))
-    return np.asarray(-np.linalg.solve(whole.A, whole.b), np.float64)
+def _falls_to(products: Sequence[Float64], coefficients_per_m: Float64) -> float:
+    """Ratio of the squared residuals with these coefficients to those without."""
+    one, whole = np.append(coefficients_per_m, 1.0), np.sum(products, axis=0)
+    return 1 + float(one @ whole @ one - whole[-1, -1]) / max(float(whole[-1, -1]), 1e-12)
 
 
-def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[_Sums, _Sums]]:
+def _solved(products: Sequence[Float64]) -> Float64:
+    prior = np.diag([((1 + i + j) / PRIOR_PER_M) ** 2 for i, j in TERMS])
+    equations = NormalEquations.of_products(np.sum(products, axis=0))
+    return -(equations + NormalEquations(prior, np.zeros(len(TERMS)))).step()
+
+
+def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]:
     return [each for each in map(_sums, views) if each is not None]
 
 
-def _sums(view: CalibrationView) -> tuple[_Sums, _Sums] | None:
-    """The sums of one pair: at its pose, and with the pair's motion eliminated.
+def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
+    """Products (k + 1, k + 1) of a pair's rows, the residual last: at its pose, and with the motion free.
 
     None if too little overlaps.
     """
@@ -140,19 +126,8 @@ def _sums(view: CalibrationView) -> tuple[_Sums, _Sums] | None:
     rows, residuals, weights = _linearised(view)
     if len(rows) < 10 * k:
         return None
-    sums = np.zeros((6 + k + 1, 6 + k + 1))
-    columns = np.ascontiguousarray(np.column_stack([rows, residuals]).T)
-    add_products(sums, columns, weights / CORRELATED_POINTS, len(weights))
-    sums = symmetric_matrix(sums)
-    A, b = sums[:-1, :-1], sums[:-1, -1]
-    # Eliminate the motion (Schur complement): the rest is what no motion explains.
-    motion = np.linalg.solve(A[:6, :6] + 1e-6 * np.eye(6), np.column_stack([A[:6, 6:], b[:6]]))
-    posed = _Sums(A[6:, 6:], b[6:], float(sums[-1, -1]))
-    explained = A[6:, :6] @ motion
-    unexplained = _Sums(
-        posed.A - explained[:, :-1], posed.b - explained[:, -1], posed.squares - float(b[:6] @ motion[:, -1])
-    )
-    return posed, unexplained
+    products = weighted_products(np.column_stack([rows, residuals]), weights / CORRELATED_POINTS)
+    return products[6:, 6:], eliminated(products, 6, 1e-6 * np.eye(6))[0]
 
 
 def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:

@@ -6,11 +6,11 @@ Drift of a given trajectory shows between distant frames that see the same place
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry.gauss_newton import projective_residuals
 from kinectbench.core.geometry.rigid import twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
@@ -33,7 +33,6 @@ MOVED_POINTS = 1000
 # their normals.
 GATE_M = 0.1
 MIN_FACING = 0.5
-MIN_DEPTH_M = 0.1
 # Largest number of registered pairs, in total and per frame; pairs farthest apart in time come first.
 MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 # Least distance in time of two distant frames, as a ratio of the recording's length.
@@ -144,46 +143,11 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
         T_target_source: (4, 4).
         every: only every n-th point is used.
     """
-    return np.asarray(
-        _residuals(
-            source[0].points[::every],
-            target.depth_m,
-            target.normals,
-            target.camera.intrinsics,
-            np.ascontiguousarray(T_target_source),
-        )
+    points, T = source[0].points[::every], np.ascontiguousarray(T_target_source)
+    residuals: Float64 = projective_residuals(
+        points, points[:, 3:], target.depth_m, target.normals, target.camera.intrinsics, T, GATE_M, MIN_FACING
     )
-
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def _residuals(points, depth, normals, intrinsics, T):  # type: ignore[no-untyped-def]
-    height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
-    residuals = np.empty(len(points))
-    count = 0
-    for i in range(len(points)):
-        p = points[i]
-        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
-        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
-        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        if z <= MIN_DEPTH_M:
-            continue
-        u, v = fx * x / z + cx + 0.5, fy * y / z + cy + 0.5
-        if u < 0 or v < 0 or u >= width or v >= height:
-            continue
-        column, row = int(u), int(v)
-        d, m = depth[row, column], normals[row, column]
-        if d <= 0 or abs(d - z) > GATE_M:
-            continue
-        nx = T[0, 0] * p[3] + T[0, 1] * p[4] + T[0, 2] * p[5]
-        ny = T[1, 0] * p[3] + T[1, 1] * p[4] + T[1, 2] * p[5]
-        nz = T[2, 0] * p[3] + T[2, 1] * p[4] + T[2, 2] * p[5]
-        if nx * m[0] + ny * m[1] + nz * m[2] < MIN_FACING:
-            continue
-        dx, dy = (column - cx) / fx * d - x, (row - cy) / fy * d - y
-        residuals[count] = abs(nx * dx + ny * dy + nz * (d - z))
-        count += 1
-    return residuals[:count].copy()
+    return np.abs(residuals[np.isfinite(residuals)])
 
 
 def distant_constraints(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.geometry.gauss_newton import NormalEquations, add_products, eliminated, symmetric_matrix
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import Level
 from kinectbench.stages.track.map_kernels import MIN_COSINE
@@ -33,7 +34,7 @@ BLOCK, PADDING = 512, 8
 
 @dataclass(frozen=True)
 class LinearTerms:
-    """Gauss-Newton terms of one pair of frames: `(geometric + photometric) @ twist = gradient`.
+    """Gauss-Newton terms of one pair of frames.
 
     Attributes:
         geometric: (6, 6) of the point-to-plane residuals.
@@ -64,6 +65,11 @@ class LinearTerms:
     intensity_correlation: float
     exposure: Float64
     exposure_step: Float64
+
+    @property
+    def equations(self) -> NormalEquations:
+        """Of the twist."""
+        return NormalEquations(self.geometric + self.photometric, self.gradient)
 
     def exposure_after(self, step: NDArray[np.floating]) -> Float64:
         """(2,) gain and offset of the frame after the twist `step` (6,)."""
@@ -105,10 +111,9 @@ def linearise(
     )
     photometric, gradient, follows = np.zeros((6, 6)), A[:6, 6], np.zeros((2, 7))
     if compared >= MIN_INTENSITIES:
-        # The Schur complement: gain and offset follow from the twist.
-        follows = np.linalg.solve(P[6:8, 6:8] + EXPOSURE_PRIOR, np.column_stack([P[6:8, :6], P[6:8, 8]]))
-        photometric = P[:6, :6] - P[:6, 6:8] @ follows[:, :6]
-        gradient = gradient + P[:6, 8] - P[:6, 6:8] @ follows[:, 6]
+        # Gain and offset follow from the twist.
+        left, follows = eliminated(P, 2, EXPOSURE_PRIOR)
+        photometric, gradient = left[:6, :6], gradient + left[:6, 6]
     return LinearTerms(
         geometric=A[:6, :6],
         photometric=photometric,
@@ -119,14 +124,15 @@ def linearise(
         noise_m=float(np.sqrt(variances / max(1, inliers))),
         normal_information=S,
         moments=M,
-        intensity_correlation=_correlation(P[6:, 6:], exposure) if compared >= MIN_INTENSITIES else np.nan,
+        intensity_correlation=_correlation(P, exposure) if compared >= MIN_INTENSITIES else np.nan,
         exposure=exposure,
         exposure_step=follows,
     )
 
 
-def _correlation(products: Float64, exposure: Float64) -> float:
-    """Correlation of source and target intensities, from weighted products (3, 3) of source, 1, residual."""
+def _correlation(P: Float64, exposure: Float64) -> float:
+    """Correlation of source and target intensities, from the weighted products of photometry."""
+    products = P[[0, 1, 8]][:, [0, 1, 8]]  # of the source's intensity, 1 and the residual
     # The target's intensity is the residual + gain * source + offset.
     to_target = np.array([exposure[0], exposure[1], 1.0])
     n, s, t = products[1, 1], products[0, 1], products[1] @ to_target
@@ -142,29 +148,9 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
     return beyond <= 0 or beyond * beyond <= 9 * variance
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, nogil=True)
-def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
-    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
-
-    BLAS is slower here: its threads wait longer for work than they compute.
-    """
-    for i in range(len(sums)):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(m):
-                total += weights[k] * rows[i, k] * rows[j, k]
-            sums[i, j] += total
-
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
-    """The symmetric matrix of a lower triangle."""
-    return lower + np.tril(lower, -1).T
-
-
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
-    """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: twist, gain, offset, residual).
+    """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: gain, offset, twist, residual).
 
     On request also sums over inliers: the twist's part over the noise of normals (6, 6), and the positions
         (4, 4). Further results are the numbers of inliers, violations and compared intensities, and the
@@ -271,9 +257,9 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             w = photometric_weight
             if abs(e) > HUBER_SIGMAS * INTENSITY_SIGMA:
                 w *= HUBER_SIGMAS * INTENSITY_SIGMA / abs(e)
-            Q[0, k], Q[1, k], Q[2, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
-            Q[3, k], Q[4, k], Q[5, k] = -qx, -qy, -qz
-            Q[6, k], Q[7, k], Q[8, k] = own, 1.0, e
+            Q[0, k], Q[1, k], Q[8, k] = own, 1.0, e
+            Q[2, k], Q[3, k], Q[4, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
+            Q[5, k], Q[6, k], Q[7, k] = -qx, -qy, -qz
             Q_weights[k] = w
             k += 1
         add_products(A, J, J_weights, m)

@@ -15,7 +15,8 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
 from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.geometry.rigid import on_so3, twist_from_rigid
+from kinectbench.core.geometry.gauss_newton import descend
+from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.tracked import Constraint
 
@@ -89,18 +90,17 @@ class _Graph:
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
         """Levenberg-Marquardt: a step that raises the cost is rejected and the damping increased."""
-        damping, cost = 1e-6, self.cost(poses, kernel)
-        for _ in range(iterations):
+
+        def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
+            poses, cost, damping = state
             step = self.step(poses, kernel, damping)
-            moved = poses @ _rigid(step)
+            moved = poses @ np.array([rigid_from_twist(twist) for twist in step])
             lower = self.cost(moved, kernel)
             if lower > cost:
-                damping *= 30
-                continue
-            poses, cost, damping = moved, lower, max(damping / 10, 1e-9)
-            if np.abs(step).max() < STEP_ENOUGH:
-                break
-        return poses
+                return (poses, cost, 30 * damping), np.inf
+            return (moved, lower, max(damping / 10, 1e-9)), float(np.abs(step).max())
+
+        return descend(advance, (poses, self.cost(poses, kernel), 1e-6), iterations, STEP_ENOUGH)[0][0]
 
     def weights(self, poses: Float64, kernel: float) -> Float64:
         """(m,) of the constraints: Geman-McClure."""
@@ -165,14 +165,6 @@ def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float
     back = invert_rigid(measured)
     relative = back @ invert_rigid(poses[ends[:, 0]]) @ poses[ends[:, 1]]
     return np.concatenate([Rotation.from_matrix(relative[:, :3, :3]).as_rotvec(), relative[:, :3, 3]], axis=1)
-
-
-def _rigid(twists: Float64) -> Float64:
-    """(k, 4, 4) from twists (k, 6)."""
-    T = np.tile(np.eye(4), (len(twists), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(twists[:, :3]).as_matrix()
-    T[:, :3, 3] = twists[:, 3:]
-    return T
 
 
 def adjoint(T: Float64) -> Float64:

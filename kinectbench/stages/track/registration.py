@@ -8,10 +8,12 @@ directions need a search: a grid along the three weakest ones, scored at the coa
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
 
+from kinectbench.core.geometry.gauss_newton import NormalEquations, descend
 from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, Level
@@ -31,7 +33,7 @@ NOISE_FACTOR = 1.5
 # A direction with a larger standard deviation is unobservable.
 MAX_SIGMA_M = 0.012
 # Shortens steps along weakly constrained directions.
-DAMPING = np.diag([0.1**-2] * 3 + [0.1**-2] * 3)
+HELD = NormalEquations(np.diag([0.1**-2] * 6), np.zeros(6))
 NO_PRIOR = np.zeros((6, 6))
 # Prior of a start known to 10 mrad and 10 mm, scaled like correlated measurements.
 PLACED = CORRELATED_POINTS * np.diag([0.01**-2] * 3 + [0.01**-2] * 3)
@@ -41,9 +43,11 @@ COARSEST = 2
 SPACING_M = 0.12
 STARTS = np.array([k for k in itertools.product((-2, -1, 0, 1, 2), repeat=3) if any(k)])
 SETTLED, REGISTERED = 8, 2
-SEARCH_GATE_M, SETTLE_GATE_M = 0.1, 0.2
-SETTLE_ITERATIONS = 10
+SEARCH_GATE_M = 0.1
+SETTLE_ITERATIONS, SETTLE_ENOUGH = 10, 3e-4
 ENOUGH_OVERLAP = 0.5
+# A frame on its way: its motion (4, 4) since the start, and of each target the exposure and the last terms.
+Moving = tuple[Float64, list[Float64], list[LinearTerms]]
 
 
 @dataclass(frozen=True)
@@ -101,27 +105,14 @@ def register(
     Returns:
         The registration to the first target.
     """
-    motion = np.eye(4)
     starts = [np.asarray(T) for T in T_targets_source]
-    exposures = [NO_EXPOSURE_CHANGE] * len(starts)
-    linear_terms: list[LinearTerms] = []
-    converged = False
+    moving: Moving = np.eye(4), [NO_EXPOSURE_CHANGE] * len(starts), []
     for level in range(coarsest, -1, -1):
-        for _ in range(ITERATIONS[level]):
-            T_now = [start @ motion for start in starts]
-            linear_terms = _linearised(source, targets, T_now, exposures, level, every)
-            normal_matrix, gradient = DAMPING + prior, -prior @ twist_from_rigid(motion)
-            for terms in linear_terms:
-                normal_matrix = normal_matrix + terms.geometric + terms.photometric
-                gradient = gradient + terms.gradient
-            step = np.linalg.solve(normal_matrix, gradient)
-            motion = motion @ rigid_from_twist(step)
-            exposures = [terms.exposure_after(step) for terms in linear_terms]
-            converged = bool(np.abs(step).max() < STEP_ENOUGH[level])
-            if converged:
-                break
+        advance = partial(_advanced, source, targets, starts, level, prior, every)
+        moving, moved = descend(advance, moving, ITERATIONS[level], STEP_ENOUGH[level])
+    motion, exposures, linear_terms = moving
     T_now = [start @ motion for start in starts]
-    if not converged:
+    if not moved < STEP_ENOUGH[0]:
         linear_terms = _linearised(source, targets, T_now, exposures, 0, every)
     registration, free = _figures(source, targets, T_now[0], linear_terms, every)
     textured = source.has_intensity and all(target.has_intensity for target in targets)
@@ -131,6 +122,24 @@ def register(
     twist = twist_from_rigid(motion)
     motion = rigid_from_twist(twist - free @ np.linalg.pinv(free) @ twist)
     return measure(source, targets, [start @ motion for start in starts], every)
+
+
+def _advanced(
+    source: FrameMaps,
+    targets: Sequence[FrameMaps],
+    starts: Sequence[Float64],
+    level: int,
+    prior: Float64,
+    every: int,
+    moving: Moving,
+) -> tuple[Moving, float]:
+    """One step at a level, and its largest part."""
+    motion, exposures, _ = moving
+    linear_terms = _linearised(source, targets, [start @ motion for start in starts], exposures, level, every)
+    known = NormalEquations.of_prior(prior, twist_from_rigid(motion))
+    step = sum((terms.equations for terms in linear_terms), HELD + known).step()
+    exposures = [terms.exposure_after(step) for terms in linear_terms]
+    return (motion @ rigid_from_twist(step), exposures, linear_terms), float(np.abs(step).max())
 
 
 def measure(
@@ -270,27 +279,24 @@ def better(best: Registration | None, other: Registration) -> Registration:
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
     """The registration of a frame to another with the highest score around `T_start` (4, 4)."""
     points, maps = source[COARSEST], target[COARSEST]
-    T_settled, _ = _settle(points, maps, T_start)
+    T_settled, _ = _settle(source, target, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)
     weakest = observability([terms], points, [maps]).motions[:, :3]
     starts = [np.asarray(T_settled @ rigid_from_twist(weakest @ (SPACING_M * k))) for k in STARTS]
     starts.sort(key=lambda T: -_score_at(linearise(points, maps, T, SEARCH_GATE_M), points))
-    settled = [_settle(points, maps, T) for T in [T_settled, *starts[:SETTLED]]]
+    settled = [_settle(source, target, T) for T in [T_settled, *starts[:SETTLED]]]
     settled.sort(key=lambda result: -_score_at(result[1], points))
     return max(
         (register(source, [target], [T], coarsest=1) for T, _ in settled[:REGISTERED]), key=registration_score
     )
 
 
-def _settle(points: Level, maps: Level, T: Float64) -> tuple[Float64, LinearTerms]:
-    exposure = NO_EXPOSURE_CHANGE
-    for _ in range(SETTLE_ITERATIONS):
-        terms = linearise(points, maps, T, SETTLE_GATE_M, exposure)
-        step = np.linalg.solve(terms.geometric + terms.photometric + DAMPING, terms.gradient)
-        T, exposure = T @ rigid_from_twist(step), terms.exposure_after(step)
-        if np.abs(step).max() < 3e-4:
-            break
-    return T, linearise(points, maps, T, SEARCH_GATE_M, exposure)
+def _settle(source: FrameMaps, target: FrameMaps, T_start: Float64) -> tuple[Float64, LinearTerms]:
+    advance = partial(_advanced, source, [target], [T_start], COARSEST, NO_PRIOR, 1)
+    still: Moving = np.eye(4), [NO_EXPOSURE_CHANGE], []
+    (motion, (exposure,), _), _ = descend(advance, still, SETTLE_ITERATIONS, SETTLE_ENOUGH)
+    T = T_start @ motion
+    return T, linearise(source[COARSEST], target[COARSEST], T, SEARCH_GATE_M, exposure)
 
 
 def _score_at(terms: LinearTerms, points: Level) -> float:

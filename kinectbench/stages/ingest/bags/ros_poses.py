@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.geometry import interpolate_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import (
     FARTHEST_M,
@@ -124,16 +124,11 @@ def _moves(transforms: Float64) -> bool:
 
 def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
     """A transform at a time: linear in position, along the shortest turn in rotation."""
-    from scipy.spatial.transform import Rotation, Slerp
-
     after = min(max(bisect_left(stamps, stamp_ns), 0), len(stamps) - 1)
     if stamps[after] == stamp_ns or after == 0 or len(stamps) == 1:
         return np.asarray(transforms[after])
     share = (stamp_ns - int(stamps[after - 1])) / int(stamps[after] - stamps[after - 1])
-    before_after = transforms[after - 1 : after + 1]
-    rotation = Slerp([0.0, 1.0], Rotation.from_matrix(before_after[:, :3, :3]))(min(share, 1.0))
-    translation_m = (1 - share) * before_after[0, :3, 3] + share * before_after[1, :3, 3]
-    return rigid(rotation.as_matrix(), translation_m)
+    return interpolate_rigid(transforms[after - 1], transforms[after], min(share, 1.0))
 
 
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:

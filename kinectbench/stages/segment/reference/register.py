@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.geometry.gauss_newton import NormalEquations, descend, robust_weights, weighted_products
 from kinectbench.core.geometry.mesh import Tensors, raycaster
 from kinectbench.core.geometry.rigid import rotation_angle_rad, rotation_from_quaternion_xyzw
 from kinectbench.core.types import Bools, Float64
@@ -42,8 +44,8 @@ LOOKED_AT, COARSE, FINE = 120, (32, 10, 300), (5, 30, 2000)
 HOPELESS, LEAST_SHARE = 3.0, 0.0005
 # Of samples, for the residual of a pose.
 JUDGED = 4000
-# A distance of so many medians counts half; farther than this share of the diagonal all count equally.
-HALF_AT_MEDIANS, MOST_SHARE = 3.0, 0.05
+# Farther than this share of the diagonal all distances count equally.
+MOST_SHARE = 0.05
 # Steps that move no sample by more, metres, end it.
 STILL_M = 1e-5
 # Columns of a step: rotation (3), shift (3), logarithm of the size, and how far out the surface lies.
@@ -238,9 +240,7 @@ def _spread() -> Float64:
 
 
 def about(axis: Float64, angle_rad: float) -> Float64:
-    """The rotation (3, 3) about a unit vector."""
-    from scipy.spatial.transform import Rotation
-
+    """The rotation (3, 3) about a vector, by so many times its length."""
     return np.asarray(Rotation.from_rotvec(angle_rad * axis).as_matrix())
 
 
@@ -281,8 +281,8 @@ def settled(
         free: the columns that are solved for.
     """
     chosen, few = ours.few(samples), theirs.few(samples)
-    moved = np.inf
-    for _ in range(steps):
+
+    def advance(T: Float64) -> tuple[Float64, float]:
         back: Float64 = np.linalg.inv(T).astype(np.float64)
         turned = T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
         far_there, there = theirs.tree.query(transform_points(back, ours.points[chosen]))
@@ -293,24 +293,12 @@ def settled(
         drawn = np.concatenate([transform_points(T, theirs.points[there]), places])
         targets = ours.points[np.concatenate([chosen, here])]
         normals = np.concatenate([theirs.normals[there] @ turned.T, ours.normals[here]])
-        weights = np.concatenate(
-            [_weights(far_there, ours.flat[chosen]), _weights(far_here, ours.flat[here])]
-        )
+        ways = (far_there, ours.flat[chosen]), (far_here, ours.flat[here])
+        weights = np.concatenate([robust_weights(*way, power=2) for way in ways])
         change, moved = _step(drawn, targets, normals, weights, free)
-        T = change @ T
-        if moved < STILL_M:
-            break
-    return T, moved
+        return change @ T, moved
 
-
-def _weights(distances: Float64, flat: Float64) -> Float64:
-    """Of one way, in all 1."""
-    if not len(distances):
-        return distances
-    half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
-    weights: Float64 = flat / (1 + (distances / half) ** 2) ** 2
-    weights /= weights.sum()
-    return weights
+    return descend(advance, T, steps, STILL_M)
 
 
 def _step(
@@ -322,18 +310,15 @@ def _step(
     size_m = float(np.linalg.norm(arms, axis=1).max())
     # Lengths of about one, so that damping is fair.
     along = [(arms * normals).sum(axis=1, keepdims=True) / size_m, np.ones((len(arms), 1))]
-    J = np.concatenate([np.cross(arms, normals) / size_m, normals, *along], axis=1)
-    gap = ((targets - places) * normals).sum(axis=1)
-    H = (J * weights[:, None]).T @ J
-    # What nothing holds stays where it is: a ball does not turn.
-    H[np.diag_indices(len(H))] += 1e-6 * np.trace(H)
-    H[OUT, OUT] += HELD * weights.sum()
-    step = np.zeros(len(H))
-    step[list(free)] = np.linalg.solve(H[np.ix_(free, free)], ((J * weights[:, None]).T @ gap)[list(free)])
+    gap = ((targets - places) * normals).sum(axis=1, keepdims=True)
+    rows = np.concatenate([np.cross(arms, normals) / size_m, normals, *along, gap], axis=1)
+    all_of = NormalEquations.of_products(weighted_products(rows, weights)).damped()
+    all_of.matrix[OUT, OUT] += HELD * weights.sum()
+    step, chosen = np.zeros(OUT + 1), list(free)
+    step[chosen] = NormalEquations(all_of.matrix[np.ix_(chosen, chosen)], all_of.gradient[chosen]).step()
     moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:6]) + np.abs(step[SIZE]))
     turn = np.clip(step[:3] / size_m, -0.5, 0.5)
-    angle = float(np.linalg.norm(turn))
-    R = about(turn / max(angle, 1e-12), angle) * np.exp(np.clip(step[SIZE] / size_m, -0.1, 0.1))
+    R = about(turn, 1.0) * np.exp(np.clip(step[SIZE] / size_m, -0.1, 0.1))
     return rigid(R, middle + step[3:6] - R @ middle), moved
 
 

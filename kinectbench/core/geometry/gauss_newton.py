@@ -1,0 +1,161 @@
+"""Gauss-Newton: the steps of every registration, from weighted residuals to a motion at rest.
+
+Residuals r of weights w fall by J s with a step s. The step with the least sum of w r^2 solves the normal
+equations (sum w J J^T) s = sum w J r (Nocedal & Wright, "Numerical Optimization", 2006, chapter 10). A prior
+is one more measurement. Units, limits of a step, and when it is small enough are the caller's.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numba
+import numpy as np
+
+from kinectbench.core.types import Float64
+
+State = TypeVar("State")
+# Of the trace, for what nothing holds. A distance of so many medians has half the weight, or its power.
+DAMPING, HALF_AT_MEDIANS = 1e-6, 3.0
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """`matrix @ step = gradient`: (n, n) sum of w J J^T, and (n,) sum of w J r. They add up."""
+
+    matrix: Float64
+    gradient: Float64
+
+    @classmethod
+    def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
+        """Of a state (n,) that was known to be 0 with this information (n, n): maximum a posteriori."""
+        return cls(information, -information @ state)
+
+    @classmethod
+    def of_products(cls, products: Float64) -> "NormalEquations":
+        """Of `weighted_products` (n + 1, n + 1), the residual last."""
+        return cls(products[:-1, :-1], products[:-1, -1])
+
+    def __add__(self, other: "NormalEquations") -> "NormalEquations":
+        return NormalEquations(self.matrix + other.matrix, self.gradient + other.gradient)
+
+    def damped(self) -> "NormalEquations":
+        """With a part of the trace on the diagonal: what nothing holds, as the turn of a ball, stays."""
+        damping = DAMPING * np.trace(self.matrix)
+        return NormalEquations(self.matrix + damping * np.eye(len(self.matrix)), self.gradient)
+
+    def step(self) -> Float64:
+        """The step (n,). LinAlgError: the matrix is singular."""
+        return np.asarray(np.linalg.solve(self.matrix, self.gradient))
+
+
+def descend(
+    advance: Callable[[State], tuple[State, float]], state: State, steps: int, still: float = 0.0
+) -> tuple[State, float]:
+    """The state after some steps, and the size of the last one; infinite without any.
+
+    Args:
+        advance: the next state, and how far it is from the last one.
+        state: the first one.
+        steps: at most.
+        still: one shorter than this is the last.
+    """
+    moved = np.inf
+    for _ in range(steps):
+        state, moved = advance(state)
+        if moved < still:
+            break
+    return state, moved
+
+
+def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int = 1) -> Float64:
+    """Weights (n,), in all 1, of distances (n,) that count so much if they are 0.
+
+    They fall by Cauchy's rule, or by Geman and McClure's (power 2): what one surface lacks does not pull.
+    """
+    if not len(distances):
+        return distances
+    half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
+    weights = np.asarray(counts / (1 + (distances / half) ** 2) ** power)
+    return np.asarray(weights / weights.sum())
+
+
+def eliminated(products: Float64, first: int, information: Float64) -> tuple[Float64, Float64]:
+    """`weighted_products` (n, n), the residual last, without the first columns (Schur complement).
+
+    Those have a prior of this information (first, first). They follow from the others by the second result
+    (first, n - first): a linear part, which is subtracted, and a constant.
+    """
+    own = products[:first, :first] + information
+    follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)
+    return products[first:, first:] - products[first:, :first] @ follows, follows
+
+
+def weighted_products(rows: Float64, weights: Float64) -> Float64:
+    """(n, n) sum of w r r^T of rows (m, n) with weights (m,)."""
+    sums = np.zeros((rows.shape[1], rows.shape[1]))
+    add_products(sums, np.ascontiguousarray(rows.T), weights, len(weights))
+    return np.asarray(symmetric_matrix(sums))
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, nogil=True)
+def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
+    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
+
+    BLAS is slower here: its threads wait longer for work than they compute.
+    """
+    for i in range(len(sums)):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(m):
+                total += weights[k] * rows[i, k] * rows[j, k]
+            sums[i, j] += total
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
+    """The symmetric matrix of a lower triangle."""
+    return lower + np.tril(lower, -1).T
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def projective_residuals(points, normals, depth, facing, intrinsics, T, gate_m, min_facing):  # type: ignore[no-untyped-def]
+    """Point-to-plane residuals n . (q - T p), (m,) metres; q lies on the pixel that T p falls on.
+
+    Args:
+        points: (m, 3 or more) p, metres, beginning with x, y, z; likewise their normals n.
+        normals: those.
+        depth: (height, width), metres, 0 = none; likewise its normals, (height, width, 3) or empty.
+        facing: those.
+        intrinsics: fx, fy, cx, cy of depth.
+        T: (4, 4) from the points to the camera of depth.
+        gate_m: NaN of points that are farther from their measurement along z, or have none.
+        min_facing: least cosine of both normals, else NaN.
+    """
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    residuals = np.full(len(points), np.nan)
+    for i in range(len(points)):
+        p, n = points[i], normals[i]
+        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if z <= 0.1:
+            continue
+        u, v = fx * x / z + cx + 0.5, fy * y / z + cy + 0.5
+        if u < 0 or v < 0 or u >= width or v >= height:
+            continue
+        column, row = int(u), int(v)
+        d = depth[row, column]
+        if d <= 0 or abs(d - z) > gate_m:
+            continue
+        nx = T[0, 0] * n[0] + T[0, 1] * n[1] + T[0, 2] * n[2]
+        ny = T[1, 0] * n[0] + T[1, 1] * n[1] + T[1, 2] * n[2]
+        nz = T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2]
+        if facing.size:
+            m = facing[row, column]
+            if nx * m[0] + ny * m[1] + nz * m[2] < min_facing:
+                continue
+        dx, dy = (column - cx) / fx * d - x, (row - cy) / fy * d - y
+        residuals[i] = nx * dx + ny * dy + nz * (d - z)
+    return residuals
