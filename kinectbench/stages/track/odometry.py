@@ -30,10 +30,10 @@ MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
-# A frame is registered to that many segments, and to none that ended longer ago: a symmetric object fits
-# itself elsewhere as well, and one registration is no proof. Of 36 simulated scans, three were joined by one
-# after 4 s and more, and two of these are 0.8 m off.
-RECENT_SEGMENTS, RECENT_S = 3, 2.0
+# A frame is registered to that many segments, and to none that ended longer ago than both: a symmetric object
+# fits itself elsewhere as well, and one registration is no proof. Of 36 simulated scans, three were joined by
+# one after 4 s (13 frames) and more, and two of these are 0.8 m off. Stamps may count frames as seconds.
+RECENT_SEGMENTS, RECENT_FRAMES, RECENT_S = 3, 6, 2.0
 # A keyframe's depth is averaged with this many frames before it, and with all frames up to the next keyframe.
 FRAMES_BEFORE = 5
 NO_DEPTH = "too little depth to register"
@@ -230,7 +230,7 @@ class Follower:
         segments: list[int] = []
         stamps_ns = self.maps.sequence.stamps_ns
         for back in range(index - 1, -1, -1):
-            if back < index - 1 and stamps_ns[index] - stamps_ns[back] > 1e9 * RECENT_S:
+            if index - back > RECENT_FRAMES and stamps_ns[index] - stamps_ns[back] > 1e9 * RECENT_S:
                 break
             frame = self.frames[back]
             if frame is None or frame.segment in segments:

@@ -47,7 +47,7 @@ NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
 HELD = 1e8 * np.eye(6)
 DISAGREES = "its depth does not agree with the keyframes around it"
 # A passer-by may fill the view of a keyframe: two frames that fitted one alone were 0.8 and 1.2 m off.
-UNSUPPORTED = "the keyframe that it is registered to does not agree with the keyframes around it"
+UNSUPPORTED = "the keyframe that it is registered to could not be placed"
 
 
 def track_frames(
@@ -86,7 +86,7 @@ def _place(
     for index in range(len(maps.sequence)):
         progress(index + 1)
         placed.append(placer.place(index))
-    placed = [supported(placed, odometry, index) for index in range(len(placed))]
+    placed = [_supported(placed, odometry, index) for index in range(len(placed))]
     registrations = [each.registration for each in placed]
     measured = [(r.residual_m, r.noise_m, r.inlier_share) if r else (np.nan,) * 3 for r in registrations]
     residual_m, noise_m, inlier_share = np.array(measured).T
@@ -117,7 +117,7 @@ def _place(
 
 
 @dataclass(frozen=True)
-class Placed:
+class _Placed:
     """A frame's pose, or the reason why it has none; and its registration to the keyframes around it."""
 
     state: State
@@ -126,18 +126,12 @@ class Placed:
     registration: Registration | None = None
 
 
-def supported(placed: list[Placed], odometry: Odometry, index: int) -> Placed:
-    """A placed frame, without its pose if the keyframe that it was registered to has none.
-
-    Args:
-        placed: all frames.
-        odometry: which keyframe each was registered to.
-        index: of the frame.
-    """
-    frame = odometry.frames[index]
-    if frame is None or placed[index].reason is not None or placed[frame.keyframe].reason is None:
-        return placed[index]
-    return replace(placed[index], reason=UNSUPPORTED)
+def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
+    """A placed frame, without its pose if its own keyframe could not be placed."""
+    frame, each = odometry.frames[index], placed[index]
+    if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
+        return each
+    return replace(each, reason=UNSUPPORTED)
 
 
 class _Placer:
@@ -152,23 +146,23 @@ class _Placer:
         followed = [f.registration for f in odometry.frames if f is not None and f.registration is not None]
         self.reference = median_quality(followed)
 
-    def place(self, index: int) -> Placed:
+    def place(self, index: int) -> _Placed:
         """Register one frame to the keyframes with the largest shared view."""
         frame = self.odometry.frames[index]
         if frame is None:
-            return Placed(state="lost", reason=self.odometry.reasons[index])
+            return _Placed(state="lost", reason=self.odometry.reasons[index])
         T_world = self._predicted(frame)
         if not np.isfinite(T_world).all():
-            return Placed(state="lost", reason=NOT_JOINED)
+            return _Placed(state="lost", reason=NOT_JOINED)
         state: State = "tracked" if frame.segment == self.first_segment else "relocalised"
         around = self._around(index, frame, T_world)
         if not around:
-            return Placed(state=state, T_world_camera=T_world)
+            return _Placed(state=state, T_world_camera=T_world)
         registration = self._registered(index, around, T_world)
         if frame.keyframe != index:
             T_world = on_so3(self.graph.T_world[around[0]] @ registration.T_target_source)
         reason = None if is_accepted(registration) else UNOBSERVABLE if registration.degenerate else DISAGREES
-        return Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
+        return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
 
     def _predicted(self, frame: Followed) -> Float64:
         """The frame's pose by the odometry, relative to its optimised keyframe."""

@@ -37,9 +37,8 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import track
-from kinectbench.stages.track.odometry import NO_DEPTH, Followed, Odometry
 from kinectbench.stages.track.tracked import Tracked
-from kinectbench.stages.track.tracker import DISAGREES, UNSUPPORTED, Placed, supported, track_frames
+from kinectbench.stages.track.tracker import DISAGREES, UNSUPPORTED, _Placed, _Placer, track_frames
 
 pytestmark = pytest.mark.xdist_group("tracking")
 # Wrong is what no reconstruction survives; a good trajectory is far better.
@@ -260,14 +259,22 @@ def test_after_a_long_gap_the_circle_joins_again(color: bool) -> None:
     assert len(posed(tracked)) == len(order) or not color
 
 
-def test_a_frame_has_no_pose_if_its_keyframe_has_none() -> None:
-    """A passer-by fills the view of keyframe 1, and frame 2 fits that keyframe alone."""
-    frames = [Followed(0, keyframe, np.eye(4), None) for keyframe in (0, 1, 1, 0)]
-    odometry = Odometry((*frames, None), {4: NO_DEPTH}, (0, 1), ())
-    alone = (None, DISAGREES, None, None, NO_DEPTH)
-    placed = [Placed("lost" if reason else "tracked", reason) for reason in alone]
-    reasons = [supported(placed, odometry, index).reason for index in range(5)]
-    assert reasons == [None, DISAGREES, UNSUPPORTED, None, NO_DEPTH]
+def test_a_frame_has_no_pose_if_its_keyframe_cannot_be_placed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A passer-by fills the view of a keyframe, and frames fit that keyframe alone."""
+    sequence, place = couch().sequence, _Placer.place
+    keyframe = int(track_frames(sequence).keyframes[1])
+
+    def disturbed(placer: _Placer, index: int) -> _Placed:
+        placed = place(placer, index)
+        return replace(placed, reason=DISAGREES) if index == keyframe else placed
+
+    monkeypatch.setattr(_Placer, "place", disturbed)
+    tracked = track_frames(sequence)
+    check_consistent(tracked, len(sequence))
+    lost = {index for index, reason in tracked.reasons.items() if reason == UNSUPPORTED}
+    assert lost and keyframe not in lost and tracked.reasons[keyframe] == DISAGREES
+    assert lost == set(range(keyframe + 1, keyframe + 1 + len(lost)))
+    assert len(posed(tracked)) == len(sequence) - 1 - len(lost)
 
 
 def test_after_blank_frames_the_circle_joins_again() -> None:
