@@ -47,12 +47,13 @@ LEAST_HITS = 0.9
 
 @dataclass(frozen=True)
 class Judged:
-    """One recording: its grade, and the error of its poses in metres, rms; NaN without any."""
+    """One recording: its grade, the error of its poses in metres, rms, and the share of frames with a pose."""
 
     group: str
     name: str
     grade: Grade
-    ate_m: float
+    ate_m: float = np.nan
+    posed_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,11 +99,11 @@ def judged(task: Task) -> Judged:
     try:
         found = track(sequence, "trust" if task.preset in GIVEN else "ignore", TrackingSettings())
     except TrackingError:
-        return Judged(task.group, task.name, "not good", np.nan)
+        return Judged(task.group, task.name, "not good")
     assert found.health is not None
     both = np.isfinite(found.T_world_camera[:, 0, 0]) & np.isfinite(true[:, 0, 0])
     ate_m = compare_poses(found.T_world_camera[both], true[both]).ate_m.rmse
-    return Judged(task.group, task.name, found.health.grade, float(ate_m))
+    return Judged(task.group, task.name, found.health.grade, float(ate_m), float(both.mean()))
 
 
 def by_preset(presets: list[str], root: Path) -> Iterator[Task]:
@@ -152,7 +153,10 @@ def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
     tasks = [*(by_scan(options.scans, root) if options.scans else by_preset(options.presets, root))]
     with worker_pool(CORES) as pool:
         found = [future.result() for future in submit_all(pool, judged, tasks)]
-    figures = [told(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm") for each in found]
+    figures = [
+        told(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm, {each.posed_share:.0%} with a pose")
+        for each in found
+    ]
     groups = dict.fromkeys(task.group for task in tasks)
     return [*figures, *(figure for group in groups for figure in rows(found, group))]
 
