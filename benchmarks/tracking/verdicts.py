@@ -47,7 +47,7 @@ LEAST_HITS = 0.9
 
 @dataclass(frozen=True)
 class Judged:
-    """One recording: its grade, the error of its poses in metres, rms, and the share of frames with a pose."""
+    """One recording: its grade, the rms error of its poses in metres, the share of frames with a pose."""
 
     group: str
     name: str
