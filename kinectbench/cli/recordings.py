@@ -1,9 +1,7 @@
 """The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -76,45 +74,26 @@ def init_command(
 def _benchmark_text(
     target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str]
 ) -> tuple[str, list[str]]:
-    """The text of a benchmark.yaml, and lines about it; what cannot be added to is kept beside it."""
+    """The text of a benchmark.yaml, and lines about it.
+
+    Raises:
+        SettingsError: what was written cannot be read, or not be added to.
+    """
     from kinectbench.cli import console
-    from kinectbench.core.errors import StorageError
     from kinectbench.settings.reading import as_text
     from kinectbench.settings.template import extended_benchmark, init_benchmark
 
-    fresh = init_benchmark(target.parent, rows, suffixes)
-    all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
-    what = "category, object and underside of each, license and source"
-    said = [f"wrote {target}", f"{all_of}: fill in {what}, then run `kinectbench build`"]
     if written is None:
-        return fresh, said
-    try:
-        done = extended_benchmark(target, as_text(written, str(target)), rows, suffixes)
-    except (SettingsError, StorageError) as error:
-        kept = _kept_beside(target, written)
-        console.lines("note", [f"{error.lines[0]}; it is kept as {kept}"], "yellow")
-        return fresh, said
+        all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
+        what = "category, object and underside of each, license and source"
+        fill = f"{all_of}: fill in {what}, then run `kinectbench build`"
+        return init_benchmark(target.parent, rows, suffixes), [f"wrote {target}", fill]
+    done = extended_benchmark(target, as_text(written, str(target)), rows, suffixes)
     names = ", ".join(done.missing[:SHOWN_LEFT_OUT])
     lost = [f"in {target}, but not found here: {names}" + ", …" * (len(done.missing) > SHOWN_LEFT_OUT)]
     console.lines("note", lost if names else [], "yellow")
     new = f"{done.added} recording{'s' * (done.added != 1)}"
     return done.text, [f"{target}: added {new} of {len(rows)} found; what was in it stays"]
-
-
-def _kept_beside(path: Path, content: bytes) -> Path:
-    """Write the content of a file to a new one beside it.
-
-    Raises:
-        StorageError: nothing can be written there.
-    """
-    from kinectbench.core.storage import storage_errors
-
-    for number in count(1):
-        kept = path.with_name(f"{path.name}.old{number if number > 1 else ''}")
-        with storage_errors(kept), suppress(FileExistsError), kept.open("xb") as file:
-            file.write(content)
-            return kept
-    raise AssertionError("there is a next number")
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:

@@ -11,7 +11,6 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import StorageError
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
-from kinectbench.release.triage.rules import KNOWN_IOU
 from kinectbench.report.looks import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 
@@ -76,8 +75,9 @@ def _figures(row: TriageRow, high: float | None) -> str:
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
     known = row.estimated_known_iou
-    if known is not None and not any(KNOWN_IOU in line and f"{known:.2f}" in line for line in row.reasons):
-        parts.append(f"{KNOWN_IOU} {known:.2f}")
+    figure = "IoU on known voxels"
+    if known is not None and not any(figure in line and f"{known:.2f}" in line for line in row.reasons):
+        parts.append(f"{figure} {known:.2f}")
     if row.underside is not None:
         by = f"as its {row.underside_by} says" if row.underside_by else "as nobody said more"
         parts.append(f"underside {row.underside}, {by}")

@@ -127,6 +127,9 @@ def _with_lines(text: str, recordings: yaml.Node | None, lines: Sequence[str]) -
     rows = text.removesuffix("\n").split("\n")
     if recordings is None:
         return "\n".join([*rows, "", "recordings:", *lines, ""])
+    if not yaml_nodes.plain(recordings):  # null, or []
+        before, after = text[: recordings.start_mark.index], text[recordings.end_mark.index :]
+        return "\n".join([before.rstrip(), *lines, after.lstrip("\n")])
     margin, end = recordings.start_mark.column, len(rows)
     if recordings.end_mark.index < len(text):
         end = min(end, recordings.end_mark.line)

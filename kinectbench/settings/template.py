@@ -96,13 +96,13 @@ def extended_benchmark(
     ids, places = [name for name, _ in known], {place for _, place in known}
     new = [each for place, each in found.items() if place not in places]
     lines = [line for entry in _entries(config.parent, new, suffixes, ids) for line in entry]
-    missing = tuple(name for name, place in known if place not in found)
+    missing = tuple(name for name, place in known if not Path(place).exists())
     return Extended(edit.with_recordings(text, str(config), lines), len(new), missing)
 
 
 def _place(config: Path, path: str) -> str:
-    """The absolute path of a recording, without looking at the disk."""
-    return os.path.normpath(config.parent.absolute() / path)
+    """The absolute path of a recording, links followed."""
+    return os.path.realpath(config.parent / path)
 
 
 def _entries(

@@ -84,24 +84,38 @@ def test_the_id_of_an_added_recording_is_its_own(command: Command, root: Path) -
     [
         b"name: [\n",
         b"\xff\xfe\x00",
-        b"",
         b"- a list\n",
         b"name: a\nrecordings: [{id: chair, path: recordings/chair, category: chair}]\n",
         b"name: a\nrecordings: {a: b}\n",
-        b"name: a\nrecordings:\n",
         b"name: a\ninclude: [nothing.yaml]\n",
     ],
 )
-def test_what_cannot_be_added_to_is_kept_beside_it(command: Command, root: Path, content: bytes) -> None:
+def test_what_cannot_be_added_to_stays_as_it_is(command: Command, root: Path, content: bytes) -> None:
     config = root / "benchmark.yaml"
-    for number in ("", "2"):
-        config.write_bytes(content)
-        run = command(root, "init", ".", "--force")
-        kept = root / f"benchmark.yaml.old{number}"
-        assert run.status == 0 and kept.read_bytes() == content
-        (line,) = run.err.splitlines()
-        assert line.startswith("note: ") and line.endswith(f"it is kept as {kept.name}")
-        assert [each.id for each in load_benchmark(config).recordings] == ["chair", "table"]
+    config.write_bytes(content)
+    run = command(root, "init", ".", "--force")
+    (line,) = run.err.splitlines()
+    assert run.status == 2 and line.startswith("error: ") and "benchmark.yaml:" in line
+    assert config.read_bytes() == content and list(root.glob("benchmark.yaml?*")) == []
+
+
+@pytest.mark.parametrize("listed", ["", " []", " null", " []  # none yet\nsource: lab"])
+def test_a_file_without_recordings_gets_them(command: Command, root: Path, listed: str) -> None:
+    config = root / "benchmark.yaml"
+    config.write_text(f"name: a\nrecordings:{listed}\n")
+    assert command(root, "init", ".", "--force").status == 0
+    done = load_benchmark(config)
+    assert [each.id for each in done.recordings] == ["chair", "table"]
+    assert done.source == ("lab" if "lab" in listed else "unspecified")
+
+
+def test_a_recording_behind_a_link_is_not_added_again(command: Command, root: Path) -> None:
+    (root / "linked").symlink_to("recordings")
+    config = root / "benchmark.yaml"
+    config.write_text("name: a\nrecordings:\n  - {id: chair, path: linked/chair, category: chair}\n")
+    run = command(root, "init", ".", "--force")
+    assert run.status == 0 and "not found" not in run.err
+    assert [each.id for each in load_benchmark(config).recordings] == ["chair", "table"]
 
 
 def test_what_is_no_readable_file_is_refused(command: Command, root: Path) -> None:

@@ -35,7 +35,7 @@ from kinectbench.record.devices.replay import Replay
 from kinectbench.record.guide import looking
 from kinectbench.record.guide.guide import FLOOR_THERE, NOTHING_THERE, Guide
 from kinectbench.record.guide.process import NO_CLICK, GuideProcess
-from kinectbench.record.guide.tracker import LiveTracker
+from kinectbench.record.guide.tracker import NEWEST, LiveTracker
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.odometry_process import GrowingFrames
 from kinectbench.record.recorder import record
@@ -170,6 +170,19 @@ def test_the_keyframes_are_placed_as_a_build_places_them(source: Path, tmp_path:
     assert np.corrcoef(correction.ravel(), theirs.ravel())[0, 1] > 0.8
 
 
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_what_frames_are_registered_to_is_kept_and_the_rest_forgotten(source: Path, rate_hz: float) -> None:
+    """At any rate the newest frames, those of two seconds, and keyframes."""
+    setup, frames = replayed(source)
+    tracker = LiveTracker(setup)
+    for number, each in enumerate(frames):
+        tracker.take(replace(each, stamp_ns=int(number * 1e9 / rate_hz)))
+    newest = max(NEWEST, int(2 * rate_hz) + 1)
+    assert len(frames) > newest + 10
+    kept = set(tracker.so_far().maps._read)
+    assert kept <= {*tracker.keyframes, *range(len(frames) - newest, len(frames))}
+
+
 def test_what_was_seen_stays_where_it_is_when_the_world_moves(source: Path) -> None:
     """A look that saw too little moves the poses; the last look moves with them, or ends with its world."""
     setup, frames = replayed(source)
@@ -260,7 +273,7 @@ def test_a_click_says_what_the_object_is(source: Path, tmp_path: Path) -> None:
         (tmp_path / "pick.json").unlink()
         (tmp_path / "pick.json").mkdir()
         status, why = told(guide, picture=number, x=0.5, y=0.5)
-        assert status == 422 and why.startswith("it is not kept: ")
+        assert status == 422 and why.startswith("it counts until the recording ends, and is not kept: ")
     finally:
         guide.close()
 

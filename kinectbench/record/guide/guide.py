@@ -1,5 +1,6 @@
 """The guide: what the tracker, the look at what was seen, and the rule of the sentences say of each frame."""
 
+import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -12,7 +13,7 @@ from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle
 from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.types import Float64
-from kinectbench.record.guide.looking import CUTS, LEAST_KEYFRAMES, ObjectLook, look
+from kinectbench.record.guide.looking import LEAST_KEYFRAMES, ObjectLook, look
 from kinectbench.record.guide.sentences import (
     FRAMES_ENOUGH,
     Advice,
@@ -91,6 +92,8 @@ class Guide:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
         self._look: Future[tuple[KeyframeGraph, ObjectLook | None]] | None = None
         self._picked: Picked | None = None
+        # A click comes from another thread: not while a look moves the world.
+        self._world_moves = threading.Lock()
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
@@ -120,22 +123,23 @@ class Guide:
         point = point_under(depth_in_metres(frame.depth, setup.depth_scale), setup.camera, pixel)
         if index is None or point is None:
             return NOTHING_THERE
-        if self._is_floor(index, point):
-            return FLOOR_THERE
-        self._picked, self._looked_at = (index, point), (0, -np.inf)
+        with self._world_moves:
+            if self._is_floor(index, point):
+                return FLOOR_THERE
+            self._picked, self._looked_at = (index, point), (0, -np.inf)
         return ""
 
     def _is_floor(self, index: int, point_camera: Float64) -> bool:
-        """Whether a point (3,) that a frame shows rises no higher than floor; False: that is not known.
+        """Whether a point (3,) that a frame shows lies in the floor, as `segment` cuts it; False: not known.
 
         Of a simulated chair and a table (four frames of each, 2,415 pixels of floor, 757 of things) one pixel
         of floor passed, and none of a thing was refused.
         """
-        _, T_world_camera = self.tracker.poses([index])
-        if self.seen is None or not len(T_world_camera):
+        seen, (_, T_world_camera) = self.seen, self.tracker.poses([index])
+        if seen is None or not len(T_world_camera):
             return False
-        T_floor_camera = self.seen.T_floor_world @ T_world_camera[0]
-        return bool(transform_points(T_floor_camera, point_camera)[2] <= CUTS.floor_cut_m)
+        T_floor_camera = seen.T_floor_world @ T_world_camera[0]
+        return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
         """Path, ring and box, for the page: metres, floor frame."""
@@ -159,7 +163,8 @@ class Guide:
     def _look_again(self, now_s: float) -> None:
         """Take the result of a look that is done; begin another one if it is time."""
         if self._look is not None and self._look.done():
-            self._take_look(*self._look.result())
+            with self._world_moves:
+                self._take_look(*self._look.result())
             self._look = None
         count = len(self.tracker.keyframes)
         known, last_s = self._looked_at

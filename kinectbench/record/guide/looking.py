@@ -18,6 +18,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.fuse import fuse, observe
+from kinectbench.stages.segment.find.floor import floor_cut_m
 from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
@@ -44,12 +45,14 @@ class ObjectLook:
 
     Attributes:
         T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0.
+        floor_cut_m: surface so near to the floor is floor.
         box: around the object, floor frame.
         mesh: the object and what lies near it, floor frame.
         frontiers: openings that no keyframe saw into, the largest first.
     """
 
     T_floor_world: Float64
+    floor_cut_m: float
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
@@ -104,7 +107,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
     mesh = _around(scene, T_floor_world, found.box)
-    return ObjectLook(T_floor_world, found.box, mesh, frontiers)
+    return ObjectLook(T_floor_world, floor_cut_m(found.floor, CUTS), found.box, mesh, frontiers)
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:

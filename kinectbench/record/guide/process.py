@@ -212,7 +212,9 @@ class _Shown:
                 with replaced_file(self._folder / PICK_FILE) as temporary:
                     temporary.write_text(pretty_json(picked.model_dump(mode="json")), encoding="utf-8")
             except StorageError as error:
-                return f"it is not kept: {error}"
+                with suppress(OSError):  # an earlier click is no longer meant
+                    (self._folder / PICK_FILE).unlink(missing_ok=True)
+                return f"it counts until the recording ends, and is not kept: {error}"
         return ""
 
     def picture(self, query: str) -> tuple[str, bytes] | None:

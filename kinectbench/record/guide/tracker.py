@@ -102,7 +102,10 @@ class LiveTracker:
         self._frames.add(index, frame)
         follower.maps.sequence = self._sequence()
         follower.take(index)
-        while self._stamps_ns[self._kept_from] < frame.stamp_ns - 1e9 * RECENT_S:
+        while (
+            self._kept_from + NEWEST <= index
+            and self._stamps_ns[self._kept_from] < frame.stamp_ns - 1e9 * RECENT_S
+        ):
             if self._kept_from not in follower.keyframes:
                 follower.maps.forget(self._kept_from)
             self._kept_from += 1

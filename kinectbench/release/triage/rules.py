@@ -5,7 +5,7 @@ looked at is published, and the release says so. docs/evidence/releases.md has t
 of simulated recordings.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
@@ -42,8 +42,6 @@ MOST_UNSEEN_RAD = 2.1
 LEAST_REFERENCE_F = 0.9
 # Words of the warnings of ingest that say that frames are missing.
 DAMAGED = ("is cut off", "is damaged", "frame left out", "depth images are empty")
-# Words of the facts that more than one rule may state: the first alone does.
-FACTS = (KNOWN_IOU, UNKNOWN) = ("IoU on known voxels", "of the solid is unknown")
 NOT_BUILT = "not built, or not asked for"
 
 
@@ -99,17 +97,10 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
-        look = (*_of_poses(health, limits), *of_object, *of_reference, *_of_frames(head))
-        look = _once(look, limits)
-        incomplete = _once(_incomplete(quality), (*limits, *look))
-        yield Judged(recording, limits=limits, look=look, incomplete=incomplete)
-
-
-def _once(lines: Iterable[str], before: Sequence[str]) -> tuple[str, ...]:
-    """The lines without those that repeat a warning or a fact of lines before them."""
-    stated = [fact for fact in FACTS if any(fact in line for line in before)]
-    new = (line for line in lines if not any(fact in line for fact in stated))
-    return tuple(line for line in new if not any(each.startswith(line) for each in before))
+        look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
+        # A limit begins with the warning that it is about.
+        look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
+        yield Judged(recording, limits=limits, look=look, incomplete=tuple(_incomplete(quality)))
 
 
 def failure(folder: Path) -> str:
@@ -139,9 +130,8 @@ def _beyond(
         yield f"the trajectory is {grade}, below publish.gate.min_grade: {limits.min_grade}"
     unknown = quality.unknown_share
     if unknown is not None and unknown > limits.max_unknown_share:
-        yield (
-            f"{unknown:.0%} {UNKNOWN}, more than publish.gate.max_unknown_share: {limits.max_unknown_share:g}"
-        )
+        limit = f"publish.gate.max_unknown_share: {limits.max_unknown_share:g}"
+        yield f"{unknown:.0%} of the solid is unknown, more than {limit}"
     warnings = (*(() if head is None else head.doubts), *quality.measurement_warnings)
     if len(warnings) > limits.max_doubts:
         first = warnings[0].split(END_OF_WARNING, 1)[0]
@@ -149,14 +139,11 @@ def _beyond(
         yield f"{first} ({count}, more than publish.gate.max_doubts: {limits.max_doubts})"
 
 
-def _of_poses(health: TrajectoryHealth | None, limits: Sequence[str]) -> Iterator[str]:
-    """Reasons to review the camera's path; only the figures of a grade that is among the limits."""
+def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
+    """Reasons to review the camera's path."""
     if health is None:
         return
-    grade = f"the trajectory is {health.grade}"
-    if health.grade == "not good" and any(line.startswith(grade) for line in limits):
-        yield from filter(None, [health.verdict.partition(": ")[2]])
-    elif health.grade == "not good":
+    if health.grade == "not good":
         yield f"the trajectory is {health.verdict}"
     elif health.source == "tracked" and health.tracked < LEAST_TRACKED * health.frames:
         yield f"{1 - health.tracked / health.frames:.0%} of the frames have no pose"
@@ -167,7 +154,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
     yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
     known = quality.estimated_known_iou
     if known is not None and known < LEAST_KNOWN:
-        yield f"the estimated {KNOWN_IOU} is {known:.2f}, below {LEAST_KNOWN}"
+        yield f"the estimated IoU on known voxels is {known:.2f}, below {LEAST_KNOWN}"
     if (moving := quality.moving) is not None and len(moving.frames) > MOST_MOVING * moving.judged:
         yield f"something moves in {len(moving.frames)} of {moving.judged} frames"
     if (beyond := quality.beyond_share or 0.0) > MOST_BEYOND:
@@ -183,7 +170,7 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
             f"lies behind has {behind_m3 / quality.volume_m3:.0%} of the solid's volume"
         )
     if (unknown := quality.unknown_share or 0.0) > MOST_UNKNOWN:
-        yield f"{unknown:.0%} {UNKNOWN}"
+        yield f"{unknown:.0%} of the solid is unknown"
     if (side := quality.unseen_side) is not None and side.gap_rad > MOST_UNSEEN_RAD:
         yield f"no camera looked at it from a side of {degrees(side.gap_rad):.0f}°"
 
