@@ -18,5 +18,7 @@ Place = Annotated[int, Field(ge=0, lt=MOST_SIDE_PX)]
 class PickSettings(Settings):
     """A pixel of a frame's depth that shows the object; `record` writes it where it is clicked."""
 
-    frame: int = Field(ge=0, description="number of the frame in the recording, from 0")
+    frame: int = Field(
+        ge=0, description="its place among the recording's depth frames, from 0; damaged ones count"
+    )
     pixel: Annotated[tuple[Place, Place], Field(strict=False)] = Field(description="column and row, from 0")

@@ -77,13 +77,13 @@ def test_a_pixel_that_shows_nothing_is_one_line(beside: tuple[Sequence, Trajecto
             trajectory,
             16,
             (10, 10),
-            r"pick: {frame: 16, pixel: \[10, 10\]}: there is no frame 16: the recording has frames 0 to 15",
+            r"pick: {frame: 16, pixel: \[10, 10\]}: there is no whole frame 16: the last one is 15;",
         ),
         (sequence, trajectory, 0, (320, 10), r"pixel: \[320, 10\]}: depth has 320 x 240 pixels"),
         (sequence, trajectory, 0, (10, 240), r"\[10, 240\]}: depth has 320 x 240"),
         (sequence, lost, 2, (10, 10), "frame 2 has no pose; pick one of another frame, or remove `pick`"),
         (damaged, trajectory, 3, (10, 10), "frame 3 is damaged, and was left out; pick one of another frame"),
-        (damaged, trajectory, 17, (10, 10), "the recording has frames 0 to 16"),
+        (damaged, trajectory, 17, (10, 10), "there is no whole frame 17: the last one is 16;"),
         (dark, trajectory, 0, (10, 10), r"\[10, 10\]}: there is no depth within 20 pixels of it"),
     ):
         with raises(SegmentationError, "segmentation.bad-pick", words):

@@ -58,7 +58,7 @@ def picked_point(
     Args:
         sequence: the recording.
         trajectory: of it.
-        frame: its number in the recording.
+        frame: its number among the recording's depth frames, from 0, where damaged ones count.
         pixel: column and row.
 
     Raises:
@@ -67,7 +67,7 @@ def picked_point(
     """
     camera, recorded = sequence.camera, sequence.recorded or range(len(sequence))
     if frame > recorded[-1]:
-        raise _bad(frame, pixel, f"there is no frame {frame}: the last that could be read is {recorded[-1]}")
+        raise _bad(frame, pixel, f"there is no whole frame {frame}: the last one is {recorded[-1]}")
     if frame not in recorded:
         raise _bad(frame, pixel, f"frame {frame} is damaged, and was left out", ANOTHER)
     if pixel[0] >= camera.width or pixel[1] >= camera.height:
