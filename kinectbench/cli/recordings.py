@@ -77,18 +77,23 @@ def _benchmark_text(
     """The text of a benchmark.yaml, and lines about it.
 
     Raises:
-        SettingsError: what was written cannot be read, or not be added to.
+        SettingsError: there are no recordings, or the file that is there has an error.
     """
     from kinectbench.cli import console
     from kinectbench.settings.reading import as_text
     from kinectbench.settings.template import extended_benchmark, init_benchmark
 
+    fresh = init_benchmark(target.parent, rows, suffixes)
+    all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
+    what = "category, object and underside of each, license and source"
+    said = [f"wrote {target}", f"{all_of}: fill in {what}, then run `kinectbench build`"]
     if written is None:
-        all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
-        what = "category, object and underside of each, license and source"
-        fill = f"{all_of}: fill in {what}, then run `kinectbench build`"
-        return init_benchmark(target.parent, rows, suffixes), [f"wrote {target}", fill]
-    done = extended_benchmark(target, as_text(written, str(target)), rows, suffixes)
+        return fresh, said
+    try:
+        done = extended_benchmark(target, as_text(written, str(target)), rows, suffixes)
+    except SettingsError as error:
+        remedy = "mend it, or move it away and run `kinectbench init`"
+        raise SettingsError(f"{error.lines[0]}; nothing is written: {remedy}", what=error.what) from None
     names = ", ".join(done.missing[:SHOWN_LEFT_OUT])
     lost = [f"in {target}, but not found here: {names}" + ", …" * (len(done.missing) > SHOWN_LEFT_OUT)]
     console.lines("note", lost if names else [], "yellow")

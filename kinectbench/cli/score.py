@@ -277,7 +277,7 @@ def tell_problems(tables: "Sequence[ScoreTable]") -> None:
         console.lines(f"{table.method}: warning", console.by_mistake(table.warnings), "yellow")
         reasons = console.by_mistake(failure.reason for failure in table.failures)
         if len(reasons) > SHOWN_FAILURES:
-            more = f"and {len(reasons) - SHOWN_FAILURES} more; scores.json lists all"
+            more = f"and {len(reasons) - SHOWN_FAILURES} more; `kinectbench check --json` lists up to 1,000"
             reasons = [*reasons[:SHOWN_FAILURES], more]
         console.lines(f"{table.method}: error", reasons, "red")
 

@@ -17,6 +17,7 @@ from kinectbench.stages.ingest.sequence_folder import read_sequence
 TONES = {"accept": "good", "look": "warn", "reject": "bad"}
 # Of a recording, beside each other. More than two make the page of a thousand recordings too large to open.
 VIEWS = 2
+KNOWN_IOU = "IoU on known voxels"
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Card:
     row: TriageRow
     tone: str
     figures: str
+    incomplete: tuple[str, ...]
     pictures: tuple[str, ...]
 
 
@@ -67,7 +69,9 @@ def _card(row: TriageRow, folder: Path) -> Card:
         pictures = ()
     quality = QualityFile.read_if_there(folder / "object") if row.built else None
     high = quality.estimated_iou_high if quality else None
-    return Card(row, TONES[row.decision], _figures(row, high), pictures)
+    # A limit may begin with the same fact.
+    incomplete = [line for line in row.incomplete if not any(each.startswith(line) for each in row.reasons)]
+    return Card(row, TONES[row.decision], _figures(row, high), tuple(incomplete), pictures)
 
 
 def _figures(row: TriageRow, high: float | None) -> str:
@@ -75,9 +79,8 @@ def _figures(row: TriageRow, high: float | None) -> str:
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
     known = row.estimated_known_iou
-    figure = "IoU on known voxels"
-    if known is not None and not any(figure in line and f"{known:.2f}" in line for line in row.reasons):
-        parts.append(f"{figure} {known:.2f}")
+    if known is not None and not any(KNOWN_IOU in line and f"{known:.2f}" in line for line in row.reasons):
+        parts.append(f"{KNOWN_IOU} {known:.2f}")
     if row.underside is not None:
         by = f"as its {row.underside_by} says" if row.underside_by else "as nobody said more"
         parts.append(f"underside {row.underside}, {by}")

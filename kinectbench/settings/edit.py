@@ -111,7 +111,8 @@ def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
     wanted = yaml_nodes.plain(root)
     added = yaml_nodes.plain(yaml_nodes.compose("\n".join(["recordings:", *lines]), source))["recordings"]
     own = yaml_nodes.items(root).get("recordings")
-    changed = _with_lines(text, own, lines)
+    filled = own is not None and wanted["recordings"]
+    changed = _with_lines(text, own, lines) if own and filled else _with_first(text, own, lines)
     try:
         done = yaml_nodes.plain(yaml_nodes.compose(changed, source))
     except SettingsError:
@@ -122,14 +123,21 @@ def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
     return changed
 
 
-def _with_lines(text: str, recordings: yaml.Node | None, lines: Sequence[str]) -> str:
+def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str:
+    """The text with lines in place of an empty `recordings:`, or with that key at its end."""
+    if empty is None:
+        return "\n".join([*text.removesuffix("\n").split("\n"), "", "recordings:", *lines, ""])
+    start, end = empty.start_mark.index, empty.end_mark.index
+    if "#" in text[start:end]:
+        return text
+    head, tail = text[:start].rstrip(), text[end:]
+    rest, _, below = tail.partition("\n")
+    return "\n".join([head + rest, *lines, below])
+
+
+def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
     """The text with lines behind the last recording and the comments that are indented like it."""
     rows = text.removesuffix("\n").split("\n")
-    if recordings is None:
-        return "\n".join([*rows, "", "recordings:", *lines, ""])
-    if not yaml_nodes.plain(recordings):  # null, or []
-        before, after = text[: recordings.start_mark.index], text[recordings.end_mark.index :]
-        return "\n".join([before.rstrip(), *lines, after.lstrip("\n")])
     margin, end = recordings.start_mark.column, len(rows)
     if recordings.end_mark.index < len(text):
         end = min(end, recordings.end_mark.line)

@@ -15,7 +15,7 @@ from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import read_plain_text
 from kinectbench.settings import edit, yaml_nodes
 from kinectbench.settings.base import Settings
-from kinectbench.settings.file import nodes_of
+from kinectbench.settings.file import nodes_of, parse_benchmark
 from kinectbench.settings.models import BenchmarkSettings, CategorySettings, RecordingSettings
 from kinectbench.settings.pick import PICK_BYTES, PICK_FILE, PickSettings
 from kinectbench.settings.words import field_range, model_of
@@ -66,7 +66,7 @@ class Extended(NamedTuple):
     Attributes:
         text: of the file; what was in it stays.
         added: how many recordings are new in it.
-        missing: ids of those that were not found in the folder.
+        missing: ids of those whose path does not exist.
     """
 
     text: str
@@ -86,22 +86,28 @@ def extended_benchmark(
         suffixes: as for `init_benchmark`.
 
     Raises:
-        SettingsError: the text is no YAML with settings, or cannot be changed safely.
+        SettingsError: the text, or what becomes of it, has an error, or it cannot be changed safely.
     """
-    listed = yaml_nodes.items(nodes_of(text, str(config), config)).get("recordings")
+    source = str(config)
+    listed = yaml_nodes.items(nodes_of(text, source, config)).get("recordings")
+    empty = listed is None or listed.tag == yaml_nodes.NULL_TAG or not listed.value
+    if not empty:
+        parse_benchmark(text, source, config=config)
     entries = listed.value if isinstance(listed, yaml.SequenceNode) else []
-    rows = [row for row in map(yaml_nodes.items, entries) if {"id", "path"} <= set(row)]
+    rows = [yaml_nodes.items(entry) for entry in entries]
     known = [(str(row["id"].value), _place(config, str(row["path"].value))) for row in rows]
-    found = {_place(config, each[0]): each for each in recordings}
     ids, places = [name for name, _ in known], {place for _, place in known}
-    new = [each for place, each in found.items() if place not in places]
+    new = [each for each in recordings if _place(config, each[0]) not in places]
     lines = [line for entry in _entries(config.parent, new, suffixes, ids) for line in entry]
-    missing = tuple(name for name, place in known if not Path(place).exists())
-    return Extended(edit.with_recordings(text, str(config), lines), len(new), missing)
+    missing = tuple(name for name, place in known if not os.path.exists(place))  # noqa: PTH110 - never raises
+    changed = edit.with_recordings(text, source, lines)
+    if empty:
+        parse_benchmark(changed, source, config=config)
+    return Extended(changed, len(new), missing)
 
 
 def _place(config: Path, path: str) -> str:
-    """The absolute path of a recording, links followed."""
+    """The absolute path of a recording, without links."""
     return os.path.realpath(config.parent / path)
 
 

@@ -66,7 +66,7 @@ def test_a_flood_of_messages_is_cut(terminal: io.StringIO, capsys: pytest.Captur
 
 
 def test_one_line_for_each_mistake() -> None:
-    """Messages of one mistake differ in their files and numbers; others stay as they are."""
+    """Messages of one mistake differ in their files and voxels; others stay as they are."""
     missing = [f"{name}: no prediction; expected {name}.npy" for name in ("chair/000", "table/12", "x/y")]
     wrong = [
         "chair/001.npy: nan at (3, 2, 1)",
@@ -76,6 +76,11 @@ def test_one_line_for_each_mistake() -> None:
     whole = ["method.json: no `name`", "incomplete: 7 predictions could not be scored"]
     lines = console.by_mistake([*whole, missing[0], *wrong, *missing[1:]])
     assert lines == [*whole, f"3 files, first {missing[0]}", f"2 files, first {wrong[0]}", wrong[2]]
+    # What a message says in numbers is another mistake.
+    sizes = [f"chair/{name}.npy: expected 32^3, found {side}^3" for name, side in (("0", 64), ("1", 128))]
+    assert console.by_mistake(sizes) == sizes
+    values = [f"{name}.npy: {value} at (0, 0, 7): in [0, 1]" for name, value in (("a", 1.5), ("b", -2e-7))]
+    assert console.by_mistake(values) == [f"2 files, first {values[0]}"]
     assert console.by_mistake(["", ": ", "x", "x: "]) == ["", ": ", "x", "x: "]
 
 

@@ -1,4 +1,4 @@
-"""`init --force` adds recordings; what a person wrote in benchmark.yaml stays, or is kept beside it."""
+"""`init --force` adds recordings; what a person wrote in benchmark.yaml stays."""
 
 import os
 from collections.abc import Callable
@@ -84,38 +84,48 @@ def test_the_id_of_an_added_recording_is_its_own(command: Command, root: Path) -
     [
         b"name: [\n",
         b"\xff\xfe\x00",
+        b"",
         b"- a list\n",
         b"name: a\nrecordings: [{id: chair, path: recordings/chair, category: chair}]\n",
+        b"name: a\nrecordings: &r\n  - {id: chair, path: recordings/chair, category: chair}\n",
         b"name: a\nrecordings: {a: b}\n",
+        b"name: a\nrecordings: 3\n",
+        b"name: a\nrecordings: [ # none\n]\n",
+        b"name: a\nrecordings:\n  - {id: chair, paht: recordings/chair, category: chair}\n",
+        b"nam: a\nrecordings: []\n",
         b"name: a\ninclude: [nothing.yaml]\n",
     ],
 )
-def test_what_cannot_be_added_to_stays_as_it_is(command: Command, root: Path, content: bytes) -> None:
+def test_what_has_an_error_stays_as_it_is(command: Command, root: Path, content: bytes) -> None:
     config = root / "benchmark.yaml"
     config.write_bytes(content)
     run = command(root, "init", ".", "--force")
     (line,) = run.err.splitlines()
-    assert run.status == 2 and line.startswith("error: ") and "benchmark.yaml:" in line
-    assert config.read_bytes() == content and list(root.glob("benchmark.yaml?*")) == []
+    assert run.status == 2 and line.startswith("error: ") and "benchmark.yaml" in line
+    assert line.endswith("nothing is written: mend it, or move it away and run `kinectbench init`")
+    assert config.read_bytes() == content and list(root.glob("benchmark.yaml*")) == [config]
 
 
-@pytest.mark.parametrize("listed", ["", " []", " null", " []  # none yet\nsource: lab"])
-def test_a_file_without_recordings_gets_them(command: Command, root: Path, listed: str) -> None:
+@pytest.mark.parametrize("empty", ["", " []", " ~", " null  # none yet", "  # none yet\n  # - id: one"])
+@pytest.mark.parametrize("after", ["", "\n", TAIL])
+def test_an_empty_list_is_filled_where_it_is(command: Command, root: Path, empty: str, after: str) -> None:
     config = root / "benchmark.yaml"
-    config.write_text(f"name: a\nrecordings:{listed}\n")
+    config.write_text(f"name: mine\nrecordings:{empty}{after}")
     assert command(root, "init", ".", "--force").status == 0
-    done = load_benchmark(config)
-    assert [each.id for each in done.recordings] == ["chair", "table"]
-    assert done.source == ("lab" if "lab" in listed else "unspecified")
+    text = config.read_text()
+    assert text.startswith("name: mine\nrecordings:") and after.strip() in text
+    assert text.count("none yet") == empty.count("none yet")
+    assert [each.id for each in load_benchmark(config).recordings] == ["chair", "table"]
 
 
-def test_a_recording_behind_a_link_is_not_added_again(command: Command, root: Path) -> None:
-    (root / "linked").symlink_to("recordings")
+def test_a_path_through_a_link_is_the_same_recording(command: Command, root: Path) -> None:
+    (root / "recordings").rename(root / "data")
+    (root / "recordings").symlink_to("data")
     config = root / "benchmark.yaml"
-    config.write_text("name: a\nrecordings:\n  - {id: chair, path: linked/chair, category: chair}\n")
+    config.write_text("name: a\nrecordings:\n  - {id: c, path: recordings/chair, category: chair}\n")
     run = command(root, "init", ".", "--force")
     assert run.status == 0 and "not found" not in run.err
-    assert [each.id for each in load_benchmark(config).recordings] == ["chair", "table"]
+    assert [each.path for each in load_benchmark(config).recordings] == ["recordings/chair", "data/table"]
 
 
 def test_what_is_no_readable_file_is_refused(command: Command, root: Path) -> None:

@@ -18,6 +18,7 @@ from kinectbench.release.publish.gate import gate
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.triage.stands_alone import share_standing_alone
 from kinectbench.release.triage.triage import triage
+from kinectbench.report.triage import write_triage_page
 
 NAMES = [recording[0] for recording in RECORDINGS]
 NAME = NAMES[0]
@@ -118,15 +119,20 @@ def test_a_doubt_is_not_said_twice(tmp_path: Path) -> None:
     assert (row.decision, row.reasons) == ("look", ("it is several things",))
 
 
-def test_a_limit_takes_no_figure_away(tmp_path: Path) -> None:
-    """What the limits state shorter, or of another figure, stays among the reasons and what is incomplete."""
-    build = built(tmp_path, "not good", estimated_known_iou=0.6, unknown_share=0.6)
+def test_a_limit_hides_no_other_fact(tmp_path: Path) -> None:
+    """The rows stay complete; the page leaves out what a limit states word for word."""
+    low: dict[str, Any] = {"estimated_known_iou": 0.7, "estimated_known_iou_low": 0.35, "unknown_share": 0.6}
+    build = built(tmp_path, "not good", **low)
     health_of(8, grade="not good", verdict="not good: 9 mm off").write(build / NAME / "trajectory")
-    row = _row(triage(settings(min_grade="fair", max_unknown_share=0.5), build, [NAME]))
+    found = triage(settings(min_grade="fair", max_unknown_share=0.5), build, [NAME])
+    row = _row(found)
+    assert "the estimated IoU on known voxels is 0.70, below 0.8" in row.reasons
     assert "the trajectory is not good: 9 mm off" in row.reasons
-    assert any(reason.startswith("the estimated IoU on known voxels is 0.60") for reason in row.reasons)
-    assert any(reason.startswith("60% of the solid is unknown, more than") for reason in row.reasons)
-    assert "60% of the solid is unknown" in row.incomplete
+    assert row.incomplete == ("60% of the solid is unknown",)
+    write_triage_page("b", found, build, tmp_path / "index.html")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert page.count("60% of the solid is unknown") == 1 and "is 0.70, below 0.8" in page
+    assert "incomplete: 60%" not in page
 
 
 @pytest.mark.parametrize(

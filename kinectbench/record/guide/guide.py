@@ -1,8 +1,9 @@
 """The guide: what the tracker, the look at what was seen, and the rule of the sentences say of each frame."""
 
-import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import TypeAlias
 
 import numpy as np
@@ -92,8 +93,8 @@ class Guide:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
         self._look: Future[tuple[KeyframeGraph, ObjectLook | None]] | None = None
         self._picked: Picked | None = None
-        # A click comes from another thread: not while a look moves the world.
-        self._world_moves = threading.Lock()
+        # A click comes on the page's thread: it sees no world that has moved without the floor.
+        self._moving = Lock()
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
@@ -112,34 +113,36 @@ class Guide:
         poses = T_world_camera, T_floor_camera
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
-    def pick(self, frame: Frame, pixel: tuple[int, int]) -> str:
+    def pick(self, frame: Frame, pixel: tuple[int, int], keep: Callable[[], None] = lambda: None) -> str:
         """The object is what a pixel of a frame's depth shows; else why it is not, in a sentence.
 
         Args:
             frame: one that was taken.
             pixel: column and row.
+            keep: called before the pixel is taken; if it raises an error, the object is what it was.
         """
         setup, index = self._setup, self.tracker.number_at(frame.stamp_ns)
         point = point_under(depth_in_metres(frame.depth, setup.depth_scale), setup.camera, pixel)
         if index is None or point is None:
             return NOTHING_THERE
-        with self._world_moves:
+        with self._moving:
             if self._is_floor(index, point):
                 return FLOOR_THERE
+            keep()
             self._picked, self._looked_at = (index, point), (0, -np.inf)
         return ""
 
     def _is_floor(self, index: int, point_camera: Float64) -> bool:
-        """Whether a point (3,) that a frame shows lies in the floor, as `segment` cuts it; False: not known.
+        """Whether a point (3,) that a frame shows lies on the floor; False: that is not known.
 
         Of a simulated chair and a table (four frames of each, 2,415 pixels of floor, 757 of things) one pixel
         of floor passed, and none of a thing was refused.
         """
-        seen, (_, T_world_camera) = self.seen, self.tracker.poses([index])
-        if seen is None or not len(T_world_camera):
+        _, T_world_camera = self.tracker.poses([index])
+        if self.seen is None or not len(T_world_camera):
             return False
-        T_floor_camera = seen.T_floor_world @ T_world_camera[0]
-        return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= seen.floor_cut_m)
+        T_floor_camera = self.seen.T_floor_world @ T_world_camera[0]
+        return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
         """Path, ring and box, for the page: metres, floor frame."""
@@ -163,7 +166,7 @@ class Guide:
     def _look_again(self, now_s: float) -> None:
         """Take the result of a look that is done; begin another one if it is time."""
         if self._look is not None and self._look.done():
-            with self._world_moves:
+            with self._moving:
                 self._take_look(*self._look.result())
             self._look = None
         count = len(self.tracker.keyframes)

@@ -45,17 +45,17 @@ class ObjectLook:
 
     Attributes:
         T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0.
-        floor_cut_m: surface so near to the floor is floor.
         box: around the object, floor frame.
         mesh: the object and what lies near it, floor frame.
         frontiers: openings that no keyframe saw into, the largest first.
+        floor_cut_m: surface this near the floor is floor, metres; less for near cameras.
     """
 
     T_floor_world: Float64
-    floor_cut_m: float
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
+    floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
         """The same in another world, in which the one before lies so (4, 4); None: it does not lie in it."""
@@ -107,7 +107,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
     mesh = _around(scene, T_floor_world, found.box)
-    return ObjectLook(T_floor_world, floor_cut_m(found.floor, CUTS), found.box, mesh, frontiers)
+    return ObjectLook(T_floor_world, found.box, mesh, frontiers, floor_cut_m(found.floor, CUTS))
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:

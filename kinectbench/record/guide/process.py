@@ -203,19 +203,18 @@ class _Shown:
             return NO_CLICK
         height, width = frame.depth.shape
         pixel = int(across * width), int(down * height)
-        if why := guide.pick(frame, pixel):
-            return why
         picked = PickSettings(frame=number, pixel=pixel)
-        self._picked = picked, frame
-        if self._folder is not None:
-            try:
+
+        def keep() -> None:
+            if self._folder is not None:
                 with replaced_file(self._folder / PICK_FILE) as temporary:
                     temporary.write_text(pretty_json(picked.model_dump(mode="json")), encoding="utf-8")
-            except StorageError as error:
-                with suppress(OSError):  # an earlier click is no longer meant
-                    (self._folder / PICK_FILE).unlink(missing_ok=True)
-                return f"it counts until the recording ends, and is not kept: {error}"
-        return ""
+            self._picked = picked, frame
+
+        try:
+            return guide.pick(frame, pixel, keep)
+        except StorageError as error:
+            return f"it is not kept: {error}"
 
     def picture(self, query: str) -> tuple[str, bytes] | None:
         """The picture of that number, of the newest that have a pose."""

@@ -21,7 +21,7 @@ from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_S, Follower, Odometry
 
 # Of so many newest frames the images are kept. What frames are registered to is kept as far back as the
-# odometry goes; of older frames only the keyframes.
+# odometry goes, and of those newest frames at least; of older frames only the keyframes.
 NEWEST = FRAMES_BEFORE + 2
 
 
@@ -102,10 +102,8 @@ class LiveTracker:
         self._frames.add(index, frame)
         follower.maps.sequence = self._sequence()
         follower.take(index)
-        while (
-            self._kept_from + NEWEST <= index
-            and self._stamps_ns[self._kept_from] < frame.stamp_ns - 1e9 * RECENT_S
-        ):
+        old_ns = frame.stamp_ns - 1e9 * RECENT_S
+        while self._kept_from + NEWEST <= index and self._stamps_ns[self._kept_from] < old_ns:
             if self._kept_from not in follower.keyframes:
                 follower.maps.forget(self._kept_from)
             self._kept_from += 1

@@ -98,7 +98,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
         look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
-        # A limit begins with the warning that it is about.
+        # A warning is not repeated.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look, incomplete=tuple(_incomplete(quality)))
 
@@ -130,8 +130,10 @@ def _beyond(
         yield f"the trajectory is {grade}, below publish.gate.min_grade: {limits.min_grade}"
     unknown = quality.unknown_share
     if unknown is not None and unknown > limits.max_unknown_share:
-        limit = f"publish.gate.max_unknown_share: {limits.max_unknown_share:g}"
-        yield f"{unknown:.0%} of the solid is unknown, more than {limit}"
+        yield (
+            f"{unknown:.0%} of the solid is unknown, more than publish.gate.max_unknown_share: "
+            f"{limits.max_unknown_share:g}"
+        )
     warnings = (*(() if head is None else head.doubts), *quality.measurement_warnings)
     if len(warnings) > limits.max_doubts:
         first = warnings[0].split(END_OF_WARNING, 1)[0]
