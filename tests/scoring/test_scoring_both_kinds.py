@@ -68,9 +68,10 @@ def test_a_grid_has_the_figures_of_the_same_cells_in_the_camera_frame(
     for one, other in zip(space.rows, camera.rows, strict=True):
         assert (one.pair, one.heading) == (other.pair, other.heading)
         # Coordinates that differ by rounding draw other samples: of 20,000 distances that spread as much as
-        # their mean leave 1 / sqrt(20,000) = .7 % of it. Those of visible parts, 1.6 mm, spread more: .1 mm
-        # is what two computations of one Chamfer distance may differ by.
-        assert one.chamfer_l1_m == pytest.approx(other.chamfer_l1_m, rel=0.015, abs=1e-4)
+        # their mean leave 1 / sqrt(20,000) = .7 % of it. Of a part there are fewer: two draws of the occluded
+        # one were 5 % apart, of the visible one (1.6 mm) 3 %.
+        share = 0.015 if one.heading == "camera" else 0.1
+        assert one.chamfer_l1_m == pytest.approx(other.chamfer_l1_m, rel=share)
         assert one.iou == pytest.approx(other.iou, abs=1e-4)
 
 
