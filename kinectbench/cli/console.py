@@ -27,8 +27,8 @@ PLAIN_WIDTH = 160
 LONGEST = 900
 # Lines of one kind: more than anybody reads; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
-# A voxel of a file, and the number in it.
-VOXEL = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)")
+# What is a file's own: a voxel with the number in it, a decimal, a length. Other numbers are sizes and counts.
+MEASURED = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+(?= mm?\b)")
 # Where no bar can be drawn, a line is printed as often as this; shorter work prints none.
 LOG_EVERY_S = 10.0
 # The fields of a summary that each stage provides.
@@ -100,14 +100,14 @@ def by_mistake(messages: Iterable[str]) -> list[str]:
     """One line for each mistake: the first message about it, and of how many files it is.
 
     Args:
-        messages: `<file>: <what is wrong>`; one mistake differs in its file and first voxel only.
+        messages: `<file>: <what is wrong>`; one mistake differs in its file, voxel and measurements.
     """
     groups: dict[str, list[str]] = {}
     for message in messages:
         file, _, what = message.partition(": ")
         stem = file.removesuffix(PurePosixPath(file).suffix)
         own = re.compile(rf"(?<!\w){re.escape(stem)}(?!\w)")
-        groups.setdefault(VOXEL.sub("*", own.sub("*", what)) if what else message, []).append(message)
+        groups.setdefault(MEASURED.sub("*", own.sub("*", what)) if what else message, []).append(message)
     return [f"{len(of)} files, first {of[0]}" if len(of) > 1 else of[0] for of in groups.values()]
 
 

@@ -76,7 +76,9 @@ def test_one_line_for_each_mistake() -> None:
     whole = ["method.json: no `name`", "incomplete: 7 predictions could not be scored"]
     lines = console.by_mistake([*whole, missing[0], *wrong, *missing[1:]])
     assert lines == [*whole, f"3 files, first {missing[0]}", f"2 files, first {wrong[0]}", wrong[2]]
-    # What a message says in numbers is another mistake.
+    # Another size is another mistake; another measurement is not.
+    far = [f"{name}.ply: {off_mm} mm too far" for name, off_mm in (("a", 10.5), ("b", 1.09e3), ("c", 932))]
+    assert console.by_mistake(far) == [f"3 files, first {far[0]}"]
     sizes = [f"chair/{name}.npy: expected 32^3, found {side}^3" for name, side in (("0", 64), ("1", 128))]
     assert console.by_mistake(sizes) == sizes
     values = [f"{name}.npy: {value} at (0, 0, 7): in [0, 1]" for name, value in (("a", 1.5), ("b", -2e-7))]
