@@ -27,7 +27,7 @@ PLAIN_WIDTH = 160
 LONGEST = 900
 # Lines of one kind: more than anybody reads; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
-# What is a file's own: a voxel with the number in it, a decimal, a length. Other numbers are sizes and counts.
+# What is a file's own: a voxel and the number in it, a decimal, a length. Other numbers are sizes or counts.
 MEASURED = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+(?= mm?\b)")
 # Where no bar can be drawn, a line is printed as often as this; shorter work prints none.
 LOG_EVERY_S = 10.0
