@@ -74,12 +74,89 @@ def seen_from_outside(
     return grown if seen is None else grown | seen
 
 
+@dataclass(frozen=True)
+class Sight:
+    """How some admissible line of sight reaches each voxel; uint8 arrays of `core.voxels.lines_of_sight`.
+
+    Attributes:
+        any_way: by cameras that are moved in any way.
+        not_from_below: by cameras that do not rise through unseen space.
+    """
+
+    any_way: NDArray[np.uint8]
+    not_from_below: NDArray[np.uint8]
+
+    @property
+    def only_from_below(self) -> Bools:
+        """Reached, but only by lines that look up, or by cameras that rose through unseen space."""
+        below: Bools = (self.any_way > 0) & (self.not_from_below & FROM_ABOVE == 0)
+        return below
+
+
 def swept_from_outside(
-    obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits, to_camera: Float64
-) -> NDArray[np.uint8]:
-    """Like `seen_from_outside`, but only along the directions (n, 3): its time does not grow with gaps."""
+    obstacle: Bools,
+    empty: Bools,
+    heights_m: Float32 | None,
+    voxel_size_m: float,
+    limits: SensorLimits,
+    to_camera: Float64,
+) -> Sight:
+    """Like `seen_from_outside`, but only along the directions (n, 3): its time does not grow with gaps.
+
+    Args:
+        obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
+        empty: bool (nx, ny, nz), seen to be empty; the rest is unseen.
+        heights_m: as for `seen_from_outside`.
+        voxel_size_m: edge of a voxel.
+        limits: of the sensor.
+        to_camera: (n, 3) unit vectors, from a point to a camera.
+    """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    return _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
+    any_way = _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
+    place = space.state == PLACE
+    lower = _without_rising(place, empty)
+    if np.array_equal(lower, place):
+        return Sight(any_way, any_way)
+    space = replace(space, state=np.where(place & ~lower, np.uint8(PASSABLE), space.state))
+    return Sight(any_way, _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _without_rising(place, empty):  # type: ignore[no-untyped-def]
+    """Camera positions that are reached from beyond the grid without a step up into unseen space.
+
+    Both arrays are bool (nx, ny, nz), upright. Steps are to 6 neighbours. From below nobody enters the grid.
+    """
+    nx, ny, nz = place.shape
+    reached = np.zeros(place.shape, np.bool_)
+    stack = np.empty(np.count_nonzero(place), np.int64)
+    count = 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or k == nz - 1
+                if place[i, j, k] and (edge or (k == 0 and empty[i, j, k])):
+                    reached[i, j, k] = True
+                    stack[count] = (i * ny + j) * nz + k
+                    count += 1
+    while count > 0:
+        count -= 1
+        i, j, k = stack[count] // (ny * nz), stack[count] // nz % ny, stack[count] % nz
+        for a, b, c in (
+            (i - 1, j, k),
+            (i + 1, j, k),
+            (i, j - 1, k),
+            (i, j + 1, k),
+            (i, j, k - 1),
+            (i, j, k + 1),
+        ):
+            if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+                continue
+            if place[a, b, c] and not reached[a, b, c] and (c <= k or empty[a, b, c]):
+                reached[a, b, c] = True
+                stack[count] = (a * ny + b) * nz + c
+                count += 1
+    return reached
 
 
 def line_space(

@@ -17,8 +17,14 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE
-from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
+from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, directions
+from kinectbench.core.voxels.seeable import (
+    SeeableSolid,
+    _without_rising,
+    seeable_solid,
+    seen_from_outside,
+    swept_from_outside,
+)
 
 # Voxels are 10 mm for these: eight times as fast as for lines of 30 mm.
 LIMITS = SensorLimits(line_width_m=0.06)
@@ -184,3 +190,41 @@ def test_narrower_lines_begin_with_what_wider_ones_see() -> None:
     fresh, further = (seen_from_outside(solid, heights_m, 0.01, narrow, first) > 0 for first in (None, whole))
     assert not (wide & ~further).any() and not (fresh & ~further).any()
     assert (fresh != further).mean() < 1e-3 and (further & ~wide).sum() > 1000
+
+
+def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
+    """A seat with deep aprons, under which a camera fits; it rises where space was seen to be empty."""
+    solid = np.zeros((60, 60, 80), bool)
+    solid[10:50, 10:50, 30:70] = True
+    solid[12:48, 12:48, 30:68] = False
+    heights_m = ((np.arange(80) + 0.5) * 0.01).astype(np.float32)
+    limits = replace(LIMITS, near_m=0.1)
+    inner, beneath = np.s_[15:45, 15:45, 35:45], np.s_[15:45, 15:45, 5:10]
+    for empty, below in ((np.zeros_like(solid), True), (~solid, False)):
+        sight = swept_from_outside(solid, empty, heights_m, 0.01, limits, directions(400))
+        assert (sight.any_way[inner] & FROM_ABOVE).all()
+        assert (sight.only_from_below[inner] == below).all()
+        assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_positions_reached_without_rising(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    place, empty = rng.random((7, 8, 9)) < 0.6, rng.random((7, 8, 9)) < 0.3
+    inner = np.zeros_like(place)
+    inner[1:-1, 1:-1, 1:-1] = True
+    expected = place & ~inner
+    expected[1:-1, 1:-1, 0] &= empty[1:-1, 1:-1, 0]
+    while True:  # one step of all at once, by shifted arrays
+        around = np.pad(expected, 1)
+        level = (
+            around[:-2, 1:-1, 1:-1]
+            | around[2:, 1:-1, 1:-1]
+            | around[1:-1, :-2, 1:-1]
+            | around[1:-1, 2:, 1:-1]
+        )
+        more = expected | (place & (level | around[1:-1, 1:-1, 2:] | (around[1:-1, 1:-1, :-2] & empty)))
+        if (more == expected).all():
+            break
+        expected = more
+    assert (_without_rising(place, empty) == expected).all()

@@ -186,6 +186,28 @@ def test_next_to_the_floor_it_is_as_above() -> None:
     assert not (shape.labels[beside] == Label.UNKNOWN).any()
 
 
+@pytest.mark.parametrize(("said", "label"), [("unseen", Label.UNKNOWN), ("closed", Label.INTERIOR)])
+def test_a_camera_that_would_rise_through_the_underside_does_not_see_past_it(
+    said: Underside, label: Label
+) -> None:
+    """A sideboard on high legs: a camera fits below it, and nothing measured keeps it from rising inside."""
+    walls_m = np.maximum(
+        box_distance((0.06, 0.05, 0.12), (0.26, 0.19, 0.3)),
+        -box_distance((0.08, 0.07, -1), (0.24, 0.17, 0.28)),
+    )
+    leg_m = box_distance((0.06, 0.05, 0.0), (0.08, 0.07, 0.2))
+    hidden = within((0.08, 0.07, 0.0), (0.24, 0.17, 0.28))
+    small = SensorLimits(line_width_m=0.02, near_m=0.05, camera_size_m=0.06, camera_height_m=0.03)
+    inner = within((0.09, 0.08, 0.14), (0.23, 0.16, 0.27))
+    observed = observation(np.minimum(walls_m, leg_m), hidden=hidden)
+    evidence, shape = classified(observed, replace(RULES, limits=small, underside=said))
+    assert (evidence.sight[inner] & FROM_ABOVE).mean() > 0.3 and evidence.underside[inner].all()
+    assert (shape.labels[inner] == label).all()
+    # Below it one looks level, whatever is said.
+    beneath = within((0.12, 0.09, 0.05), (0.2, 0.15, 0.09))
+    assert not evidence.underside[beneath].any() and (shape.labels[beneath] == Label.UNKNOWN).all()
+
+
 def test_without_a_plane_one_may_look_up_from_anywhere() -> None:
     """A bell that hangs, open below: with a plane right under it no camera fits there."""
     bell_m = np.maximum(

@@ -159,7 +159,10 @@ def find_frontiers(
             float(taken.mean()),
             float((expected * taken).mean()),
         )
-        frontier = _frontier(part, _best_direction(ways, shown[:, piece]), T_floor_grid, behind, underside)
+        # Cameras that would rise through an underside see it from any side: none is advised to do so.
+        asked = ways[:, 2] < 0 if underside else np.ones(len(ways), bool)
+        look = _best_direction(ways[asked], shown[asked, piece])
+        frontier = _frontier(part, look, T_floor_grid, behind, underside)
         if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
             frontiers.append(frontier)
     return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64, Int64, Underside
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.lines_of_sight import FROM_BELOW, count_seen, directions
+from kinectbench.core.voxels.lines_of_sight import count_seen, directions
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.seeable import line_space, swept_from_outside
 
@@ -98,7 +98,8 @@ class VoxelEvidence:
         sight: uint8, how a camera could see the voxel past the measured surfaces
             (`core.voxels.lines_of_sight`).
         closed: bool, unseen, and no camera could see it, or a person says that it is closed: the object's.
-        underside: bool, unseen, and only lines that look up reach it, whatever a person says.
+        underside: bool, unseen, and only lines that look up reach it, or cameras that rose through unseen
+            space; whatever a person says.
         contact: the layers right above the floor.
         surface: bool, what ends a line of sight.
         heights_m: (nz,) float32, heights of the layers' middles above the plane it stands on; None: no plane.
@@ -147,19 +148,18 @@ def classify_voxels(
     behind = observed & ~free
     excluded = neighbours & observed if beyond is None else (neighbours & observed) | beyond
     excluded |= _detached(behind & ~excluded, layers)
-    sheet_m = np.float32(SHEET_VOXELS * voxel_m)
-    surface = (behind & (signed_m > -sheet_m)) | (observed & (np.abs(observation.tsdf) < sheet_m))
-    surface &= ~excluded
+    surface = _measured_sheet(observation, observed, signed_m) & ~excluded
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
     heights_m = _heights_m(observation.grid, layers) if rules.stands else None
-    sight = look_directions(surface, heights_m, voxel_m, rules.limits, COARSE if roughly else FINE)
+    lines = directions(COARSE if roughly else FINE)
+    sight = swept_from_outside(surface, free, heights_m, voxel_m, narrow(rules.limits), lines)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
     unseen[:, :, : layers.below] = False
-    underside = unseen & (sight == FROM_BELOW)
-    closed = unseen & (sight == 0)
+    underside = unseen & sight.only_from_below
+    closed = unseen & (sight.any_way == 0)
     standing = near_surface[:, :, contact.stop] | unseen[:, :, contact.stop]
     solid = near_surface[:, :, contact.stop] | closed[:, :, contact.stop]
     unseen[:, :, contact] &= standing[:, :, None]
@@ -176,7 +176,7 @@ def classify_voxels(
         near_surface=near_surface,
         excluded=excluded,
         unseen=unseen,
-        sight=sight,
+        sight=sight.any_way,
         closed=closed,
         underside=underside,
         contact=contact,
@@ -196,6 +196,13 @@ def _observed(observation: Observation) -> Bools:
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
     return np.asarray(observation.weight > least)
+
+
+def _measured_sheet(observation: Observation, observed: Bools, signed_m: Float32) -> Bools:
+    """The voxels right at a measured surface, on both of its sides."""
+    sheet_m = np.float32(SHEET_VOXELS * observation.grid.voxel_size_m)
+    right_behind = (signed_m <= 0) & (signed_m > -sheet_m)
+    return np.asarray(observed & (right_behind | (np.abs(observation.tsdf) < sheet_m)))
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
@@ -239,21 +246,6 @@ def _least_free_votes(observation: Observation) -> int:
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 
 
-def look_directions(
-    surface: Bools, heights_m: Float32 | None, voxel_m: float, limits: SensorLimits, count: int
-) -> NDArray[np.uint8]:
-    """Directions from which a camera could see each voxel: uint8 of `core.voxels.lines_of_sight`, 0 if none.
-
-    Args:
-        surface: bool (nx, ny, nz), upright: measured surface, which ends a line.
-        heights_m: (nz,) heights of the layers' middles above the plane it stands on; None: no plane.
-        voxel_m: edge of a voxel, metres.
-        limits: of the sensor.
-        count: number of directions.
-    """
-    return swept_from_outside(surface, heights_m, voxel_m, narrow(limits), directions(count))
-
-
 def narrow(limits: SensorLimits) -> SensorLimits:
     """The limits of narrower lines of sight, which also find slits."""
     return replace(limits, line_width_m=NARROWER * limits.line_width_m)
@@ -275,6 +267,6 @@ def seen_from(
     """The number of visible voxels of each of k pieces along each direction: (n, k + 1).
 
     `pieces` has the number of each voxel's piece, from 1 on, or 0; `to_camera` (n, 3) are unit vectors of the
-    upright frame; `surface` and `heights_m` are as for `look`.
+    upright frame; `surface` and `heights_m` are as for `seen_from_outside`.
     """
     return count_seen(line_space(surface, heights_m, voxel_m, narrow(limits)), to_camera, pieces)
