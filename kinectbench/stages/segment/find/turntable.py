@@ -15,7 +15,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.floor_planes import MIN_PLANE_POINTS
+from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.planes import floor_frame
 from kinectbench.stages.segment.find.select import connected
 
