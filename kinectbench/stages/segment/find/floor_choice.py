@@ -42,8 +42,8 @@ MAX_UNDER_SHARE = 0.17
 # left or right side, seldom looking steeply down (chosen by hand).
 FACING_WEIGHTS = (1.0, 0.2, 0.2, 0.02)
 # A plane is refined with the surface within this distance, near what the cameras look at.
-NEAR_PLANE_M = 0.1
-FOCUS_M = 1.2
+NEAR_PLANE_M, FOCUS_M = 0.1, 1.2
+# Fewer points there say less of the plane than the whole scene does (chosen by hand).
 MIN_NEAR_POINTS = 100
 # A person is warned if a smaller share of the cameras looks down on the chosen plane, if a larger share of
 # the surface lies lower, or if another plane has this share of its evidence (chosen by hand).
