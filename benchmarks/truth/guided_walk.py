@@ -142,7 +142,7 @@ def unknown_share(simulation: Simulation, found: Walked) -> float:
     sequence = Sequence(simulation.spec.camera, SCALE, stamps_ns, False, None, store)
     trajectory = Trajectory(stamps_ns, found.T_world_camera, "trust")
     scene = fuse(sequence, trajectory, FUSION).mesh
-    model = segment(sequence, trajectory, scene, None, ObjectCuts(), FUSION)
+    model = segment(sequence, trajectory, scene, ObjectCuts(), FUSION)
     return float(model.quality.unknown_share or 0) + float(model.quality.unknown_air_share or 0)
 
 

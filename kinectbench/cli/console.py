@@ -112,7 +112,13 @@ def by_mistake(messages: Iterable[str]) -> list[str]:
 
 
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
-    """One line per message on standard error, without wrapping; no more than `at_most`."""
+    """Print one line per message on standard error, without wrapping, and the number of those left out.
+
+    Args:
+        kind: what the lines begin with, such as "warning".
+        messages: shortened by `at_most`.
+        style: of `kind`, as rich has it.
+    """
     for message in at_most(messages):
         # Names and messages hold untrusted text: never markup.
         text = Text.assemble((f"{one_line(kind)}:", style), " ", one_line(message))

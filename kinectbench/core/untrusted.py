@@ -209,10 +209,10 @@ _WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 
 
 def below(folder: Path, name: str) -> Path:
-    """The path of a file that an index names, relative to its folder. Hidden files are ignored.
+    """The path of a file that an untrusted index names.
 
     Args:
-        folder: that the names are relative to.
+        folder: of the index; names are relative to it.
         name: with "/" between folders.
 
     Raises:

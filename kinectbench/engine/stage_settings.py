@@ -39,7 +39,12 @@ Needed = TypeVar("Needed", bound="StageSettings")
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
-    """The part of a section that a stage depends on, as an object with only these keys."""
+    """Copy those keys of a section of benchmark.yaml that `wanted` has.
+
+    Args:
+        wanted: a model with some of the section's keys.
+        section: the whole section.
+    """
     kept = (name for name, field in wanted.model_fields.items() if not field.exclude)
     return wanted.model_validate({name: getattr(section, name) for name in kept})
 
@@ -48,8 +53,8 @@ class StageSettings(Settings):
     """Base of the settings of a stage.
 
     Attributes:
-        ADDED: keys, with dots where nested, that came when artefacts of the stage's version lay on disks
-            already. At their defaults they are left out of the fingerprint, which so stays what it was.
+        ADDED: keys (`section.key` where nested) that are younger than the stage's version. The fingerprint
+            leaves them out where they have their default, so that artefacts made before them stay valid.
     """
 
     ADDED: ClassVar[tuple[str, ...]] = ()

@@ -46,7 +46,7 @@ from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
 from kinectbench.stages.segment.object_model import read_object, write_object
 from kinectbench.stages.segment.reference.truth import reference_as_truth
-from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.segment import GivenObject, segment
 from kinectbench.stages.track import track
 from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures
@@ -139,22 +139,14 @@ def _picked(
 
 def _segment(work: Work[SegmentSettings]) -> None:
     settings, (sequence, trajectory) = work.settings, _own(work)
-    box = reanchored(settings.box.box(), sequence) if settings.box else None
-    floor = plane_given(sequence, trajectory, settings.segment_by, settings.floor)
-    scene = _scene(work.stages)
-    model = segment(
-        sequence,
-        trajectory,
-        scene,
-        box,
-        settings.segmentation,
-        settings.fusion,
-        work.progress,
-        floor,
+    given = GivenObject(
+        box=reanchored(settings.box.box(), sequence) if settings.box else None,
+        plane_world=plane_given(sequence, trajectory, settings.segment_by, settings.floor),
         underside=settings.underside,
-        limits=settings.segmentation.limits(),
         picked=_picked(sequence, trajectory, settings),
     )
+    scene, cuts, fusion = _scene(work.stages), settings.segmentation, settings.fusion
+    model = segment(sequence, trajectory, scene, cuts, fusion, given, work.progress)
     if REFERENCE in work.sources:
         model = reference_as_truth(model, work.sources[REFERENCE].path)
     write_object(model, work.folder)

@@ -145,7 +145,16 @@ def _write_all(
 def completed_target(
     trained: Trained, release: Release, target: Target, device: str
 ) -> tuple[NDArray[np.float16], float]:
-    """The network's probabilities for a pair, (n, n, n), and its seconds.
+    """Complete the partial shape of a pair.
+
+    Args:
+        trained: the network and its settings.
+        release: the pair's.
+        target: which pair.
+        device: of torch, such as "cpu".
+
+    Returns:
+        (n, n, n) float16 probabilities that a cell is occupied, and the seconds that the network took.
 
     Raises:
         PairError, ReleaseError: the pair cannot be read.

@@ -177,9 +177,13 @@ def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> f
 
 
 def likeliest(agreements: Sequence[Agreement]) -> list[str]:
-    """For each prediction the error that explains most predictions of a method; "" without one.
+    """For each prediction of a method its likeliest error, in words; "" if it has none.
 
-    All predictions of a method usually have the same, and a view of a symmetric object leaves open which.
+    Several errors may explain one prediction, as where the object is symmetric. The one is taken that
+    explains most of the method's predictions, as these usually share one error.
+
+    Args:
+        agreements: one for each prediction of the method.
     """
     counts = Counter(words for one in agreements for words, _ in one.slips)
     return [max(one.slips, key=lambda slip: counts[slip[0]])[0] if one.slips else "" for one in agreements]

@@ -18,7 +18,7 @@ from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport, coverage_report
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.segment import GivenObject, segment
 from kinectbench.stages.segment.solid.grids import object_grid
 from kinectbench.stages.track import Trajectory
 
@@ -67,7 +67,7 @@ class Recorded:
         floor: tuple[float, float, float, float] | None = None,
     ) -> ObjectModel:
         parts = (self.sequence, self.trajectory, self.scene)
-        return segment(*parts, given, SEGMENTATION, fusion, floor=floor)
+        return segment(*parts, SEGMENTATION, fusion, GivenObject(given, floor))
 
     def views(self, model: ObjectModel) -> Views:
         settings = (ViewSettings(min_pixels=50), SEGMENTATION, PairSettings())

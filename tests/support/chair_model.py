@@ -8,7 +8,7 @@ from analytic_scenes import Furniture, furniture, small_spec
 from kinectbench.settings.models import FusionSettings, SegmentationSettings, TrackingSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.segment import GivenObject, segment
 from kinectbench.stages.track import Trajectory, track
 
 FUSION = FusionSettings(voxel_size_m=0.008, scene_voxel_size_m=0.016, max_depth_m=2.4)
@@ -29,6 +29,11 @@ def chair() -> Chair:
     trajectory = track(recorded.sequence, "trust", TrackingSettings())
     scene = fuse(recorded.sequence, trajectory, FUSION).mesh
     model = segment(
-        recorded.sequence, trajectory, scene, None, SegmentationSettings(), FUSION, underside="closed"
+        recorded.sequence,
+        trajectory,
+        scene,
+        SegmentationSettings(),
+        FUSION,
+        GivenObject(underside="closed"),
     )
     return Chair(recorded, trajectory, model)

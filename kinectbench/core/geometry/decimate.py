@@ -17,10 +17,10 @@ _ONE_AT_A_TIME = threading.Lock()
 def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
     """The mesh reduced to this many triangles, or unchanged if it has no more. Colours are left out.
 
-    By quadric error metrics (Garland and Heckbert, SIGGRAPH 1997) below a threshold that grows, which is
-    fast-simplification's: 1 µs a triangle, a tenth of Open3D's with its queue, in one thread: the same mesh
-    gives the same. The surface may touch itself at an edge afterwards. Where nothing else can be joined, more
-    triangles are left; of triangles that share no edge, none.
+    Edges are joined in the order of quadric error metrics (Garland and Heckbert, SIGGRAPH 1997) by
+    fast-simplification, in one thread, so that the same mesh gives the same result: 1 µs a triangle, a tenth
+    of Open3D's time. The result may touch itself at an edge. More triangles are left where no edge can be
+    joined; none are left of triangles that share no edge.
 
     Args:
         mesh: any frame.
@@ -42,6 +42,6 @@ def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
 
 
 def surface_distances_m(points: Float64, mesh: TriangleMesh) -> Float32:
-    """Distance of points (n, 3) from the surface of a mesh, in its frame; (n,) float32."""
+    """Distance of points (n, 3) from the surface of a mesh, both in one frame, metres: (n,) float32."""
     scene, tensor = raycaster(mesh)
     return np.asarray(scene.compute_distance(tensor(points.astype(np.float32))).numpy(), np.float32)

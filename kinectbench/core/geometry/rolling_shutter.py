@@ -83,7 +83,18 @@ def upright_gray(
 def upright_mask(
     mask: Bools, depth_m: NDArray[np.float32], camera: Camera, motion: Float64, readout_s: float
 ) -> Bools:
-    """A mask (height, width) of depth as recorded, as one of upright depth (height, width) in metres."""
+    """A mask as a global shutter would see it.
+
+    Args:
+        mask: (height, width) bool, of depth as it was recorded.
+        depth_m: (height, width) float32, metres, after `upright_depth`; 0 = none.
+        camera: of this size.
+        motion: (12,) of the camera, as `RollingShutter.motion`.
+        readout_s: from the first row to the last, seconds.
+
+    Returns:
+        (height, width) bool.
+    """
     import cv2
 
     u, v = _taken_at(depth_m, camera.intrinsics, motion, readout_s, 0.0)

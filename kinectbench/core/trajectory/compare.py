@@ -170,7 +170,7 @@ def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
 
 
 def statistics(errors: Float64) -> ErrorStatistics:
-    """The statistics of errors (n,), n > 0."""
+    """Root mean square, mean, median and maximum of errors (n,), n > 0, in their unit."""
     return ErrorStatistics(
         rmse=float(np.sqrt(np.mean(errors**2))),
         mean=float(errors.mean()),

@@ -117,7 +117,13 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
-    """Angle of the planes, and the distance between them straight below the object."""
+    """Compare the built floor with the true one: angle, and height below the object.
+
+    Args:
+        floor: built, in the world of the build.
+        truth: the simulated scene.
+        registration: of the build's world to the truth's.
+    """
     T = registration.T_truth_built
     normal = T[:3, :3] @ floor.plane_world[:3]
     # n . (R^T (x - t)) + d = 0 in the truth's world

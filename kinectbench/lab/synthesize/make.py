@@ -43,7 +43,10 @@ class Task:
 
     @property
     def groups(self) -> dict[str, int]:
-        """Name of a group of views -> steps in a turn: cross viewing is for validation and test (paper)."""
+        """Steps in a turn of roll, of pitch and of yaw (`all_views`), by the name of a group of views.
+
+        "sv": same viewing; "cv": cross viewing, which only validation and test have (paper).
+        """
         sv, cv = {"sv": self.settings.sv_steps}, {"cv": self.settings.cv_steps}
         return sv if self.split == "train" else sv | cv
 

@@ -26,7 +26,18 @@ POSE, POSE_BYTES = "pose.npz", 1 << 16
 
 
 def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write image.png, mask.png and pointmap.npy (float32, PyTorch3D's camera, metres, NaN = none)."""
+    """Write a view as SAM 3D Objects reads it: image.png, mask.png and pointmap.npy.
+
+    pointmap.npy is (height, width, 3) float32, metres, in PyTorch3D's camera (x left, y up); NaN = no depth.
+
+    Args:
+        release: unused; other methods need it.
+        view: colour, mask and depth.
+        folder: to write into.
+
+    Returns:
+        The view, and what method.json keeps of it: `T_camera_method` (4, 4).
+    """
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)
     np.save(folder / "pointmap.npy", view.pointmap_m * np.array([-1, -1, 1], np.float32))

@@ -17,31 +17,39 @@ from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, visibl
 
 # So many frames pass through each block while it lies in the cache.
 BATCH_FRAMES = 8
+# Farther before a surface than so many standard deviations, a frame sees through: 2.3 % of normal noise lies
+# there by itself.
 SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)
-# A frame's vote is one addition: a voxel's two counts lie in one integer.
 # What a frame measures counts in full within so many standard deviations of its depth, before the surface as
 # behind it, or zero would move; and again from so many before it on, where there is nothing. With 2 behind
 # and all before, a board of 12 mm that both sides see (simulated, true poses, a noise of 4.8 mm) comes out
 # 2.3 mm too thick; with 1.5, 1.4 mm; with 1.2, 1.0 mm, but what is measured well counts for less, too:
 # tracked, F at 5 mm of the same shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
 WINDOW_SIGMAS, CLEAR_SIGMAS = 1.5, 2.5
+# A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
+# Each count has 16 bits, and stops at the largest number in them.
 VOTE_BITS, MOST_VOTES = np.uint32(16), np.uint32(0xFFFF)
+# Voxels of a layer of a block, and of a block.
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
 # A pixel's depth and weight are fetched at once: the two halves of 64 bits.
 LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
-NEAREST_M = np.float32(1e-3)
-BEHIND_CAMERA_M = np.float32(1e6)
+# Voxels nearer to the camera's plane, or behind it, count as so far away that no depth reaches them.
+NEAREST_M, BEHIND_CAMERA_M = np.float32(1e-3), np.float32(1e6)
 # Twice the noise of a depth of 8 m.
 BEFORE_FAR_M = np.float32(0.25)
 # Weights are in 1/mm^2, all else in metres.
 PER_MM2 = np.float32(1e6)
+# Distances are compared squared.
 SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
+# What projects beside the image falls into its border, which has no depth.
 BORDER_PX = 1
+# The slant is taken from pixels so far to either side: a Kinect's noise is correlated over two pixels.
 SLANT_REACH_PX = 2
+# Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees (chosen by hand).
 MAX_SLANT = 10.0
 
 

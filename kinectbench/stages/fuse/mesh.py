@@ -12,9 +12,12 @@ from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.observation import evident_weight, without_fringe
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 
+# Marching cubes run on bricks of 128^3 voxels, whose dense arrays take 26 MB however large the scene is.
 BRICK_BLOCKS = 16
-MAX_FRAMES = 24
-AGREEMENT_M = 0.03
+# Colours are only looked at: more frames cost time, and a larger difference takes other surfaces
+# in (chosen by hand).
+MAX_FRAMES, AGREEMENT_M = 24, 0.03
+# Nearer vertices get no colour: hardly any depth camera measures there.
 NEAREST_M = 0.1
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 MAGIC = b"KBD1"
 HEAD = struct.Struct("<4sHHB")
+# How the values are stored: the last byte of the head.
 PLAIN, DIFFERENCES = 0, 1
 # Higher levels save a tenth and take five times as long.
 LEVEL = 3

@@ -18,10 +18,10 @@ from kinectbench.core.types import DepthCode
 from kinectbench.stages.ingest.images import quantised
 
 UInt16 = NDArray[np.uint16]
+# SUN3D turns the 16 bits of its depth by three to the left.
 BITS = 3
 # Nearly all depth is nearer than 2^13 mm; what is not lies nearer than 2^14, where the sensors' range ends.
-NEAR_SHARE = 0.95
-FARTHER_BITS = 1
+NEAR_SHARE, FARTHER_BITS = 0.95, 1
 # A picture of depth with 8 bits, eight times as bright, ends here.
 BRIGHTEST = 255 << BITS
 # Fewer values would have steps of eight by chance.
@@ -29,16 +29,20 @@ LEAST_LEVELS = 16
 # Of rooms and shelves, metres; half way between depth and eight times that depth, by the logarithm, the two
 # readings of a recording are as likely: (1.5 m of a usual median) * sqrt(8).
 EVEN_MEDIAN_MM = 4243.0
+# Evenly spread, and one pixel of so many along rows and columns: enough to tell a pattern (chosen by hand).
 SAMPLED_IMAGES, SAMPLED_EVERY_PX = 5, 3
 
 
 def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
-    """Depth along the axis, (height, width) uint16, 0 = none; of float16 in steps of 1 / FLOAT_SCALE m.
+    """Decode stored depth into depth along the optical axis.
 
     Args:
         code: how it is stored.
-        depth: as it is stored, 0 = none.
-        camera: its intrinsics.
+        depth: (height, width) uint16 as it is stored, 0 = none.
+        camera: its intrinsics, for distances along the ray.
+
+    Returns:
+        (height, width) uint16, 0 = none, in the recording's unit; of float16 in steps of 1 / FLOAT_SCALE m.
     """
     if code == "rotated":
         return unrotated(depth)

@@ -12,11 +12,13 @@ from kinectbench.core.sequence import UpSample
 from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.ingest.images import DamagedImageError
 
+# Standard gravity (3rd CGPM, 1901).
 GRAVITY_MPS2 = 9.80665
 # The mean over a fifth of a second is of a camera that is still, or moves evenly, if it differs from gravity
 # by no more: a sensor's bias and scale are off by up to 2 %. What is left of the hand's own
 # acceleration is as often to one side as to the other.
 REACH_NS, STILL_MPS2 = 100_000_000, 0.5
+# Most frames, and most and least measurements at each: enough for the mean of them (chosen by hand).
 FRAMES, SAMPLES, LEAST_SAMPLES = 100, 20, 3
 
 

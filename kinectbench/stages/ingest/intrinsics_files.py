@@ -30,6 +30,7 @@ MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
 # As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
+# A camera's file is a few kB; of RTAB-Map's, one an image, the first ones tell all (chosen by hand).
 YAML_BYTES, MOST_YAML = 64 << 10, 200
 YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
 # Other programs have something else under these: they count where they hold as many numbers as a camera has.
@@ -53,13 +54,20 @@ LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
+# In one message, and entries of a folder (chosen by hand).
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
 def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
-    """The intrinsics in a recording's folder, and the JSON file among them, or None.
+    """Find the intrinsics in the files of a recording's folder.
 
-    Where a person gives all that they would say, the others are not read: they may be of other cameras.
+    Args:
+        path: the folder.
+        settings: what a person gives. If that is complete, files with loose names are not read: they may
+            be of another camera.
+
+    Returns:
+        The intrinsics, as far as files have them; and the JSON file that they are from, or None.
 
     Raises:
         RecordingError: the file does not hold what its name says.

@@ -9,14 +9,16 @@ from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.stages.ingest.images import OddImageError, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
+# `track` needs as many poses.
 MIN_FRAMES = 3
 # A recording may lose fewer than this share of its frames to damage.
 MAX_DAMAGED = 0.05
 # The median depth of an indoor recording lies in between, metres; typical is the centre of the logarithms.
 NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
+# Units a metre of public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
 COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
-SAMPLED_FRAMES = 50
-SAMPLED_EVERY_PX = 4
+# Frames, and one pixel of so many along rows and columns: enough for a median (chosen by hand).
+SAMPLED_FRAMES, SAMPLED_EVERY_PX = 50, 4
 
 
 class FrameChecks:

@@ -8,6 +8,7 @@ from kinectbench.core.untrusted import printable, scanned
 
 # Two hours at 30 frames a second; depth, colour, mask and pose of each frame.
 MOST_FRAMES = 250_000
+# Depth, colour, a mask and a confidence of each frame.
 MOST_FILES = 4 * MOST_FRAMES
 # No recording's folders lie deeper in each other.
 MOST_DEPTH = 32

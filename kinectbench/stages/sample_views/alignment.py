@@ -11,22 +11,31 @@ from kinectbench.core.geometry.gauss_newton import NormalEquations
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
+# Farther depth is not used: a Kinect's noise is 19 mm there (chosen by hand).
 MAX_DEPTH_M = 3.5
+# A point farther from the measurement at its pixel met another surface (chosen by hand).
 OUTLIER_M = 0.15
+# Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
+# Pixels that are nearer share their noise; farther ones lie beside thin parts (chosen by hand).
 NORMAL_REACH_PX = 4
+# Most steps of Gauss-Newton (chosen by hand).
 ITERATIONS = 12
-WANTED_POINTS = 4000
-MIN_STRIDE_PX, MAX_STRIDE_PX = 2, 4
+# Of the object's pixels every second to every fourth along rows and columns, so that about so many are left
+# (chosen by hand, for time).
+WANTED_POINTS, MIN_STRIDE_PX, MAX_STRIDE_PX = 4000, 2, 4
+# Fewer points may fit by chance (chosen by hand).
 MIN_POINTS = 100
 # Along the surface depth says little: on 9 simulated scans keeping every slightly better fit put poses off
 # across the view, by up to 0.8 mm in a scan's median and 5 mm in single views.
 MUST_FALL_TO = 0.9
+# Depth farther from the rendered object is not taken for the object's (chosen by hand).
 NEAR_M = 0.06
 # How far off a pose may be at least, however well it was found to agree.
 LEAST_SIGMA_M = 0.001
 # A pose off by 10 mm at the object is off by about 0.01 rad, at a metre.
 RAD_PER_M = 0.75
+# A motion that is larger is not explained by the pose's uncertainty (chosen by hand).
 MAX_SIGMAS = 2.5
 
 
@@ -44,7 +53,13 @@ class OrientedPoints:
 
 
 def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> OrientedPoints:
-    """Every n-th pixel with a normal by central differences over four pixels either way."""
+    """Points with normals from a depth image, camera frame.
+
+    Args:
+        depth_m: (height, width) float32, metres, 0 = none.
+        camera: intrinsics.
+        stride_px: every n-th pixel along rows and columns; normals are from pixels four to either side.
+    """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)
     centre = (slice(reach, -reach, stride_px), slice(reach, -reach, stride_px))
@@ -118,19 +133,21 @@ def align_view(
     renderer: DepthRenderer,
     pose_sigma_m: float,
 ) -> ViewAlignment:
-    """Correct a view's pose by ICP of its depth to the object, within bounds, if that is confirmed.
+    """Correct a view's pose by ICP of its depth to the object.
 
-    Half of the view's points on the object are fitted; the correction is kept only if the mean residual of
-    those of the other half that meet the object before and after falls below 90 %: a right pose stays as it
-    is. The trajectory's pose is a prior as strong as it was found to agree with the other frames, so motion
-    that the object does not constrain stays near zero, and more than 2.5 times its uncertainty is refused.
+    Every second point on the object is fitted, with the trajectory's pose as a prior, so that a motion that
+    the object does not constrain stays near zero. The pose is corrected only if the mean residual of the
+    other points falls to less than 90 %, and the points move by at most 2.5 times `pose_sigma_m`.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
-        T_world_camera: (4, 4) as the trajectory says.
-        renderer: of the object's closed mesh.
-        pose_sigma_m: by how much the pose may be off, metres.
+        T_world_camera: (4, 4), the trajectory's pose.
+        renderer: renders the object's closed mesh.
+        pose_sigma_m: standard deviation of that pose, metres.
+
+    Returns:
+        The corrected pose, or the trajectory's.
     """
     given = ViewAlignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
@@ -174,7 +191,14 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
-    """Whether a motion brings held-out points clearly nearer; both means are over the same points."""
+    """Whether a motion brings held-out points clearly nearer to the rendered object.
+
+    Args:
+        points: held out, camera frame.
+        rendered_m: (height, width) float32, metres, the object; 0 = not on it.
+        motion: (4, 4) of the points.
+        camera: of the image.
+    """
     before_m, after_m = (
         np.abs(normal_equations(points, rendered_m, T, camera)[2]) for T in (np.eye(4), motion)
     )

@@ -15,10 +15,11 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.types import Bools, Float32
 
+# Generous, so that the mask leaves the sensor's noise in the input (chosen by hand).
 AGREEMENT_SIGMAS = 5.0
-ERODE_PX = 2
-# Along edges a sensor's depth wanders by a pixel or two; beside the silhouette one is enough.
-WITHIN_PX, FRINGE_PX = 2, 1
+# Along edges a sensor's depth wanders by a pixel or two: by so much the silhouette is eroded, and so far away
+# depth may agree. Beside the silhouette one pixel is enough.
+ERODE_PX, WITHIN_PX, FRINGE_PX = 2, 2, 1
 # What lies so many standard deviations of the depth above the floor is not the floor.
 CLEAR_SIGMAS = 3.0
 # What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are

@@ -17,8 +17,7 @@ from kinectbench.stages.sample_views.masks import inner_silhouette
 from kinectbench.stages.segment.object_model import ObjectModel
 
 # The outline beyond the image is looked for this far around it, in image sizes, at every n-th pixel.
-AROUND = 1
-OUTLINE_STRIDE_PX = 8
+AROUND, OUTLINE_STRIDE_PX = 1, 8
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ On disk they are views.json with depth, colour and mask images.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from kinectbench.stages.sample_views.view_order import frame_order
 from kinectbench.stages.segment.find.floor import low_cut_m
 from kinectbench.stages.segment.object_model import ObjectModel
 
+# Only of colour that was not recorded as JPEG (chosen by hand: blocks are hardly seen).
 JPEG_QUALITY = 90
 # Shares and metres of a view's fit: views.json calls them the same.
 FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
@@ -117,18 +118,15 @@ def sample_views(
     views: list[View] = []
     refused: list[tuple[int, str]] = []
     look = partial(_look, sequence, trajectory, model, renderer, settings, segmentation)
-    for frame, why, alignment, mask, fit, too_far_share in ahead(look, order):
-        reason = refusal(fit, settings, pairs)
+    for seen in ahead(look, order):
+        reason = refusal(seen.fit, settings, pairs)
         if reason:
-            refused.append((frame, reason))
+            refused.append((seen.frame, reason))
             continue
-        name = f"{len(views):03d}"
-        if masks is not None:
-            mask = override_mask(mask, masks, name, frame)
-        stamp_ns = int(sequence.stamps_ns[frame])
-        row = health.get(frame)
-        figures = (row.blur, row.residual_m) if row else (None, None)
-        views.append(View(name, frame, stamp_ns, why, alignment, mask, fit, *figures, too_far_share))
+        name, row = f"{len(views):03d}", health.get(seen.frame)
+        mask = seen.mask if masks is None else override_mask(seen.mask, masks, name, seen.frame)
+        blur, residual_m = (row.blur, row.residual_m) if row else (None, None)
+        views.append(replace(seen, name=name, mask=mask, blur=blur, pose_residual_m=residual_m))
         if progress:
             progress(len(views), settings.count)
         if len(views) == settings.count:
@@ -152,8 +150,8 @@ def _look(
     settings: ViewSettings,
     segmentation: MaskCuts,
     chosen: tuple[int, str],
-) -> tuple[int, str, ViewAlignment, Bools, ViewFit, float]:
-    """A chosen frame: reason, corrected pose, mask, fit of depth, and ratio of depth beyond the range."""
+) -> View:
+    """A chosen frame (its index, and why it was chosen) as a view without a name or a person's mask."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
@@ -173,8 +171,16 @@ def _look(
         points = camera.backproject(depth_m)
         points_floor = transform_points(floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))
         mask = recorded_mask(depth_m, recorded, points_floor.reshape(points.shape), model.box, tolerance_m)
-    fit = fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer)
-    return frame, why, alignment, mask, fit, too_far_share
+    return View(
+        name="",
+        frame=frame,
+        stamp_ns=int(sequence.stamps_ns[frame]),
+        reason=why,
+        alignment=alignment,
+        mask=mask,
+        fit=fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer),
+        too_far_share=too_far_share,
+    )
 
 
 def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> list[str]:

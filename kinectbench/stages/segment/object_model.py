@@ -14,7 +14,7 @@ from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, OrientedBox
 from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.floor_planes import REASONS
+from kinectbench.stages.segment.find.floor_choice import REASONS
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 MESH = "mesh.ply"

@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinectbench.core.errors import ShapeError
-from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh
-from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
+from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Progress, Underside
+from kinectbench.core.types import Bools, Progress, Underside
 from kinectbench.core.voxels.observation import Observation, merge
-from kinectbench.settings.models import FloorCuts, FusionSettings, Vector4
+from kinectbench.settings.models import FusionSettings, ObjectCuts, Vector4
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
 from kinectbench.stages.segment.find.distance_scale import enlarged_transform
-from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.masked_scene import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
 from kinectbench.stages.segment.find.picked import PickedPoint, check_picked
@@ -36,132 +36,169 @@ from kinectbench.stages.segment.solid.grids import (
     surround_grid,
     surround_labels,
 )
-from kinectbench.stages.segment.solid.solid import Solids, make_solid, solidify
+from kinectbench.stages.segment.solid.solid import Solids, SolidShape, make_solid, solidify
+
+
+@dataclass(frozen=True)
+class GivenObject:
+    """What a person says of the object; nothing by default.
+
+    Attributes:
+        box: around it, floor frame; None: it is the piece that the cameras look at.
+        plane_world: (a, b, c, d) of a x + b y + c z + d = 0, the plane it stands on, metres, world of the
+            trajectory; None: the plane is found.
+        underside: whether its underside is closed, where no frame saw it.
+        picked: a point on it; None: none was picked.
+    """
+
+    box: OrientedBox | None = None
+    plane_world: Vector4 | None = None
+    underside: Underside = "unseen"
+    picked: PickedPoint | None = None
+
+
+NOTHING_GIVEN = GivenObject()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The object that was found, and the grid around it.
+
+    Attributes:
+        chosen: its floor, box and cells.
+        grid: fine, around it.
+        scale: the rules for solids see it 1 / scale times as large (`ObjectResolution`).
+        neighbours: bool in the grid's shape, near a neighbour's surface.
+        beyond_box: bool in the grid's shape, outside a person's box; None without one.
+        max_depth_m: depth makes surface in the grid up to this, metres.
+    """
+
+    chosen: Segmentation
+    grid: Grid
+    scale: float
+    neighbours: Bools
+    beyond_box: Bools | None
+    max_depth_m: float
 
 
 def segment(
     sequence: Sequence,
     trajectory: Trajectory,
     scene: TriangleMesh,
-    given_box: OrientedBox | None,
-    segmentation: FloorCuts,
+    segmentation: ObjectCuts,
     fusion: FusionSettings,
+    given: GivenObject = NOTHING_GIVEN,
     progress: Progress | None = None,
-    floor: Vector4 | None = None,
-    underside: Underside = "unseen",
-    limits: SensorLimits = DEFAULT_LIMITS,
-    picked: PickedPoint | None = None,
 ) -> ObjectModel:
     """Find the object in the fused scene, make it a solid, and judge the solid.
+
+    The odd and the even frames are fused apart and then merged: the repeatability of the shape costs no
+    further pass over the frames.
 
     Args:
         sequence: the recording.
         trajectory: its poses.
-        scene: the fused scene's surface, world frame.
-        given_box: a person's box (floor frame), or None to choose the object automatically.
-        segmentation: floor and object settings.
+        scene: the fused scene's surface, world frame, metres.
+        segmentation: bounds of the floor and of air.
         fusion: voxel size and range of depth, where a person gives them.
-        progress: called with (done, total).
-        floor: a person's plane (a, b, c, d) in the world of the trajectory, metres, or None.
-        underside: a person's statement on the underside.
-        limits: of the sensor.
-        picked: a point on the object that a person picked; None: the cameras look at it.
+        given: what a person says of the object.
+        progress: called with (done, total) of each half of the frames.
 
     Raises:
         SegmentationError: no floor, no object, a box with nothing in it, or a point beside the object.
         ShapeError: no solid can be made.
     """
-    # Find the object, and choose the grid around it.
-    hint = floor_hint(sequence, trajectory, floor, picked and picked.point_world)
+    found = _find(sequence, trajectory, scene, segmentation, fusion, given)
+    rules = _rules(found, sequence.camera, trajectory, segmentation, given.underside)
+    # Fuse the frames into the grid around the object, and label its voxels.
+    fusion, good = fusion.model_copy(update={"max_depth_m": found.max_depth_m}), trajectory.good_frames
+    odd, even = (
+        observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
+    )
+    of_odd, of_even = (_solid_of_half(half, found, rules) for half in (odd, even))
+    sigma_m = surface_sigma_m(odd, even)
+    together = merge(odd, even)
+    del odd, even  # of a large object each is a gigabyte
+    whole, frontiers = _solid_of_all(together, found, rules)
+    del together
+    solids = Solids(whole, of_odd, of_even, sigma_m)
+    # Label the space around it, coarsely.
+    chosen, around = found.chosen, surround_grid(found.grid, found.chosen.floor)
+    surround = observe(sequence, trajectory, some_frames(good), around, fusion)
+    labels_around = surround_labels(surround, _support(chosen))
+    # Judge the solid.
+    report = coverage_report(sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
+    box, pose_error = solid_box(whole, chosen.floor), pose_error_of(trajectory)
+    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
+    return ObjectModel(chosen.floor, box, whole, around, labels_around, sigma_m, quality)
+
+
+def _find(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    scene: TriangleMesh,
+    segmentation: ObjectCuts,
+    fusion: FusionSettings,
+    given: GivenObject,
+) -> _Found:
+    """Find the floor and the object on it; choose the grid around it, and the range of depth."""
+    picked = given.picked
+    hint = floor_hint(sequence, trajectory, given.plane_world, picked and picked.point_world)
     if sequence.beside_m is None:
-        chosen = find_floor_and_object(scene, trajectory, given_box, segmentation, hint)
+        chosen = find_floor_and_object(scene, trajectory, given.box, segmentation, hint)
     else:  # only the object's own depth was fused
-        chosen = segment_masked_scene(scene, trajectory, given_box, hint)
+        chosen = segment_masked_scene(scene, trajectory, given.box, hint)
     if picked is not None and chosen.how == "automatic":
         check_picked(picked, chosen)
     resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
     with chosen.floor.explained_in_errors():
-        grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given_box is not None)
+        grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given.box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
-    fusion = fusion.model_copy(update={"max_depth_m": max_depth_m})
-    chosen = _with_warnings_of_frames(chosen, sequence, trajectory, hint, max_depth_m)
-    # Fuse the frames into that grid, and label the solid.
-    support = None if chosen.hangs else chosen.floor
-    layers = floor_layers(support, segmentation, grid.voxel_size_m)
-    ray_width_m = grid_ray_width_m(sequence.camera, trajectory, grid)
-    rules = Rules(layers, ray_width_m, limits, underside, stands=support is not None)
-    frames = _Frames(sequence, trajectory, fusion, progress)
-    solids, frontiers = _make_solids(frames, grid, chosen, rules, resolution.scale)
-    surround = frames.fused_around(grid, chosen)
-    # Judge the solid.
-    report = coverage_report(sequence, trajectory, scene, chosen, grid, max_depth_m, limits)
-    box, pose_error = solid_box(solids.whole, chosen.floor), pose_error_of(trajectory)
-    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
-    around = surround.grid, surround_labels(surround, support)
-    return ObjectModel(chosen.floor, box, solids.whole, *around, solids.surface_sigma_m, quality)
+    if chosen.how != "masks":  # warn where single frames show another floor than the fused scene
+        lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
+        chosen = replace(chosen, warnings=(*lines, *chosen.warnings))
+    neighbours, beyond_box = chosen.neighbours(grid), chosen.beyond_box(grid)
+    return _Found(chosen, grid, resolution.scale, neighbours, beyond_box, max_depth_m)
 
 
-def _with_warnings_of_frames(
-    chosen: Segmentation, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
-) -> Segmentation:
-    """Add a warning if single frames show another floor than the fused scene."""
-    if chosen.how == "masks":
-        return chosen
-    lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
-    return replace(chosen, warnings=(*lines, *chosen.warnings))
+def _support(chosen: Segmentation) -> Floor | None:
+    """The plane that the object stands on; None if it hangs, or is held."""
+    return None if chosen.hangs else chosen.floor
 
 
-@dataclass(frozen=True)
-class _Frames:
-    """The good frames, and how they are fused."""
-
-    sequence: Sequence
-    trajectory: Trajectory
-    fusion: FusionSettings
-    progress: Progress | None
-
-    def fused_half(self, first: int, grid: Grid) -> Observation:
-        """Fuse every second frame, from the first (0) or the second one (1) on."""
-        frames = self.trajectory.good_frames[first::2]
-        return observe(self.sequence, self.trajectory, frames, grid, self.fusion, self.progress)
-
-    def fused_around(self, grid: Grid, chosen: Segmentation) -> Observation:
-        """Fuse some frames into the coarse grid around the object's."""
-        frames = some_frames(self.trajectory.good_frames)
-        around = surround_grid(grid, chosen.floor)
-        return observe(self.sequence, self.trajectory, frames, around, self.fusion)
+def _rules(
+    found: _Found, camera: Camera, trajectory: Trajectory, segmentation: ObjectCuts, underside: Underside
+) -> Rules:
+    """The rules by which the voxels of the found object's grid are labelled."""
+    support = _support(found.chosen)
+    layers = floor_layers(support, segmentation, found.grid.voxel_size_m)
+    ray_width_m = grid_ray_width_m(camera, trajectory, found.grid)
+    return Rules(layers, ray_width_m, segmentation.limits(), underside, stands=support is not None)
 
 
-def _make_solids(
-    frames: _Frames, grid: Grid, chosen: Segmentation, rules: Rules, scale: float
-) -> tuple[Solids, tuple[Frontier, ...]]:
-    """Make solids of all, of the odd and of the even frames; find the openings that no frame saw into.
-
-    The odd and the even frames are fused apart and then merged: the repeatability of the shape costs no
-    further pass over the frames. The rules see the object in a world that is 1 / scale times as large.
-    """
-    neighbours, beyond_box, larger = chosen.neighbours(grid), chosen.beyond_box(grid), rules.enlarged(scale)
-    odd, even = frames.fused_half(0, grid), frames.fused_half(1, grid)
+def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidShape:
+    """The solid by every second frame, for comparison."""
+    seen, larger = enlarged_observation(half, found.scale), rules.enlarged(found.scale)
     try:
-        of_odd, of_even = (
-            solidify(enlarged_observation(half, scale), neighbours, larger, beyond_box)
-            for half in (odd, even)
-        )
+        shape = solidify(seen, found.neighbours, larger, found.beyond_box)
     except ShapeError as error:
         raise ShapeError(f"odd or even frames alone: {error}", what=error.what) from error
-    sigma_m = surface_sigma_m(odd, even)
-    together = enlarged_observation(merge(odd, even), scale)
-    del odd, even  # of a large object each is a gigabyte
-    evidence = classify_voxels(together, neighbours, larger, beyond_box)
-    whole = make_solid(together, evidence, larger)
-    T_floor_grid = enlarged_transform(chosen.floor.T_floor_world @ grid.T_world_grid, scale)
-    frontiers = find_frontiers(whole, evidence, larger.limits, T_floor_grid)
-    whole, of_odd, of_even = (shape.restored(grid, scale) for shape in (whole, of_odd, of_even))
-    restored = (frontier.restored(scale) for frontier in frontiers)
-    return Solids(whole, of_odd, of_even, sigma_m), tuple(
-        replace(
-            each,
-            obstructed=is_obstructed(chosen, np.array(each.center_m), np.array(each.look_from), rules.limits),
-        )
-        for each in restored
-    )
+    return shape.restored(found.grid, found.scale)
+
+
+def _solid_of_all(
+    together: Observation, found: _Found, rules: Rules
+) -> tuple[SolidShape, tuple[Frontier, ...]]:
+    """The solid by all frames, and the openings that no frame saw into, in metres of the world."""
+    scale, floor = found.scale, found.chosen.floor
+    seen, larger = enlarged_observation(together, scale), rules.enlarged(scale)
+    evidence = classify_voxels(seen, found.neighbours, larger, found.beyond_box)
+    whole = make_solid(seen, evidence, larger)
+    T_floor_grid = enlarged_transform(floor.T_floor_world @ found.grid.T_world_grid, scale)
+    frontiers = []
+    for each in find_frontiers(whole, evidence, larger.limits, T_floor_grid):
+        opening = each.restored(scale)
+        center_m, look_from = np.array(opening.center_m), np.array(opening.look_from)
+        obstructed = is_obstructed(found.chosen, center_m, look_from, rules.limits)
+        frontiers.append(replace(opening, obstructed=obstructed))
+    return whole.restored(found.grid, scale), tuple(frontiers)

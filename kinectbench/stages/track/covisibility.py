@@ -12,12 +12,15 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps
 
+# Level of the thumbnails.
 COARSEST = 2
+# They tell a share of 0.3 to within 0.03 (one standard deviation of a binomial).
 POINTS = 200
 # Depth tolerance, which includes drift: a measurement farther off than this is another surface.
 TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
 # Only keyframes whose point centroids lie within this ratio of the mean depth are compared.
 NEAR_SHARE = 0.8
+# Nearest ones first: the others cost time (chosen by hand).
 MAX_NEIGHBOURS = 60
 
 

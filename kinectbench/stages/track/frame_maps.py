@@ -36,6 +36,7 @@ from kinectbench.stages.track.map_kernels import (
     smoothed_depth,
 )
 
+# Half of a Kinect's columns, for the reason above.
 WORKING_WIDTH_PX = 320
 # Largest number of registered points per level, finest first.
 POINTS = (20_000, 3_000, 1_500)
@@ -44,6 +45,7 @@ MIN_NORMAL_NOISE = 8.0
 # Neighbouring pixels belong to one surface if their relative depth difference is below the first value, or
 # below the second value divided by the focal length (a slope). For smoothing, and for differences.
 SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
+# Whose maps are kept: loops ask for keyframes again. More take memory (chosen by hand).
 CACHED_FRAMES = 150
 # One frame as read takes about 0.2 MB.
 READ_FRAMES = 2000

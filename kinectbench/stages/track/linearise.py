@@ -19,14 +19,19 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import Level
 from kinectbench.stages.track.map_kernels import MIN_COSINE
 
+# Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
+# Of intensities from 0 to 255 (chosen by hand).
 INTENSITY_SIGMA = 8.0
 # Photometric errors exceed the image noise, because colour and depth are not taken at the same instant.
 PHOTOMETRIC_WEIGHT = 0.25
 # Gain and offset are not estimated from fewer intensities.
 MIN_INTENSITIES = 100
+# Surfaces whose normals differ by more than 60 degrees are two (chosen by hand).
 MIN_FACING = 0.5
+# Gain and offset.
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
+# From one frame to another they change by 0.3 and by 30 of 255 (standard deviations, chosen by hand).
 EXPOSURE_PRIOR = np.diag([0.3**-2, 30.0**-2])
 # Rows are gathered in blocks of this many, which stay in the cache. Padding avoids cache-set conflicts.
 BLOCK, PADDING = 512, 8

@@ -8,9 +8,11 @@ import numpy as np
 
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
+# Nearer a Kinect measures nothing; farther its noise is more than 33 mm (chosen by hand).
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
 # Normals are binned on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12
+# None of the 12 x 12 cells has this number.
 NO_CELL = 255
 # Lower bound of the cosine of the slant in the model of normal noise.
 MIN_COSINE = 0.3

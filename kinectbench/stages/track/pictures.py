@@ -24,9 +24,9 @@ COMPARISON = "compare.png"
 # Blue, orange, vermilion and green of Okabe and Ito, distinct for colour-blind people as well.
 BLUE, ORANGE, RED, GREEN = "#0072b2", "#e69f00", "#d55e00", "#009e73"
 TIME_COLORS = "viridis"
-ARROWS = 24
-MAX_LOOPS_DRAWN = 200
-MAX_KEYFRAMES_DRAWN = 150
+# More would cover one another in a picture.
+ARROWS, MAX_LOOPS_DRAWN, MAX_KEYFRAMES_DRAWN = 24, 200, 150
+# The axes reach so far around a camera that hardly moves: noise must not fill the picture.
 MIN_REACH_M = 0.25
 NOTHING = "no frame has a pose"
 TIME, FRAME = "time, s", "frame"

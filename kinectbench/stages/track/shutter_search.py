@@ -25,6 +25,7 @@ INFORMATIVE_RAD_PER_S = 0.3
 MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO, PAIRS = 16, 0.05, 12
 # Image positions at which the flow is evaluated: x and y at z = 1.
 FLOW_AT = np.array([(x, y, 1.0) for x in (-0.3, 0.0, 0.3) for y in (-0.25, 0.0, 0.25)])
+# Their median depth turns motion into flow; a few frames tell it.
 DEPTH_FRAMES = 8
 # The first trial, then the step. A readout is at most the frame interval, 1/30 s.
 FIRST_TRIED_S, STEP_S, MOST_STEPS = 0.03, 0.01, 4

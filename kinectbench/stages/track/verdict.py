@@ -18,17 +18,19 @@ from kinectbench.core.artefacts.trajectory import (
 )
 
 GRADES: tuple[Grade, ...] = ("good", "fair", "not good")
+# With fewer poses there is nothing to grade.
 MIN_POSES = 3
 # Limits of good and of fair. Ratios are of the frames.
 TRACKED_SHARE = (0.9, 0.7)
-UNCHECKED_SHARE = (0.5, 1.0)
-REJECTED_SHARE = (0.1, 0.5)
-DEGENERATE_SHARE = (0.05, 0.3)
-SHIFT_M = (0.005, 0.010)
+UNCHECKED_SHARE = (0.5, 1.0)  # no other frame overlaps enough to check the pose
+REJECTED_SHARE = (0.1, 0.5)  # the depth contradicts the given pose
+DEGENERATE_SHARE = (0.05, 0.3)  # a motion is not observable
+SHIFT_M = (0.005, 0.010)  # median over the frames
 # Between distant frames: either of the two may contribute half of it.
 DISTANT_SHIFT_M = (0.010, 0.020)
 # A correction contains the errors of two poses and of the measurement between them.
 LOOP_CORRECTION_M = (0.005, 0.010)
+# A loop that contradicts the rest may be a wrong one; many mean that the rest is wrong.
 ACCEPTED_LOOP_RATIO = (0.8, 0.5)
 # Without loop closures a path may drift by 3 mm a metre, and no figure would show it.
 OPEN_PATH_M = (1.5, 4.0)

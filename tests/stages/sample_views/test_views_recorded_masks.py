@@ -25,7 +25,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.sample_views.views import Views, sample_views
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.segment import GivenObject, segment
 from kinectbench.stages.track import Trajectory, track
 
 FRAMES = 12
@@ -81,12 +81,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     sequence = ingested(write_scene(root / "scene"), CRATE_ID, root / "first")
     trajectory = track(sequence, "trust", TrackingSettings())
     surface = fuse(sequence, trajectory, FUSION).mesh
-    both = segment(sequence, trajectory, surface, None, SegmentationSettings(), FUSION)
+    both = segment(sequence, trajectory, surface, SegmentationSettings(), FUSION)
     # In the frame `floor`, as it was found; a person's box around one crate is a little too large.
     middle = transform_points(both.floor.T_floor_world, np.array([[-0.15, 0.0, 0.2]]))[0]
     along = both.floor.T_floor_world[:3, :3] @ [1.0, 0.0, 0.0]
     around = OrientedBox(tuple(middle), (0.36, 0.46, 0.46), float(np.arctan2(along[1], along[0])))
-    crate = segment(sequence, trajectory, surface, around, SegmentationSettings(), FUSION)
+    crate = segment(sequence, trajectory, surface, SegmentationSettings(), FUSION, GivenObject(around))
     return Scene(root / "scene", trajectory, both, crate)
 
 

@@ -23,7 +23,7 @@ ASIDE = {
     "coverage_report": "warnings and what they rest on, which quality.json has",
     "distance_scale": "how near the cameras were: floor.json has it as `scale`",
     "floor": "the floor, which floor.json has with how well it was measured",
-    "floor_planes": "the floor, as above; floor.json has the planes among which it was chosen",
+    "floor_choice": "the floor, as above; floor.json has the planes among which it was chosen",
     "gravity": "which planes may be the floor: floor.json has the one that is",
     "judge": "whether a reference fits: reference.json has the figures and the reason",
     "masked_scene": "what is chosen, not how it is made solid: `selection` in quality.json says how",

@@ -14,7 +14,7 @@ from typed import present
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.floor_planes import REASONS, PlaneCandidate, PlaneChoice, Reason
+from kinectbench.stages.segment.find.floor_choice import REASONS, PlaneCandidate, PlaneChoice, Reason
 from kinectbench.stages.segment.find.planes import floor_frame
 
 CELL_M = 0.03

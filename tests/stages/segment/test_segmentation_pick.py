@@ -25,7 +25,7 @@ from kinectbench.stages.segment.find.candidates import find_candidates
 from kinectbench.stages.segment.find.gravity import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
-from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.segment import GivenObject, segment
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_what_stands_beside_a_picked_pixel_is_not_taken(
     value = rf"{{frame: {picked.frame}, pixel: \[[0-9, ]+\]}}"
     words = rf"pick: {value}: it shows the floor .* beside .*, or remove `pick`"
     with raises(SegmentationError, "segmentation.bad-pick", words):
-        segment(sequence, trajectory, mesh, None, SegmentationSettings(), fusion, picked=picked)
+        segment(sequence, trajectory, mesh, SegmentationSettings(), fusion, GivenObject(picked=picked))
     hint = floor_hint(sequence, trajectory, None, picked.point_world)
     listed = find_candidates(mesh, trajectory, SegmentationSettings(), hint).candidates
     assert listed and not any(each.automatic for each in listed)

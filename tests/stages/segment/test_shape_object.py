@@ -18,7 +18,7 @@ from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.release.publish.held_back import own_floor
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.floor_planes import NO_CHOICE
+from kinectbench.stages.segment.find.floor_choice import NO_CHOICE
 from kinectbench.stages.segment.find.planes import floor_frame
 from kinectbench.stages.segment.object_model import read_object, write_object
 from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS, MARGIN_M, object_grid, surround_grid

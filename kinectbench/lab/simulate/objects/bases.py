@@ -91,7 +91,7 @@ def wooden_legs(
 
 
 def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
-    """A leg turned on a lathe, with a square block at its top."""
+    """A leg turned on a lathe, its middle at (x, y) `at_m`, with a square block at its top, `head_m` high."""
     rings = [(share * thick_m / 2, height * head_m) for height, share in TURNED_LEG]
     column = turned([(0.0, 0.0), *rings, (0.0, rings[-1][1])]).translate((*at_m, 0.0))
     block = leg((*at_m, 0.8 * head_m), (*at_m, head_m), thick_m, thick_m)
@@ -99,7 +99,15 @@ def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
 
 
 def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m: float = 0.0) -> Parts:
-    """Bars between four legs, an H or a ring; the rear legs stand `rake_m` farther back."""
+    """Bars between four legs, in the shape of an H or of a ring.
+
+    Args:
+        draw: of the shape and the bars' thickness.
+        half_m: x and y of a front leg's middle; the others mirror it.
+        height_m: of the bars' middles above the floor.
+        look: of the bars.
+        rake_m: the rear legs stand so much farther back.
+    """
     x, y = half_m
     rear = -y - rake_m
     wide, high = 0.018, draw.between(0.022, 0.035)
@@ -115,12 +123,15 @@ def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m:
 
 
 def apron(half_m: Vector2, head_m: float, high_m: float, look: Look) -> Parts:
-    """Four boards between the legs, under the seat or top."""
+    """Four boards between legs at +-`half_m` (x, y), `high_m` high, with the upper edges at `head_m`."""
     return ring("apron", half_m, (head_m - high_m, head_m), 0.01, look)
 
 
 def ring(name: str, half_m: Vector2, z_m: Vector2, thick_m: float, look: Look) -> Parts:
-    """Four boards or bars from leg to leg between two heights, `thick_m` to both sides of the centres."""
+    """Four boards or bars between legs at +-`half_m` (x, y), from one height to another (`z_m`).
+
+    They reach `thick_m` to both sides of the line between two legs.
+    """
     (x, y), (low, high) = half_m, z_m
     for s in SIDES:
         yield Part(name, box((-x, s * y - thick_m, low), (x, s * y + thick_m, high)), look)

@@ -155,7 +155,7 @@ Messages = Iterator[tuple[str, str, int, Message]]
 def log_messages(
     writer: "Writer1 | Writer2", store: "Typestore", messages: Messages, *, ros2: bool = False
 ) -> None:
-    """Write messages to a bag that is open, each topic's connection with its first message."""
+    """Write messages to an open bag; a topic's connection is made at its first message."""
     serialize = store.serialize_cdr if ros2 else store.serialize_ros1
     connections: dict[str, Connection] = {}
     for topic, kind, stamp_ns, message in messages:
@@ -165,9 +165,13 @@ def log_messages(
 
 
 def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, depth_code: DepthCode) -> None:
-    """Write a ROS 1 bag that does not exist yet, raw 16UC1 depth in bz2 chunks, coded depth in plain ones.
+    """Write a ROS 1 bag; messages are logged at the stamps of their headers.
 
-    Messages are logged at the stamps of their headers.
+    Args:
+        path: of the bag, which does not exist yet.
+        rig: the cameras.
+        frames: what they record.
+        depth_code: how depth is coded: raw 16UC1 goes into bz2 chunks, the others into plain ones.
     """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -193,7 +197,14 @@ def write_rosbag2(
 ) -> None:
     """Write a ROS 2 bag into an empty folder: metadata.yaml, and recording.mcap or recording.db3.
 
-    Where colour is not registered, /tf_static says how its camera lies.
+    Where colour is not registered, /tf_static has the pose of its camera.
+
+    Args:
+        folder: an empty one.
+        rig: the cameras.
+        frames: what they record.
+        depth_code: how depth is coded.
+        mcap: whether the file is MCAP; else SQLite.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore

@@ -81,14 +81,14 @@ class RecordedFrame:
 
     @property
     def colors(self) -> tuple[ColorImage, ...]:
-        """The images of the colour stream since the last depth, including this one's partner."""
+        """The images of the colour stream since the last depth image: `own_colors`, or this frame's one."""
         if self.own_colors is None:
             return (ColorImage(self.color_stamp_ns, self.color_rgb),)
         return self.own_colors
 
     @property
     def given_ns(self) -> int:
-        """Time of the given pose as recorded, nanoseconds."""
+        """Stamp of the given pose, nanoseconds."""
         return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
     def color_jpegs(self) -> list[tuple[int, bytes]]:
@@ -98,12 +98,12 @@ class RecordedFrame:
         return [(color.stamp_ns, color.jpeg()) for color in self.own_colors]
 
     def depth_native(self, depth_scale: float = DEPTH_SCALE) -> NDArray[np.uint16]:
-        """Depth in native units, `round(metres * depth_scale)`; out of range is no measurement."""
+        """Depth (height, width) uint16 in units of 1 / `depth_scale` metres, 0 = none or over 65,534."""
         native = np.round(self.depth_m.astype(np.float64) * depth_scale)
         return np.where(native > 65534, 0, native).astype(np.uint16)
 
     def depth_png(self, depth_scale: float = DEPTH_SCALE) -> bytes:
-        """Depth in native units as a PNG file."""
+        """`depth_native` as a 16-bit PNG file."""
         return png_bytes(self.depth_native(depth_scale))
 
     @property
@@ -123,17 +123,17 @@ class RecordedFrame:
 
 
 def frames_as_seconds(index: int, stamp_ns: int) -> int:
-    """The stamp of a layout that has none: a frame's number counts seconds."""
+    """The stamp, nanoseconds, in a layout without stamps: frame `index` is at `index` seconds."""
     return index * NS_PER_S
 
 
 def whole_microseconds(index: int, stamp_ns: int) -> int:
-    """The stamp of a layout that keeps microseconds."""
+    """The stamp, nanoseconds, in a layout that keeps whole microseconds."""
     return stamp_ns // 1000 * 1000
 
 
 def nanoseconds(index: int, stamp_ns: int) -> int:
-    """The stamp of a layout that keeps nanoseconds, as bags do."""
+    """The stamp, nanoseconds, in a layout that keeps it, as bags do."""
     return stamp_ns
 
 

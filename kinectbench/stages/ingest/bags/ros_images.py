@@ -47,6 +47,7 @@ CONVERSIONS = {
 # Native units per metre of integers.
 INTEGER_SCALE = 1000.0
 COMPRESSED_DEPTH = "compressedDepth"
+# ConfigHeader of compressed_depth_image_transport: the format, an int32, and two float32 of the quantisation.
 COMPRESSED_DEPTH_HEADER = 12
 
 

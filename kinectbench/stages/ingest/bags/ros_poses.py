@@ -20,6 +20,7 @@ from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageT
 
 Given = tuple[GivenTrajectory | None, list[str]]
 MaybeGiven = tuple[GivenTrajectory | None, list[str], str]
+# A quaternion of a pose has length 1; that of an empty message has 0.
 SHORTEST_QUATERNION = 1e-6
 
 

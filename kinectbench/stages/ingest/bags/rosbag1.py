@@ -28,6 +28,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 
 MAGIC = b"#ROSBAG V2.0\n"
+# As version 2.0 of the format numbers its records.
 OP_MESSAGE, OP_CHUNK, OP_CONNECTION = 2, 5, 7
 
 

@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 )
 
 MAGIC = b"\x89MCAP0\r\n"
+# As the specification of MCAP numbers its records.
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD = struct.Struct("<BQ")
 # channel, sequence, log time, publish time

@@ -14,7 +14,7 @@ from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.find.distance_scale import distance_scale, enlarged_transform
-from kinectbench.stages.segment.find.floor_planes import (
+from kinectbench.stages.segment.find.floor_choice import (
     FOCUS_M,
     MIN_NEAR_POINTS,
     NEAR_PLANE_M,

@@ -129,7 +129,7 @@ def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Tests for floor normals, in order of priority.
+    """Functions that say which unit normals may be a floor's; the most likely way of holding cameras first.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.

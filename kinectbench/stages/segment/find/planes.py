@@ -9,6 +9,8 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.segment.find.select import GROUNDED_M, SMALL_CELLS, connected, fit_box
 
+# Points this near to a plane are on it: floors scatter by 1 to 6 mm, and this holds three times the worst
+# (chosen by hand).
 INLIER_M = 0.02
 # Surface lies along a plane if its normal is within 26 degrees of the plane's (chosen by hand): fused depth
 # is as rough as that.
@@ -16,8 +18,7 @@ FLAT_COSINE = 0.9
 # Clutter that a plane cuts spreads evenly about it (30 mm); a real floor does not.
 MAX_NOISE_M = 0.02
 # A plane this parallel to the one with most points, and this much lower, is the floor below a table top.
-PARALLEL_COSINE = 0.97
-LOWER_M = 0.2
+PARALLEL_COSINE, LOWER_M = 0.97, 0.2
 # This share of the points has a neighbour within the spacing.
 SPACING_QUANTILE = 0.9
 # The focus may lie so far below the support of a flat thing: people aim no better than a finger's breadth.

@@ -15,7 +15,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.floor_planes import MIN_PLANE_POINTS
+from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.planes import floor_frame
 from kinectbench.stages.segment.find.select import connected
 
@@ -45,7 +45,7 @@ MOVES = (
 
 @dataclass(frozen=True)
 class Turntable:
-    """The axis of rotation and the plane of a turntable, in the camera's axes.
+    """What turns before a still camera: the upright cylinder around it, and the plane below it.
 
     Attributes:
         floor: its support, the floor or a plate's top; None without one.
@@ -78,7 +78,7 @@ class Turntable:
 
 
 def turntable_masks(sequence: Sequence) -> Masks:
-    """Masks of every frame: index -> (height, width) bool.
+    """Masks of what turns before the still camera, by frame: index -> (height, width) bool, made on demand.
 
     Raises:
         SegmentationError: the camera does not stand still, or nothing turns before it.
@@ -88,10 +88,17 @@ def turntable_masks(sequence: Sequence) -> Masks:
 
 
 def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
-    """The plane that the object turns on, in the object's world: (4,) a, b, c, d, (a, b, c) unit and up.
+    """The plane that the object turns on, in the object's own frame, which is the trajectory's world.
 
-    It stands still before the camera and turns in itself: each pose says where it is, and their mean is
-    taken. None where nothing is around the object.
+    The plane stands still before the camera. Each pose moves it to the object's frame, where all agree but
+    for noise: the mean normal and the median distance are taken.
+
+    Args:
+        sequence: the recording of a still camera.
+        trajectory: poses of the camera relative to the object.
+
+    Returns:
+        (4,) a, b, c, d of a x + b y + c z + d = 0, metres, (a, b, c) unit and up; None: no plane is in view.
 
     Raises:
         SegmentationError: as `turntable_masks`.

@@ -18,10 +18,10 @@ from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.frontiers import turn_in_words
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 
+# Images are looked at in about so many columns: a person who walks by is many of them wide.
 COLUMNS = 160
-NEARER_M = 0.1
-NEARER_SIGMAS = 5.0
-MOVING_SHARE = 0.02
+# A pixel moves if it is nearer than the scene by both; a frame, if this share of it does (chosen by hand).
+NEARER_M, NEARER_SIGMAS, MOVING_SHARE = 0.1, 5.0, 0.02
 # Speckle and edges are thinner than so many of the pixels looked at.
 THICK_PX = 3
 # A Kinect measures surfaces up to about this slant: a camera sees an upright side from so far around.

@@ -24,9 +24,8 @@ from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import Solids, SolidShape
 
-GOOD_REPEATABILITY = 0.90
-MAX_UNKNOWN_SHARE = 0.15
-GOOD_ESTIMATED_IOU = 0.82
+# Limits of a verdict without warnings (chosen by hand).
+GOOD_REPEATABILITY, MAX_UNKNOWN_SHARE, GOOD_ESTIMATED_IOU = 0.90, 0.15, 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 # A smaller piece is detached if so many voxels lie between it and the rest: a smaller gap may be a joint too
@@ -34,6 +33,7 @@ MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 DETACHED_VOXELS, FARTHEST_DETACHED_M = 3, 0.5
 # A handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
+# Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
 

@@ -26,7 +26,7 @@ SHELL_M = 0.0125
 SHEET_VOXELS = 1.2
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.
 FINE: Final = 1600
-COARSE: Final = 400
+COARSE: Final = 400  # a quarter of the time
 # Lines of this share of the width reach slits that whole lines do not reach. The voxels there are unknown,
 # not air: a gap that was measured too narrow, by up to half a line, stays a gap.
 NARROWER = 0.5

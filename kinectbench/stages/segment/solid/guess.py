@@ -15,6 +15,7 @@ from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, rim_
 # without the four families that are drawn to deceive: with these the share is .46, not .57, under a roof from
 # 21 rays on, and the space under a real cabinet was taken for air.
 ENCLOSED = np.array([0, 9, 12, 14, 17, 19, 20, 21, 22, 23, 25, 26], np.float32) / 26
+# Under a roof.
 ROOFED_SHARE = np.array([0.0, 0.0, 0.02, 0.08, 0.12, 0.2, 0.4, 0.57, 0.57, 0.57, 0.57, 0.79], np.float32)
 # From 20 rays on the share was .44 to .61, and .97 of the few voxels with 23 and more, the bottoms of
 # buckets. It is set to undecided by hand, or the depth of an open bin would be taken for solid.
@@ -28,6 +29,7 @@ UNDERSIDE_SHARE, OPEN_SHARE = np.float32(0.76), np.float32(0.48)
 SIGNED_VOXELS = np.array(
     [-4, -3.25, -3, -2.5, -2, -1.5, -1, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1, 2, 3], np.float32
 )
+# Counted at each of these distances.
 SIGNED_INSIDE_SHARE = np.array(
     [0.94, 0.9, 0.885, 0.94, 0.96, 0.98, 0.985, 0.945, 0.83, 0.5, 0.045, 0.01, 0.003, 0.002, 0.001, 0.0],
     np.float32,

@@ -42,8 +42,8 @@ MAX_UNDER_SHARE = 0.17
 # left or right side, seldom looking steeply down (chosen by hand).
 FACING_WEIGHTS = (1.0, 0.2, 0.2, 0.02)
 # A plane is refined with the surface within this distance, near what the cameras look at.
-NEAR_PLANE_M = 0.1
-FOCUS_M = 1.2
+NEAR_PLANE_M, FOCUS_M = 0.1, 1.2
+# Fewer points there say less of the plane than the whole scene does (chosen by hand).
 MIN_NEAR_POINTS = 100
 # A person is warned if a smaller share of the cameras looks down on the chosen plane, if a larger share of
 # the surface lies lower, or if another plane has this share of its evidence (chosen by hand).
@@ -184,9 +184,7 @@ def choose_plane(
     candidates: list[PlaneCandidate] = []
     for way, facing in enumerate(facings(T_world_camera, up_world)):
         for plane, inliers in _planes(surface, facing, seed):
-            figures = _figures(plane, inliers, surface, T_world_camera[:, :3, 3])
-            tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1, 1)))
-            candidate = PlaneCandidate(plane, int(inliers.sum()), *figures, tilt_rad, way)
+            candidate = _candidate(plane, inliers, surface, T_world_camera[:, :3, 3], up, way)
             candidates.append(replace(candidate, reason=_refusal(candidate, facing, surface)))
     possible = [each for each in candidates if each.reason not in NEVER]
     if not possible:
@@ -232,17 +230,26 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
     return np.asarray(np.maximum(far_m / max(median_m, 1.0), 1.0) ** 2)
 
 
-def _figures(
-    plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64
-) -> tuple[float, float, float, float]:
-    """Shares of a plane (4,): on it, of the cameras above it, of the surface below it, and right below it."""
+def _candidate(
+    plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
+) -> PlaneCandidate:
+    """A plane (4,) with its evidence: `inliers` (n,) are the points on it, `up` (3,) is a unit vector."""
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
     # Numbers of cells need no dense grid, which one pose kilometres off would make too large for the memory.
     cell = cell_numbers(np.floor(local[:, :2] / (2 * surface.spacing_m)).astype(np.int64))
     under = np.isin(cell[below], cell[inliers])
     above = cameras_world @ plane[:3] + plane[3] > MIN_CAMERA_HEIGHT_M
-    return float(inliers.mean()), float(above.mean()), float(below.mean()), float(under.sum() / inliers.sum())
+    return PlaneCandidate(
+        plane=plane,
+        points=int(inliers.sum()),
+        inlier_share=float(inliers.mean()),
+        above_share=float(above.mean()),
+        below_share=float(below.mean()),
+        under_share=float(under.sum() / inliers.sum()),
+        tilt_rad=float(np.arccos(np.clip(plane[:3] @ up, -1, 1))),
+        way=way,
+    )
 
 
 def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -> Reason:
