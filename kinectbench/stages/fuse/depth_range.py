@@ -24,7 +24,7 @@ FARTHEST_M = 8.0
 RANGE_STEP_M = 0.1
 # So many frames, evenly spread, and of their pixels one in so many along rows and columns tell.
 SAMPLE_FRAMES, SAMPLE_STEP_PX = 40, 8
-# A tenth of the depth is no speck, and 95 % of the cameras leave out odd ones (chosen by hand).
+# A tenth of the depth is no speck, and 95 % of the cameras leave out odd ones.
 NEAREST_SHARE, USUAL_SHARE = 0.1, 0.95
 # Of the depth in the middle of the images: a warning if more of it is missed.
 MAX_MISSED_SHARE = 0.05

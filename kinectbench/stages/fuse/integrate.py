@@ -49,7 +49,7 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 BORDER_PX = 1
 # The slant is taken from pixels so far to either side: a Kinect's noise is correlated over two pixels.
 SLANT_REACH_PX = 2
-# Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees (chosen by hand).
+# Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees.
 MAX_SLANT = 10.0
 
 

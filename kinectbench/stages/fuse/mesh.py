@@ -14,8 +14,7 @@ from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 
 # Marching cubes run on bricks of 128^3 voxels, whose dense arrays take 26 MB however large the scene is.
 BRICK_BLOCKS = 16
-# Colours are only looked at: more frames cost time, and a larger difference takes other surfaces
-# in (chosen by hand).
+# Colours are only looked at: more frames cost time, and a larger difference takes in other surfaces.
 MAX_FRAMES, AGREEMENT_M = 24, 0.03
 # Nearer vertices get no colour: hardly any depth camera measures there.
 NEAREST_M = 0.1

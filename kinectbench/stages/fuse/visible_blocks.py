@@ -8,13 +8,13 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.types import Bools, Float32, Float64, Int32
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 
-# Larger tiles leave out fewer blocks, smaller ones take longer to search (chosen by hand).
+# Larger tiles leave out fewer blocks, smaller ones take longer to search.
 TILE_PX = 4
 # Surfaces update voxels behind them up to the truncation, plus so many sigmas of depth. By a truncation of 20
 # mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm) 16 mm; with two
 # deviations both are 1 mm off (normal noise, computed). Nearer than 2.55 m they are less than 20 mm.
 BEHIND_SURFACE_SIGMAS = 2.0
-# Rays less than half a block apart miss no block; every fourth pixel finds thin things (chosen by hand).
+# Rays less than half a block apart miss no block; every fourth pixel finds thin things.
 SAMPLES_APART_BLOCKS, MAX_SAMPLE_PX = 0.4, 4
 # How far nine of ten pixels measure at most is found in every sixteenth pixel of every sixteenth row.
 FEW_PX, FAR_PERCENTILE = 16, 90

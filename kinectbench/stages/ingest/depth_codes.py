@@ -29,7 +29,7 @@ LEAST_LEVELS = 16
 # Of rooms and shelves, metres; half way between depth and eight times that depth, by the logarithm, the two
 # readings of a recording are as likely: (1.5 m of a usual median) * sqrt(8).
 EVEN_MEDIAN_MM = 4243.0
-# Evenly spread, and one pixel of so many along rows and columns: enough to tell a pattern (chosen by hand).
+# Evenly spread, and one pixel of so many along rows and columns: enough to tell a pattern.
 SAMPLED_IMAGES, SAMPLED_EVERY_PX = 5, 3
 
 

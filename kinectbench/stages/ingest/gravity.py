@@ -18,7 +18,7 @@ GRAVITY_MPS2 = 9.80665
 # by no more: a sensor's bias and scale are off by up to 2 %. What is left of the hand's own
 # acceleration is as often to one side as to the other.
 REACH_NS, STILL_MPS2 = 100_000_000, 0.5
-# Most frames, and most and least measurements at each: enough for the mean of them (chosen by hand).
+# Most frames, and most and least measurements at each: enough for the mean of them.
 FRAMES, SAMPLES, LEAST_SAMPLES = 100, 20, 3
 
 

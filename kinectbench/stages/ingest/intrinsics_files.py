@@ -30,7 +30,7 @@ MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
 # As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
-# A camera's file is a few kB; of RTAB-Map's, one an image, the first ones tell all (chosen by hand).
+# A camera's file is a few kB; of RTAB-Map's, one an image, the first ones tell all.
 YAML_BYTES, MOST_YAML = 64 << 10, 200
 YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
 # Other programs have something else under these: they count where they hold as many numbers as a camera has.
@@ -54,7 +54,7 @@ LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
-# In one message, and entries of a folder (chosen by hand).
+# In one message, and entries of a folder.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 

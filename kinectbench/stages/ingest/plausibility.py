@@ -17,7 +17,7 @@ MAX_DAMAGED = 0.05
 NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
 # Units a metre of public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
 COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
-# Frames, and one pixel of so many along rows and columns: enough for a median (chosen by hand).
+# Frames, and one pixel of so many along rows and columns: enough for a median.
 SAMPLED_FRAMES, SAMPLED_EVERY_PX = 50, 4
 
 

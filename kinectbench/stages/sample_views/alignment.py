@@ -11,31 +11,31 @@ from kinectbench.core.geometry.gauss_newton import NormalEquations
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
-# Farther depth is not used: a Kinect's noise is 19 mm there (chosen by hand).
+# Farther depth is not used: a Kinect's noise is 19 mm there.
 MAX_DEPTH_M = 3.5
-# A point farther from the measurement at its pixel met another surface (chosen by hand).
+# A point farther from the measurement at its pixel met another surface.
 OUTLIER_M = 0.15
 # Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
-# Pixels that are nearer share their noise; farther ones lie beside thin parts (chosen by hand).
+# Pixels that are nearer share their noise; farther ones lie beside thin parts.
 NORMAL_REACH_PX = 4
-# Most steps of Gauss-Newton (chosen by hand).
+# Most steps of Gauss-Newton.
 ITERATIONS = 12
 # Of the object's pixels every second to every fourth along rows and columns, so that about so many are left
 # (chosen by hand, for time).
 WANTED_POINTS, MIN_STRIDE_PX, MAX_STRIDE_PX = 4000, 2, 4
-# Fewer points may fit by chance (chosen by hand).
+# Fewer points may fit by chance.
 MIN_POINTS = 100
 # Along the surface depth says little: on 9 simulated scans keeping every slightly better fit put poses off
 # across the view, by up to 0.8 mm in a scan's median and 5 mm in single views.
 MUST_FALL_TO = 0.9
-# Depth farther from the rendered object is not taken for the object's (chosen by hand).
+# Depth farther from the rendered object is not taken for the object's.
 NEAR_M = 0.06
 # How far off a pose may be at least, however well it was found to agree.
 LEAST_SIGMA_M = 0.001
 # A pose off by 10 mm at the object is off by about 0.01 rad, at a metre.
 RAD_PER_M = 0.75
-# A motion that is larger is not explained by the pose's uncertainty (chosen by hand).
+# A motion that is larger is not explained by the pose's uncertainty.
 MAX_SIGMAS = 2.5
 
 

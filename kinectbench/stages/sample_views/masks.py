@@ -15,7 +15,7 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.types import Bools, Float32
 
-# Generous, so that the mask leaves the sensor's noise in the input (chosen by hand).
+# Generous, so that the mask leaves the sensor's noise in the input.
 AGREEMENT_SIGMAS = 5.0
 # Along edges a sensor's depth wanders by a pixel or two: by so much the silhouette is eroded, and so far away
 # depth may agree. Beside the silhouette one pixel is enough.

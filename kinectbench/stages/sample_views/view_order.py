@@ -14,9 +14,9 @@ from kinectbench.settings.models import MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.masks import agreement_mask
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# Finer strata would hold a frame or two of a usual recording (chosen by hand).
+# Finer strata would hold a frame or two of a usual recording.
 SECTOR_RAD, BAND_RAD = np.radians(30), np.radians(15)
-# Bounds of the thirds of the visible share (chosen by hand).
+# Bounds of the thirds of the visible share.
 SHARES = (0.0, 0.5, 0.8, 1.0)
 # The share is only sorted into thirds: every eighth pixel along rows and columns tells it.
 STRIDE_PX = 8

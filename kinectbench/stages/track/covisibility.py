@@ -20,7 +20,7 @@ POINTS = 200
 TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
 # Only keyframes whose point centroids lie within this ratio of the mean depth are compared.
 NEAR_SHARE = 0.8
-# Nearest ones first: the others cost time (chosen by hand).
+# Nearest ones first: the others cost time.
 MAX_NEIGHBOURS = 60
 
 

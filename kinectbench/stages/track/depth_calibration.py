@@ -33,9 +33,9 @@ POINTS_PER_PAIR = 1500
 # Prior standard deviation of the correction: 1 % of the depth at 4 m; less for higher degrees.
 PRIOR_PER_M = 0.0025
 # Points farther from the measurement, or whose normals differ by more than 90 degrees (the cosine of half of
-# it), met another surface; residuals beyond so many standard deviations count less (chosen by hand).
+# it), met another surface; residuals beyond so many standard deviations count less.
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
-# Of fewer pairs the halves, which must explain each other, tell nothing (chosen by hand).
+# Of fewer pairs the halves, which must explain each other, tell nothing.
 MIN_PAIRS = 6
 # Least shared view of a pair of frames, and the largest number of pairs.
 MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400

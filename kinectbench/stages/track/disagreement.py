@@ -36,7 +36,7 @@ GATE_M, MIN_FACING = 0.1, 0.5
 MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 # Least distance in time of two distant frames, as a ratio of the recording's length.
 MIN_APART = 1 / 6
-# Frames with a smaller predicted shared view are not registered (chosen by hand).
+# Frames with a smaller predicted shared view are not registered.
 MIN_SHARED_VIEW = 0.3
 # Shifts above this are checked again: far more than registrations of correct poses leave.
 RECHECKED_SHIFT_M = 0.05

@@ -19,19 +19,19 @@ from kinectbench.core.geometry import Camera, invert_rigid, rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 
-# More features cost time (chosen by hand).
+# More features cost time.
 MAX_FEATURES = 600
-# A third of OpenCV's default: shaded depth has little contrast (chosen by hand).
+# A third of OpenCV's default: shaded depth has little contrast.
 FAST_THRESHOLD = 7
 # Largest distance ratio of the best candidate match to the second best (Lowe 2004).
 RATIO = 0.85
-# Fewer may fit a pose by chance (chosen by hand).
+# Fewer may fit a pose by chance.
 MIN_MATCHES, MIN_INLIERS = 12, 10
-# A feature of a coarser octave is found no more exactly, in working pixels (chosen by hand).
+# A feature of a coarser octave is found no more exactly, in working pixels.
 REPROJECTION_PX = 2.5
 # Of 600 features with 72 bytes each: 43 MB.
 CACHED_FRAMES = 1000
-# Only keyframes of one recording are compared, so that a small vocabulary is enough (chosen by hand).
+# Only keyframes of one recording are compared, so that a small vocabulary is enough.
 WORDS = 400
 
 

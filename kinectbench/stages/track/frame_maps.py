@@ -45,7 +45,7 @@ MIN_NORMAL_NOISE = 8.0
 # Neighbouring pixels belong to one surface if their relative depth difference is below the first value, or
 # below the second value divided by the focal length (a slope). For smoothing, and for differences.
 SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
-# Whose maps are kept: loops ask for keyframes again. More take memory (chosen by hand).
+# Whose maps are kept: loops ask for keyframes again. More take memory.
 CACHED_FRAMES = 150
 # One frame as read takes about 0.2 MB.
 READ_FRAMES = 2000

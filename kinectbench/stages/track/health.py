@@ -40,7 +40,7 @@ from kinectbench.stages.track.health_figures import (
 from kinectbench.stages.track.tracked import Constraint, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
-# The figure is only reported: pairs of more keyframes cost time (chosen by hand).
+# The figure is only reported: pairs of more keyframes cost time.
 COVISIBLE_KEYFRAMES = 60
 
 

@@ -25,7 +25,7 @@ from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
 # Tries per keyframe and round: similar keyframes, and keyframes with a predicted shared view.
 SIMILAR_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
-# Other pairs mostly fail to register, and cost time (chosen by hand).
+# Other pairs mostly fail to register, and cost time.
 MIN_SIMILARITY, MIN_SHARED_VIEW = 0.25, 0.3
 # Keyframes this close in order are neighbours, not loops.
 NEAR_IN_ORDER = 3
@@ -38,9 +38,9 @@ AGREE_M, AGREE_RAD = 0.06, 0.06
 INLIER_MARGIN = 0.015
 # Number of constraints between two groups whose neighbouring keyframes are tried.
 JOINS_CONFIRMED = 5
-# A constraint that the pose graph leaves less weight is refused (chosen by hand).
+# A constraint that the pose graph leaves less weight is refused.
 MIN_CONSTRAINT_WEIGHT = 0.05
-# A loop must agree better than a step of odometry: other places look similar (chosen by hand).
+# A loop must agree better than a step of odometry: other places look similar.
 LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
 
 

@@ -21,13 +21,13 @@ from kinectbench.stages.track.map_kernels import MIN_COSINE
 
 # Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
-# Of intensities from 0 to 255 (chosen by hand).
+# Of intensities from 0 to 255.
 INTENSITY_SIGMA = 8.0
 # Photometric errors exceed the image noise, because colour and depth are not taken at the same instant.
 PHOTOMETRIC_WEIGHT = 0.25
 # Gain and offset are not estimated from fewer intensities.
 MIN_INTENSITIES = 100
-# Surfaces whose normals differ by more than 60 degrees are two (chosen by hand).
+# Surfaces whose normals differ by more than 60 degrees are two.
 MIN_FACING = 0.5
 # Gain and offset.
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])

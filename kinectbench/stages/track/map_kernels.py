@@ -8,7 +8,7 @@ import numpy as np
 
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
-# Nearer a Kinect measures nothing; farther its noise is more than 33 mm (chosen by hand).
+# Nearer a Kinect measures nothing; farther its noise is more than 33 mm.
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
 # Normals are binned on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12

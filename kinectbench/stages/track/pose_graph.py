@@ -30,9 +30,9 @@ LOOSE = 1e-3
 KERNEL = 30.0
 # Information of the priors: standard deviations of 30 mrad and 50 mm.
 PRIOR = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
-# Most steps with the last kernel, and with each before it, which need not settle (chosen by hand).
+# Most steps with the last kernel, and with each before it, which need not settle.
 ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
-# Kernels, from one that keeps every constraint to the last, evenly spaced by the logarithm (chosen by hand).
+# Kernels, from one that keeps every constraint to the last, evenly spaced by the logarithm.
 TIGHTENINGS = 8
 
 

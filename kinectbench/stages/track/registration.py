@@ -26,7 +26,7 @@ CORRELATED_POINTS = 10.0
 GATES_M = (0.06, 0.10, 0.20)
 ITERATIONS = (5, 8, 20)  # (chosen by hand)
 STEP_ENOUGH = (1e-4, 2e-4, 5e-4)  # (chosen by hand)
-# Fewer agreeing points of the finest level may agree by chance (chosen by hand).
+# Fewer agreeing points of the finest level may agree by chance.
 MIN_POINTS = 100
 # Where a motion slides surfaces along each other, noisy normals add false information. The expected false
 # information is subtracted 1.5 times, because the noise is only estimated.
@@ -43,13 +43,13 @@ COARSEST = 2
 # Root-mean-square motion of the points from one start to the next.
 SPACING_M = 0.12
 STARTS = np.array([k for k in itertools.product((-2, -1, 0, 1, 2), repeat=3) if any(k)])
-# So many of the best starts settle at the coarsest level, so many of these are registered (chosen by hand).
+# So many of the best starts settle at the coarsest level, so many of these are registered.
 SETTLED, REGISTERED = 8, 2
-# While searching; half the gate of the coarsest level, as the best start lies near (chosen by hand).
+# While searching; half the gate of the coarsest level, as the best start lies near.
 SEARCH_GATE_M = 0.1
 # A start settles in so many steps, or once one moves the points less (chosen by hand, for time).
 SETTLE_ITERATIONS, SETTLE_ENOUGH = 10, 3e-4
-# The score of a start with less overlap falls in proportion (chosen by hand).
+# The score of a start with less overlap falls in proportion.
 ENOUGH_OVERLAP = 0.5
 # A frame on its way: its motion (4, 4) since the start, and of each target the exposure and the last terms.
 Moving = tuple[Float64, list[Float64], list[LinearTerms]]

@@ -14,7 +14,7 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 
-# Reweightings of the frames by the kernel (chosen by hand).
+# Reweightings of the frames by the kernel.
 ITERATIONS = 6
 # Median of the mean of three squared standard normal variables.
 MEDIAN_OF_THREE = 0.789
@@ -25,7 +25,7 @@ MAX_NOISE, ROUGHER = 0.5, 2.0
 KERNEL = 9.0
 # Regularises a frame without information: radians and metres.
 LOOSE = 1e-3
-# Fewer frames do not tell usual accelerations: three have one (chosen by hand).
+# Fewer frames do not tell usual accelerations: three have one.
 MIN_FRAMES = 5
 
 

@@ -28,7 +28,7 @@ from kinectbench.stages.track.outliers import outlier_warnings
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 
-# Fewer poses see an object from too few sides to be fused (chosen by hand).
+# Fewer poses see an object from too few sides to be fused.
 MIN_GOOD_FRAMES = 3
 
 

@@ -24,7 +24,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 
 MAGIC = b"SQLite format 3\0"
 TABLES = ("topics", "messages")
-# A robot has some hundred topics; a damaged file may state any number (chosen by hand).
+# A robot has some hundred topics; a damaged file may state any number.
 MOST_TOPICS = 10_000
 # In the head: how often the file was changed, and after how many changes its count of pages was right.
 CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92

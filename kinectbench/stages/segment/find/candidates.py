@@ -27,7 +27,7 @@ from kinectbench.stages.segment.find.select import CELL_M, fit_box, label_pieces
 # next ones.
 CUTS = ((0.03, False), (0.02, False), (0.015, True))
 PLAN = "plan.png"
-# Smaller surfaces (22 x 22 cm) are clutter, and nobody looks through more boxes (chosen by hand).
+# Smaller surfaces (22 x 22 cm) are clutter, and nobody looks through more boxes.
 MIN_AREA_M2, MAX_CANDIDATES = 0.05, 9
 # The box has this margin, so that the noise of the surface is inside.
 MARGIN_M = 0.02

@@ -10,15 +10,15 @@ from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.find.select import label_pieces, nearest_within, standing
 
 LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
-# Longer than most beds and couches (chosen by hand).
+# Longer than most beds and couches.
 MAX_EXTENT_M = 2.5
 # Parts with at least this share of the largest one's surface are things of their own.
 PART_SHARE = 0.2
 # Things that touch at 30 mm cells come apart at these, where there is a gap of a finger's breadth.
 FINE_CELL_M = 0.02
-# Fewer of these cells are a speck (chosen by hand).
+# Fewer of these cells are a speck.
 MIN_PART_CELLS = 60
-# A thing that is nearer may be a part of the object (chosen by hand).
+# A thing that is nearer may be a part of the object.
 BESIDE_M = 0.1
 # A box cuts its object if this share of the object's cells continues right beyond it.
 CUT_SHARE, CUT_CELLS = 0.02, 1.5

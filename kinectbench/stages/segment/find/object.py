@@ -31,7 +31,7 @@ MAX_BESIDE_FOCUS_M = 0.3
 MAX_BEYOND_M = 0.3
 # A piece of surface that is nowhere higher is part of something low, such as a tube that lies on the floor.
 MAX_LOW_M = 0.06
-# Fewer points, about one a cell of 3 cm, are a speck (chosen by hand).
+# Fewer points, about one a cell of 3 cm, are a speck.
 MIN_BOX_POINTS = 20
 NO_FLOOR = (
     "no floor was found: z = 0 is the lowest surface in view, level by gravity or, where that is not known, "

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 # A piece whose lowest point is higher is in the air, and something not too far away holds it.
 GROUNDED_M = 0.12
-# It holds on to the nearest standing piece within this, unless it is a speck of fewer cells (chosen by hand).
+# It holds on to the nearest standing piece within this, unless it is a speck of fewer cells.
 MAX_HANGING_GAP_M, MIN_HANGING_CELLS = 0.3, 10
 # Points are queried in batches of 60 ms, between which an interrupt is answered (with a bound, 6,000 points
 # of a desk took 90 ms; without, 9.6 s).
 QUERY_BATCH = 4096
-# Cells of this edge that touch are one piece, so that a gap of two of them parts two (chosen by hand).
+# Cells of this edge that touch are one piece, so that a gap of two of them parts two.
 CELL_M = 0.03
-# A piece of fewer cells, 270 cm² of surface, is a speck (chosen by hand).
+# A piece of fewer cells, 270 cm² of surface, is a speck.
 MIN_CELLS = 30
 # A smaller piece is a speck, unless it has so many cells, stands on the floor, and the cameras look at it:
 # their focus is so near to its surface, and so many times nearer than to any larger piece (chosen by hand; on

@@ -20,7 +20,7 @@ from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 
 # Images are looked at in about so many columns: a person who walks by is many of them wide.
 COLUMNS = 160
-# A pixel moves if it is nearer than the scene by both; a frame, if this share of it does (chosen by hand).
+# A pixel moves if it is nearer than the scene by both; a frame, if this share of it does.
 NEARER_M, NEARER_SIGMAS, MOVING_SHARE = 0.1, 5.0, 0.02
 # Speckle and edges are thinner than so many of the pixels looked at.
 THICK_PX = 3

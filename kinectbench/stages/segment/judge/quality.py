@@ -24,7 +24,7 @@ from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import Solids, SolidShape
 
-# Limits of a verdict without warnings (chosen by hand).
+# Limits of a verdict without warnings.
 GOOD_REPEATABILITY, MAX_UNKNOWN_SHARE, GOOD_ESTIMATED_IOU = 0.90, 0.15, 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1

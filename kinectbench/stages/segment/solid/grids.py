@@ -21,7 +21,7 @@ from kinectbench.stages.segment.solid.evidence import NO_LAYERS, FloorLayers
 MARGIN_M, MARGIN_VOXELS = 0.05, 10
 # Layers below the floor: more than the two that smoothing the solid reaches, so that feet are not rounded.
 FLOOR_LAYERS = 4
-# Voxels along a cell of the coarse grid, which only tells what is far from the object (chosen by hand).
+# Voxels along a cell of the coarse grid, which only tells what is far from the object.
 SURROUND_FACTOR = 4
 # Most voxels of the fine grid, and most cells of the coarse one along an axis: a laptop's memory.
 MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400

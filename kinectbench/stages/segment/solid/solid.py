@@ -14,9 +14,9 @@ from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
 
-# A wider Gaussian thins slats, a narrower one leaves the sensor's noise (chosen by hand).
+# A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
-# A piece with less than this share of the largest one's voxels is noise (chosen by hand).
+# A piece with less than this share of the largest one's voxels is noise.
 SPECK_SHARE = 0.02
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
 LEG_HEIGHT_M, LEG_GAP_M = 0.05, 0.1
