@@ -1,7 +1,8 @@
 """One run at a time in a folder: its lock, and what killed runs left.
 
 The lock is the operating system's (flock): it goes with the process that holds it, however that ends, so
-there is no stale lock. The file `.lock` only names its holder.
+there is no stale lock. The file `.lock` only names its holder. The package filelock takes a lock file in its
+place where a disk keeps no locks, which a killed run may leave behind.
 """
 
 import contextlib

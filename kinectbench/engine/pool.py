@@ -1,4 +1,7 @@
-"""Processes of this machine as an executor: a killed one costs nothing but time."""
+"""Processes of this machine as an executor: a killed one costs nothing but time.
+
+A pool of loky breaks, too, when a process is killed, and what it did not do begins again here all the same.
+"""
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence

@@ -2,7 +2,8 @@
 
 Messages are found by walking the file's chunks. The walk needs no index, so it also reads what is whole of a
 bag that was cut off or never closed, and it gives random access to single messages. Of chunks that are not
-compressed it reads no more than the records' headers. Layout: http://wiki.ros.org/Bags/Format/2.0.
+compressed it reads no more than the records' headers. The package rosbags reads no bag without an index.
+Layout: http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import os

@@ -1,6 +1,7 @@
 """The messages of an mcap file, found by walking its records; a truncated file gives its whole ones.
 
-Layout: https://mcap.dev/spec. The summary at the end is not needed.
+Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap unpacks lz4 chunks
+however large they become, and gives no place of a message to read it again.
 """
 
 import struct
