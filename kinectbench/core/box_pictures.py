@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
+from kinectbench.core.images import png
 from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -104,7 +105,7 @@ def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Tr
         cv2.line(image, a, b, color, 2, cv2.LINE_AA)
     cv2.rectangle(image, (0, 0), (46, 46), color, -1)
     cv2.putText(image, str(number), (12, 34), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (255, 255, 255), 2, cv2.LINE_AA)
-    return bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
+    return png(image[..., ::-1])
 
 
 def best_frame(shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> int:

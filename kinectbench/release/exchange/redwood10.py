@@ -19,6 +19,7 @@ from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.geometry import Camera, TriangleMesh
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.images import png
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
 from kinectbench.core.storage import sha256_file, write_below
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress
@@ -187,8 +188,6 @@ def _array(folder: Path, name: str) -> FileArray:
 
 def _written(name: str, scan: RedwoodScan, folder: Path) -> Target:
     """Write the files of a scan; its target."""
-    import cv2
-
     T: Float64 = np.eye(4)
     object_m = np.where(scan.mask, scan.depth_m, np.float32(0))
     grid = view_cube(CAMERA.backproject(scan.depth_m)[object_m > 0], T)
@@ -208,8 +207,7 @@ def _written(name: str, scan: RedwoodScan, folder: Path) -> Target:
     write_below(folder / target.file, pair_bytes(pair))
     views = folder / "views" / name
     write_below(views / f"{VIEW}{DEPTH.suffix}", scan.png)
-    mask = cv2.imencode(".png", scan.mask.astype(np.uint8) * 255)[1].tobytes()
-    write_below(views / f"{VIEW}{MASK.suffix}", mask)
+    write_below(views / f"{VIEW}{MASK.suffix}", png(scan.mask.astype(np.uint8) * 255))
     row = ViewRow(
         view=VIEW, T_world_camera=T, K=CAMERA.K, width=CAMERA.width, height=CAMERA.height, pair=True
     )

@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.geometry.mesh import read_own_ply
-from kinectbench.core.images import data_uri
+from kinectbench.core.images import data_uri, png
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
@@ -165,10 +165,7 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
 
 def _png(picture: NDArray[np.uint8]) -> str:
     """RGB (height, width, 3) as a `data:` address."""
-    import cv2
-
-    encoded = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1]
-    return png_uri(encoded.tobytes())
+    return png_uri(png(picture[..., ::-1]))
 
 
 def seen_from_the_front(cells: Bools, color: tuple[int, int, int]) -> Rgb:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry.mesh import join
-from kinectbench.core.images import shrunk
+from kinectbench.core.images import png, shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
 from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
@@ -87,15 +87,12 @@ def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> l
     Raises:
         StorageError: a file cannot be written.
     """
-    import cv2
-
     paths = [folder / f"{family}.png" for family in families()]
     for family, path in zip(families(), paths, strict=True):
         sheet = contact_sheet(family, range(count), size_px)
-        encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(encoded.tobytes())
+            path.write_bytes(png(sheet[..., ::-1]))
         except OSError as error:
             raise StorageError(
                 f"{path}: cannot be written ({error.strerror}); choose another folder", what="not-writable"

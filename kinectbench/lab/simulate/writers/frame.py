@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
+from kinectbench.core.images import jpeg
 from kinectbench.core.trajectory.stamps import NS_PER_S
 
 JPEG_QUALITY = 85
@@ -46,12 +47,7 @@ class ColorImage:
 
     def jpeg(self) -> bytes:
         """The image as a JPEG file."""
-        import cv2
-
-        bgr = np.ascontiguousarray(self.rgb[..., ::-1])
-        ok, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        assert ok
-        return bytes(encoded)
+        return jpeg(self.rgb, JPEG_QUALITY)
 
 
 @dataclass(frozen=True)
