@@ -51,7 +51,7 @@ def _outside(value: object, extra: Mapping[str, Any]) -> str:
         return next((why for one in (min(value), max(value)) if (why := _outside(one, items))), "")
     if isinstance(value, str):
         if "enum" in extra and value not in extra["enum"]:
-            return f"must be one of {', '.join(extra['enum'])}"
+            return f"must be one of {', '.join(filter(None, extra['enum']))}"
         if not re.fullmatch(extra.get("pattern", ".*"), value, re.DOTALL):
             return f"must match {extra['pattern']}"
         return ""

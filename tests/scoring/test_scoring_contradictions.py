@@ -90,6 +90,7 @@ REFUSED: dict[str, tuple[Edit, str]] = {
     "a coverage above one": (every(coverage_shape=7.0), "'rows.0.coverage_shape'"),
     "paper without all voxels": (every(coverage_voxels=0.5), "does not count every voxel"),
     "a view's name": (every(view="../x"), "'rows.0.view'"),
+    "a way to close": (first(closed="glue"), "is 'glue', but must be one of winding, poisson"),
     "words for missing": (lambda of: of["settings"].update(missing="skip"), "one of error, empty"),
     "F1 alone": (every(f1=0.999), "states an F1 of 0.999, which no IoU of"),
     "precision alone": (every(precision=0.999), "states precision 0.999 and recall"),
