@@ -68,26 +68,19 @@ def make_table(
         threshold_objects=thresholds.objects,
         validation=_validation(release, results, thresholds, empty),
         missing_as_empty=tuple(target.name for target in sorted(empty)),
-        marks=(),
         base_rate=of_categories,
         rows=rows,
-        by_category=derived.by_category,
-        overall=derived.overall,
         truth_quality=quality,
-        truth_unknown_share=derived.truth_unknown_share,
-        all_unknown_pairs=derived.all_unknown_pairs,
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
         warnings=_warnings(method, results, thresholds, failures, empty),
-        notes=derived.notes,
-        extremes=derived.extremes,
-        iou_by_threshold=derived.iou_by_threshold,
         hashes={
             target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
             for target in sorted(results)
         },
         verified=None,
+        **vars(derived),
     )
     return table.model_copy(update={"marks": marks_of(table)})
 
