@@ -1,6 +1,6 @@
 """Change a benchmark.yaml as text: comments and layout stay as they are.
 
-A round trip by ruamel.yaml drops the spaces that align values, has to be told the indentation, and reads
+A round trip by ruamel.yaml drops the spaces that align values, needs the indentation as a setting, and reads
 seven times as long (measured on 2000 recordings).
 """
 
