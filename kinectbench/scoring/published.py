@@ -113,13 +113,14 @@ def _tables() -> Iterator[PublishedTable]:
     """The tables of the text, in its order."""
     for block in re.split(r"\n(?=T)", _TABLES.strip()):
         title, *lines = block.split("\n")
+        categories = UNSEEN if "never learnt from" in title else CATEGORIES
         rows = []
         for line in lines:
             name, *columns = re.split(" {2,}", line.strip())
             figures = [tuple(float(figure) for figure in column.split()) for column in columns]
+            assert {len(column) for column in figures} == {len(categories)}, line
             rows.append(PublishedScore(name, *figures))
         views = re.search("test_([0-9]+)", title)
-        categories = UNSEEN if "never learnt from" in title else CATEGORIES
         yield PublishedTable(title, int(views[1]) if views else None, tuple(rows), categories)
 
 

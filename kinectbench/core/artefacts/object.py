@@ -162,7 +162,7 @@ class FrontierPart(StoredPart):
     inside_share: float = Field(description="of that region, expected to be inside the object")
     solid_share: float = Field(description="of that region, what the solid takes for inside")
     underside: bool | None = Field(
-        None, description="only lines of sight that look up reach it: a word about the underside decides it"
+        None, description="seen only from below: a word about the underside decides it"
     )
 
 
@@ -221,7 +221,7 @@ class QualityFile(Stored):
     )
     underside_share: float | None = Field(
         None,
-        description="of the solid: nobody saw it, and only lines of sight that look up reach it: a word "
+        description="of the solid: nobody saw it, and a camera could only from below: a word "
         "about the underside decides it",
     )
     volume_m3: float | None = Field(None, description="of the solid, cubic metres")

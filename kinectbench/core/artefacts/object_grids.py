@@ -88,7 +88,7 @@ class ObjectVolume(OnGrid):
         solid: bool, occupied.
         labels: uint8, see `Label`.
         probability: float16, in [0, 1], that the voxel is occupied.
-        underside: bool, nobody saw it, and only lines of sight that look up reach it; older files have none.
+        underside: bool, nobody saw it, and a camera could only from below; older files have none.
     """
 
     FILE: ClassVar[str] = "volume.npz"

@@ -115,7 +115,7 @@ class SolidMethod(StoredPart):
         "level directions lead out",
     )
     probability_underside: tuple[float, float] | None = Field(
-        None, description="of those that only lines that look up reach; and if a person says that it is open"
+        None, description="of those seen only from below; and if a person says that it is open"
     )
     lengths_at_voxel_m: float | None = Field(
         None,

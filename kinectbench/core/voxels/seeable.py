@@ -33,8 +33,11 @@ from kinectbench.core.voxels.lines_of_sight import (
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
 # 6,400 twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
-# Distances from voxel to voxel are exact except for rounding.
-ROUNDING_M = 1e-6
+# Distances from voxel to voxel are exact except for rounding; vertical parts of unit vectors, too.
+ROUNDING_M, LEVEL = 1e-6, 1e-9
+# Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
+# of a desk with a back and two sides as many.
+OPEN_WAYS = 5
 # Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
 VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
 
@@ -76,20 +79,21 @@ def seen_from_outside(
 
 @dataclass(frozen=True)
 class Sight:
-    """How some admissible line of sight reaches each voxel; uint8 arrays of `core.voxels.lines_of_sight`.
+    """How some admissible line of sight reaches each voxel.
 
     Attributes:
-        any_way: by cameras that are moved in any way.
-        not_from_below: by cameras that do not rise through unseen space.
+        any_way: uint8 of `core.voxels.lines_of_sight`, 0 if none does.
+        from_above: bool, by a level line or one that looks down, from a camera that did not rise through
+            unseen space below an object.
     """
 
     any_way: NDArray[np.uint8]
-    not_from_below: NDArray[np.uint8]
+    from_above: Bools
 
     @property
     def only_from_below(self) -> Bools:
         """Reached, but only by lines that look up, or by cameras that rose through unseen space."""
-        below: Bools = (self.any_way > 0) & (self.not_from_below & FROM_ABOVE == 0)
+        below: Bools = (self.any_way > 0) & ~self.from_above
         return below
 
 
@@ -105,7 +109,7 @@ def swept_from_outside(
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
-        empty: bool (nx, ny, nz), seen to be empty; the rest is unseen.
+        empty: bool (nx, ny, nz), seen to be empty; the rest counts as unseen.
         heights_m: as for `seen_from_outside`.
         voxel_size_m: edge of a voxel.
         limits: of the sensor.
@@ -113,50 +117,79 @@ def swept_from_outside(
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     any_way = _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
-    place = space.state == PLACE
-    lower = _without_rising(place, empty)
-    if np.array_equal(lower, place):
-        return Sight(any_way, any_way)
-    space = replace(space, state=np.where(place & ~lower, np.uint8(PASSABLE), space.state))
-    return Sight(any_way, _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits))
+    lower = without_rising(space, empty)
+    if lower is space:
+        return Sight(any_way, any_way & FROM_ABOVE > 0)
+    level_or_down = seen_along(lower, to_camera[to_camera[:, 2] >= -LEVEL])
+    return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0)
+
+
+def without_rising(space: Space, empty: Bools) -> Space:
+    """The same space without the camera positions that are reached only by rising into an object from below.
+
+    A camera below an object on legs would rise through its unseen underside. Where walls stand around the
+    camera, it came in through a side, and may rise: a cabinet is higher than its door.
+
+    Args:
+        space: where lines pass and cameras can be.
+        empty: bool of the same shape, seen to be empty; the rest counts as unseen.
+    """
+    reached = _reached_without_rising(space.state, empty)
+    if np.array_equal(reached, space.state == PLACE):
+        return space
+    return replace(space, state=np.where((space.state == PLACE) & ~reached, np.uint8(PASSABLE), space.state))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _without_rising(place, empty):  # type: ignore[no-untyped-def]
-    """Camera positions that are reached from beyond the grid without a step up into unseen space.
+def _reached_without_rising(state, empty):  # type: ignore[no-untyped-def]
+    """Camera positions reached from beyond the grid without a step up into unseen space below an object.
 
-    Both arrays are bool (nx, ny, nz), upright. Steps are to 6 neighbours. From below nobody enters the grid.
+    Steps are to 6 neighbours. Through the grid's lowest layer a camera comes in where it is empty.
     """
-    nx, ny, nz = place.shape
-    reached = np.zeros(place.shape, np.bool_)
-    stack = np.empty(np.count_nonzero(place), np.int64)
+    nx, ny, nz = state.shape
+    reached = np.zeros(state.shape, np.bool_)
+    stack = np.empty(np.count_nonzero(state == PLACE), np.int64)
     count = 0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or k == nz - 1
-                if place[i, j, k] and (edge or (k == 0 and empty[i, j, k])):
+                if state[i, j, k] == PLACE and (edge or (k == 0 and empty[i, j, k])):
                     reached[i, j, k] = True
                     stack[count] = (i * ny + j) * nz + k
                     count += 1
     while count > 0:
         count -= 1
         i, j, k = stack[count] // (ny * nz), stack[count] // nz % ny, stack[count] % nz
-        for a, b, c in (
-            (i - 1, j, k),
-            (i + 1, j, k),
-            (i, j - 1, k),
-            (i, j + 1, k),
-            (i, j, k - 1),
-            (i, j, k + 1),
-        ):
+        for step in range(6):
+            a = i + (step == 1) - (step == 0)
+            b = j + (step == 3) - (step == 2)
+            c = k + (step == 5) - (step == 4)
             if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
                 continue
-            if place[a, b, c] and not reached[a, b, c] and (c <= k or empty[a, b, c]):
+            if state[a, b, c] != PLACE or reached[a, b, c]:
+                continue
+            if c <= k or empty[a, b, c] or _level_ways_out(state, i, j, k) < OPEN_WAYS:
                 reached[a, b, c] = True
                 stack[count] = (a * ny + b) * nz + c
                 count += 1
     return reached
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _level_ways_out(state, i, j, k):  # type: ignore[no-untyped-def]
+    """The number of the eight level rays along the grid's axes and diagonals that meet no obstacle."""
+    nx, ny, _ = state.shape
+    count = 0
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            if dx == 0 and dy == 0:
+                continue
+            a, b = i, j
+            while 0 <= a < nx and 0 <= b < ny and state[a, b, k] != BLOCKED:
+                a, b = a + dx, b + dy
+            count += not (0 <= a < nx and 0 <= b < ny)
+    return count
 
 
 def line_space(

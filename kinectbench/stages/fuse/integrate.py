@@ -47,7 +47,7 @@ SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 # What projects beside the image falls into its border, which has no depth.
 BORDER_PX = 1
-# The slant is taken from pixels so far to either side: a Kinect's noise is correlated over two pixels.
+# The slant is taken from pixels so far to either side: a Kinect's noise is hardly correlated over four.
 SLANT_REACH_PX = 2
 # Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees.
 MAX_SLANT = 10.0

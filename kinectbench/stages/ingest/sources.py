@@ -6,7 +6,7 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import printable, scanned
 
-# Two hours at 30 frames a second; depth, colour, mask and pose of each frame.
+# Two hours at 30 frames a second.
 MOST_FRAMES = 250_000
 # Depth, colour, a mask and a confidence of each frame.
 MOST_FILES = 4 * MOST_FRAMES

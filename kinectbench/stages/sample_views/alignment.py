@@ -137,7 +137,8 @@ def align_view(
 
     Every second point on the object is fitted, with the trajectory's pose as a prior, so that a motion that
     the object does not constrain stays near zero. The pose is corrected only if the mean residual of the
-    other points falls to less than 90 %, and the points move by at most 2.5 times `pose_sigma_m`.
+    other points falls to less than 90 %, and their median move is at most 2.5 times `pose_sigma_m` (of 1 mm
+    at least).
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -147,7 +148,7 @@ def align_view(
         pose_sigma_m: standard deviation of that pose, metres.
 
     Returns:
-        The corrected pose, or the trajectory's.
+        The corrected pose, or the trajectory's, and how far it moved.
     """
     given = ViewAlignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)

@@ -117,7 +117,7 @@ def segment(
     )
     of_odd, of_even = (_solid_of_half(half, found, rules) for half in (odd, even))
     sigma_m = surface_sigma_m(odd, even)
-    together = merge(odd, even)
+    together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte
     whole, frontiers = _solid_of_all(together, found, rules)
     del together
@@ -189,11 +189,10 @@ def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidShape
 def _solid_of_all(
     together: Observation, found: _Found, rules: Rules
 ) -> tuple[SolidShape, tuple[Frontier, ...]]:
-    """The solid by all frames, and the openings that no frame saw into, in metres of the world."""
-    scale, floor = found.scale, found.chosen.floor
-    seen, larger = enlarged_observation(together, scale), rules.enlarged(scale)
-    evidence = classify_voxels(seen, found.neighbours, larger, found.beyond_box)
-    whole = make_solid(seen, evidence, larger)
+    """The solid by all frames, enlarged as the rules want it, and the openings that no frame saw into."""
+    scale, floor, larger = found.scale, found.chosen.floor, rules.enlarged(found.scale)
+    evidence = classify_voxels(together, found.neighbours, larger, found.beyond_box)
+    whole = make_solid(together, evidence, larger)
     T_floor_grid = enlarged_transform(floor.T_floor_world @ found.grid.T_world_grid, scale)
     frontiers = []
     for each in find_frontiers(whole, evidence, larger.limits, T_floor_grid):

@@ -17,10 +17,12 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, directions
+from kinectbench.core.voxels.lines_of_sight import BLOCKED, FROM_ABOVE, PASSABLE, PLACE, directions
 from kinectbench.core.voxels.seeable import (
+    OPEN_WAYS,
     SeeableSolid,
-    _without_rising,
+    _level_ways_out,
+    _reached_without_rising,
     seeable_solid,
     seen_from_outside,
     swept_from_outside,
@@ -207,24 +209,45 @@ def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
         assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
 
 
+@pytest.mark.parametrize("door", [30, 60])
+def test_a_camera_that_came_in_through_a_door_may_rise(door: int) -> None:
+    """A cabinet with a bottom that nobody looked into; the space behind the lintel is higher."""
+    solid = np.zeros((80, 80, 120), bool)
+    solid[10:70, 10:70, :105] = True
+    solid[12:68, 12:68, 2:103] = False
+    solid[66:70, 21:59, 4:door] = False
+    heights_m = ((np.arange(120) + 0.5) * 0.01).astype(np.float32)
+    limits = replace(LIMITS, line_width_m=0.03, near_m=0.2)
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    inner = np.s_[16:64, 16:64, door + 5 : 100]
+    assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9
+    # Some is only seen by lines that look up: they come in through the door, too.
+    assert sight.only_from_below[inner].mean() < 0.1
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_positions_reached_without_rising(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    place, empty = rng.random((7, 8, 9)) < 0.6, rng.random((7, 8, 9)) < 0.3
+    state = rng.choice([PLACE, PLACE, PLACE, PASSABLE, BLOCKED], (7, 8, 9)).astype(np.uint8)
+    place, empty = state == PLACE, rng.random((7, 8, 9)) < 0.3
+    ways = np.zeros(state.shape, int)
+    for at in np.argwhere(place):
+        for step in [(a, b, 0) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+            line = [tuple(at + n * np.array(step)) for n in range(10)]
+            inside = [cell for cell in line if 0 <= cell[0] < 7 and 0 <= cell[1] < 8]
+            ways[tuple(at)] += all(state[cell] != BLOCKED for cell in inside)
+        assert _level_ways_out(state, *at) == ways[tuple(at)]
+    may_rise = empty.copy()
+    may_rise[:, :, 1:] |= ways[:, :, :-1] < OPEN_WAYS
     inner = np.zeros_like(place)
     inner[1:-1, 1:-1, 1:-1] = True
     expected = place & ~inner
     expected[1:-1, 1:-1, 0] &= empty[1:-1, 1:-1, 0]
     while True:  # one step of all at once, by shifted arrays
-        around = np.pad(expected, 1)
-        level = (
-            around[:-2, 1:-1, 1:-1]
-            | around[2:, 1:-1, 1:-1]
-            | around[1:-1, :-2, 1:-1]
-            | around[1:-1, 2:, 1:-1]
-        )
-        more = expected | (place & (level | around[1:-1, 1:-1, 2:] | (around[1:-1, 1:-1, :-2] & empty)))
+        near = np.pad(expected, 1)
+        level = near[:-2, 1:-1, 1:-1] | near[2:, 1:-1, 1:-1] | near[1:-1, :-2, 1:-1] | near[1:-1, 2:, 1:-1]
+        more = expected | (place & (level | near[1:-1, 1:-1, 2:] | (near[1:-1, 1:-1, :-2] & may_rise)))
         if (more == expected).all():
             break
         expected = more
-    assert (_without_rising(place, empty) == expected).all()
+    assert (_reached_without_rising(state, empty) == expected).all()

@@ -59,7 +59,8 @@ def test_every_voxel_is_one_thing(distance_m: np.ndarray) -> None:
     # What no line of sight reaches is of the object, unless it is told from the floor by what is above it.
     high = np.s_[:, :, LAYERS.first :]
     assert (evidence.closed[high] == (evidence.unseen & (evidence.sight == 0))[high]).all()
-    assert (evidence.underside[high] == (evidence.unseen & (evidence.sight == FROM_BELOW))[high]).all()
+    assert evidence.underside[high][(evidence.unseen & (evidence.sight == FROM_BELOW))[high]].all()
+    assert (evidence.unseen & (evidence.sight > 0))[evidence.underside & (evidence.sight > 0)].all()
     assert not (shape.labels[evidence.closed & shape.solid] == Label.UNKNOWN).any()
 
 

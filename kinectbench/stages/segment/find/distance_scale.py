@@ -13,7 +13,6 @@ from kinectbench.core.types import Float64
 # From the first distance on the rules hold as they were chosen. Below the second, the least distance of most
 # depth cameras, nothing shrinks further.
 REFERENCE_DISTANCE_M = 1.0
-# Lengths shrink no further: a Kinect measures nothing from nearer.
 NEAREST_DISTANCE_M = 0.3
 # Neighbouring vertices lie in cells that touch if these are so many times as wide as the spacing (chosen by
 # hand: one suffices on average; the rest is for a surface seen at a slant).

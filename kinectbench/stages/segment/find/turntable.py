@@ -45,7 +45,7 @@ MOVES = (
 
 @dataclass(frozen=True)
 class Turntable:
-    """What turns before a still camera: the upright cylinder around it, and the plane below it.
+    """What turns before a still camera: a cylinder around it and the plane below it, or a ball.
 
     Attributes:
         floor: its support, the floor or a plate's top; None without one.

@@ -51,7 +51,7 @@ class Frontier:
         inside_share: the share of that volume expected to be inside, 0 to 1.
         solid_share: the share of it that the solid takes for inside, 0 to 1.
         inside_solid_share: the share of it that is both, 0 to 1.
-        underside: only lines of sight that look up reach the region.
+        underside: a camera could see the region only from below.
         obstructed: something that is not the object stands where the camera would be.
     """
 
@@ -136,9 +136,12 @@ def find_frontiers(
     below, count = _large_pieces(shape, unknown & evidence.underside, limits, underside=True)
     if not aside + count:
         return ()
-    pieces[below > 0] = below[below > 0] + aside
     ways = directions(VIEW_DIRECTIONS)
-    shown = seen_from(evidence.surface, evidence.heights_m, voxel_m, limits, pieces, ways)
+    # A camera that would rise through an underside is no advice.
+    shown_aside = seen_from(evidence, voxel_m, limits, pieces, ways)
+    shown_below = seen_from(evidence, voxel_m, limits, below, ways, rising=False)
+    shown = np.concatenate([shown_aside, shown_below[:, 1:]], axis=1)
+    pieces[below > 0] = below[below > 0] + aside
     # Below an underside all may be unseen down to the floor: a camera looks through that.
     open_to = (evidence.free, evidence.free | (evidence.unknown & ~evidence.underside))
     free = [np.pad(each, 1) for each in open_to]
@@ -159,9 +162,8 @@ def find_frontiers(
             float(taken.mean()),
             float((expected * taken).mean()),
         )
-        # Cameras that would rise through an underside see it from any side: none is advised to do so.
-        asked = ways[:, 2] < 0 if underside else np.ones(len(ways), bool)
-        look = _best_direction(ways[asked], shown[asked, piece])
+        # An underside that none of the directions shows is seen straight from below.
+        look = _best_direction(ways, shown[:, piece]) if shown[:, piece].any() or not underside else ways[-1]
         frontier = _frontier(part, look, T_floor_grid, behind, underside)
         if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
             frontiers.append(frontier)

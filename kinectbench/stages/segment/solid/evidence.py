@@ -12,7 +12,7 @@ from kinectbench.core.types import Bools, Float32, Float64, Int64, Underside
 from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import count_seen, directions
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.core.voxels.seeable import line_space, swept_from_outside
+from kinectbench.core.voxels.seeable import line_space, swept_from_outside, without_rising
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
@@ -98,8 +98,8 @@ class VoxelEvidence:
         sight: uint8, how a camera could see the voxel past the measured surfaces
             (`core.voxels.lines_of_sight`).
         closed: bool, unseen, and no camera could see it, or a person says that it is closed: the object's.
-        underside: bool, unseen, and only lines that look up reach it, or cameras that rose through unseen
-            space; whatever a person says.
+        underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`),
+            whatever a person says.
         contact: the layers right above the floor.
         surface: bool, what ends a line of sight.
         heights_m: (nz,) float32, heights of the layers' middles above the plane it stands on; None: no plane.
@@ -257,16 +257,24 @@ def rim_voxels(limits: SensorLimits, voxel_m: float) -> int:
 
 
 def seen_from(
-    surface: Bools,
-    heights_m: Float32 | None,
+    evidence: VoxelEvidence,
     voxel_m: float,
     limits: SensorLimits,
     pieces: NDArray[np.int32],
     to_camera: Float64,
+    rising: bool = True,
 ) -> Int64:
     """The number of visible voxels of each of k pieces along each direction: (n, k + 1).
 
-    `pieces` has the number of each voxel's piece, from 1 on, or 0; `to_camera` (n, 3) are unit vectors of the
-    upright frame; `surface` and `heights_m` are as for `seen_from_outside`.
+    Args:
+        evidence: the class of each voxel.
+        voxel_m: edge of a voxel, metres.
+        limits: of the sensor.
+        pieces: int32 of the grid's shape, the number of each voxel's piece, from 1 on, or 0.
+        to_camera: (n, 3) unit vectors of the upright frame, from a point to a camera.
+        rising: whether cameras may rise through unseen space below an object.
     """
-    return count_seen(line_space(surface, heights_m, voxel_m, narrow(limits)), to_camera, pieces)
+    if not pieces.any():
+        return np.zeros((len(to_camera), 1), np.int64)
+    space = line_space(evidence.surface, evidence.heights_m, voxel_m, narrow(limits))
+    return count_seen(space if rising else without_rising(space, evidence.free), to_camera, pieces)

@@ -23,7 +23,8 @@ SKY_SHARE = np.array([0.0, 0.05, 0.11, 0.15, 0.2, 0.22, 0.49, 0.49, 0.49, 0.49, 
 # For voxels right under the object that only the upper rim of a line of sight touches: by how many of eight
 # level rays lead out.
 RIM_SHARE = np.array([0.71, 0.5, 0.26, 0.2, 0.12, 0.07, 0.05, 0.03, 0.01], np.float32)
-# For voxels that only lines that look up reach; and that of five families with a space open below.
+# For voxels seen only from below, counted where no camera fits below the object; and that of five families
+# with a space open below.
 UNDERSIDE_SHARE, OPEN_SHARE = np.float32(0.76), np.float32(0.48)
 # The share of observed voxels that are inside, by their signed distance in voxels.
 SIGNED_VOXELS = np.array(

@@ -36,7 +36,7 @@ class SolidShape:
         labels: uint8, see `Label`.
         probability: float32 in [0, 1], that the voxel is occupied.
         mesh: closed surface of `solid`, smooth where it was measured, world frame, metres.
-        underside: bool, unseen, and only lines of sight that look up reach it.
+        underside: bool, unseen, and a camera could see it only from below.
     """
 
     grid: Grid
