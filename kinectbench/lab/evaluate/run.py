@@ -56,13 +56,14 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
 
     Args:
         recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path, which
-            is then built with the default settings into `build/` of the current folder.
+            is built as the benchmark lists it, else with the default settings into `build/` of this folder.
         truth: its truth; by default the folder beside the recording.
         config: a benchmark.yaml, which need not exist.
         overrides: settings that win, as `--set` takes them.
 
     Raises:
-        SettingsError: nothing of the kind, wrong settings, or no truth is known.
+        SettingsError: nothing of the kind, wrong settings, no truth is known, or a build of the benchmark
+            would be replaced.
         RecordingError: no truth lies there.
     """
     build = _find(recording, truth, config, overrides)
@@ -85,7 +86,10 @@ def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[
     if (path / "sequence").is_dir():
         return FoundRecording(path, truth or _truth_of_build(path, jobs), None)
     if path.exists():
-        job = _job_of(path, overrides)
+        listed = [job for job in jobs if job.source.resolve() == path.resolve()]
+        job = listed[0] if listed else _job_of(path, overrides)
+        if len(listed) > 1 or (not listed and job.build.resolve() in {each.build.resolve() for each in jobs}):
+            raise SettingsError(f"{recording}: {config} has other settings for it; name one of its ids")
         return FoundRecording(job.build, truth or truth_folder(path), job)
     hint = "give a simulated recording's path, or an id and --config"
     raise SettingsError(

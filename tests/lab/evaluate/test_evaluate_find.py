@@ -19,6 +19,7 @@ def root(tmp_path: Path) -> Path:
     (tmp_path / "recordings/chair.bag").write_text("")
     (tmp_path / "recordings/other").mkdir()
     (tmp_path / "recordings/alone").mkdir()
+    (tmp_path / "elsewhere/chair").mkdir(parents=True)
     (tmp_path / "build/chair/sequence").mkdir(parents=True)
     return tmp_path
 
@@ -38,6 +39,8 @@ def test_by_id_by_build_folder_and_by_path(root: Path, monkeypatch: pytest.Monke
     assert path.truth == Path("recordings/other.truth")
     assert path.job is not None
     assert path.job.settings.views.count == 7
+    listed = find_built("recordings/chair.bag", None, Path("benchmark.yaml"), ["views.count=7"]).job
+    assert listed is not None and listed.recording.id == "chair" and listed.settings.views.count == 7
     assert find_built("chair", Path("recordings/other.truth"), config, []).truth == Path(
         "recordings/other.truth"
     )
@@ -50,6 +53,7 @@ def test_by_id_by_build_folder_and_by_path(root: Path, monkeypatch: pytest.Monke
         ("chair", "none.yaml", "no recording 'chair'; give a simulated recording's path"),
         ("recordings/alone", "benchmark.yaml", "alone.truth: no truth there"),
         ("build/chair", "none.yaml", "its truth is not known"),
+        ("elsewhere/chair", "benchmark.yaml", "has other settings for it; name one of its ids"),
     ],
 )
 def test_nothing_is_found(
