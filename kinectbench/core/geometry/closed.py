@@ -35,12 +35,9 @@ def outwards(vertices: Float64, faces: Int32) -> Int32:
 
     A void within a piece is a piece of its own, and counts as solid: too much, never too little.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from kinectbench.core.geometry.pieces import pieces_of
 
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    joins = coo_array((np.ones(len(ends), np.bool_), tuple(ends.T)), shape=(len(vertices),) * 2)
-    piece = connected_components(joins, directed=False)[1][faces[:, 0]]
+    piece = pieces_of(faces, len(vertices))
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     volumes = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))
     turned: Int32 = np.where((volumes < 0)[piece, None], faces[:, ::-1], faces)

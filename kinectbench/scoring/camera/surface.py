@@ -14,6 +14,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack
+from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera_shape import CameraShape
 
 # Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
@@ -66,6 +67,11 @@ class Surface:
         """
         of_cells = bool(len(self.corner)) and not self.is_triangle
         return cKDTree(self.points_m, leafsize=24, compact_nodes=False, balanced_tree=not of_cells)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The same, to look for the nearest of many points."""
+        return Samples(self.tree)
 
     @cached_property
     def center_m(self) -> Float64:
@@ -131,14 +137,15 @@ class Surface:
 
         The distance is that from the patch of the nearest sample.
         """
+        from kinectbench.scoring.camera.boxes import near_together
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
-        if self.found_in is None:
-            distances, found = self.tree.query(points_m)
-        else:
-            before, T = self.found_in
-            distances, found = before.tree.query(mapped(points_m, T[:3]))
-            distances = distances / similarity_scale(T)
+        before, T = self.found_in or (self, np.eye(4))
+        asked = points_m if self.found_in is None else mapped(points_m, T[:3])
+        order, places = near_together(asked), np.full((len(asked), 2), -1)
+        distances, found = np.empty(len(asked)), np.empty(len(asked), np.int64)
+        far, found[order] = before.samples.nearest(asked, order, places)
+        distances[order] = far[:, 0] / similarity_scale(T)
         if len(self.corner):
             owner = self.owner[found]
             distances = to_patches(
