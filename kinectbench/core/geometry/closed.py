@@ -21,10 +21,9 @@ def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
 
 def is_closed(faces: Int32) -> bool:
     """Whether every edge is one of two triangles, which run along it in opposite directions."""
-    begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
-    # Both directions of an edge are neighbours: an even number, and the next odd one.
-    edges = 2 * (np.minimum(begin, end) * (1 + faces.max()) + np.maximum(begin, end)) + (begin > end)
-    edges = np.sort(edges, axis=None)
+    from kinectbench.core.geometry.pieces import sorted_edges
+
+    edges = sorted_edges(faces)
     forwards, backwards = edges[:-1:2], edges[1::2]
     paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()
     return bool(paired and (np.diff(edges) > 0).all())

@@ -48,6 +48,16 @@ class Samples:
             found[even] = self.tree.query(points[which[even]])[1]
         return far, found
 
+    def nearest_of_all(self, points: Float64) -> tuple[Float64, Int64]:
+        """The distances of points (n, 3), (n,), and the index of the nearest sample to each, (n,)."""
+        from kinectbench.scoring.camera.boxes import near_together
+
+        distances, found = np.empty(len(points)), np.empty(len(points), np.int64)
+        order, places = near_together(points), np.full((len(points), 2), -1)
+        far, found[order] = self.nearest(points, order, places)
+        distances[order] = far[:, 0]
+        return distances, found
+
 
 class NearestOfMoving:
     """The nearest samples to points that are asked again and again.
