@@ -74,3 +74,6 @@ def test_the_two_nearest_are_those_of_a_tree(count: int, even: bool) -> None:
         far, found = Samples(tree).nearest(points, order, begins)
         assert (begins >= 0).all() and np.array_equal(found, exact[order])
         np.testing.assert_array_equal(far, expected[order])
+    alone = Samples(tree).nearest_of_all(points)
+    np.testing.assert_array_equal(alone[0], expected[:, 0])
+    assert np.array_equal(alone[1], exact)

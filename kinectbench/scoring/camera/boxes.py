@@ -11,6 +11,8 @@ from kinectbench.core.types import Float64, Int64
 
 # Samples of a leaf, and boxes of a node. Of leaves of 8, 16, 24 and nodes of 4, 8 these are as fast as any.
 LEAF, BOXES = 16, 8
+# Of a squared distance: what is farther is not equally near, whatever is rounded.
+NEARLY = 1 + 1e-11
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -64,7 +66,7 @@ def _widen(node, axis, box, low, high):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def two_nearest(points, which, places, groups, boxes, first):  # type: ignore[no-untyped-def]
+def two_nearest(points, which, places, both, groups, boxes, first):  # type: ignore[no-untyped-def]
     """(m, 2) float64: the distances of points (n, 3) from the two nearest samples; infinity if there is one.
 
     Args:
@@ -72,6 +74,7 @@ def two_nearest(points, which, places, groups, boxes, first):  # type: ignore[no
         which: (m,) indices of those that are asked.
         places: (n, 2) places in the tree's order where the search begins, -1 where nothing is known of a
             point; those that are asked become the places of what is found.
+        both: whether the second is asked. If not it is one that is farther, unless both are equally near.
         groups: of `boxes_of`, as are those that follow.
         boxes: those.
         first: those.
@@ -91,12 +94,13 @@ def two_nearest(points, which, places, groups, boxes, first):  # type: ignore[no
             least, second = second, p * p + q * q + r * r
         if second < least:
             one, two, least, second = two, one, second, least
+        limit = second if both else min(second, least * NEARLY)
         stack[0], away[0], top = leaves + len(boxes) - 1, 0.0, 1
         # Everything is in this loop: a call, or a part of an array, counts references, which takes longer.
         while top:
             top -= 1
             node = stack[top]
-            if away[top] >= second:
+            if away[top] >= limit:
                 continue
             if node < leaves:
                 for s in range(size):
@@ -104,11 +108,12 @@ def two_nearest(points, which, places, groups, boxes, first):  # type: ignore[no
                     here[s] = p * p + q * q + r * r
                 for s in range(size):
                     place = node * size + s
-                    if here[s] < second and place != one and place != two:
+                    if here[s] < limit and place != one and place != two:
                         if here[s] < least:
                             one, two, least, second = place, one, here[s], least
                         else:
                             two, second = place, here[s]
+                        limit = second if both else min(second, least * NEARLY)
                 continue
             node -= leaves
             for box in range(len(gaps)):
@@ -118,7 +123,7 @@ def two_nearest(points, which, places, groups, boxes, first):  # type: ignore[no
                 gaps[box] = p * p + q * q + r * r
             begin = nearest = top
             for box in range(len(gaps)):
-                if gaps[box] < second:
+                if gaps[box] < limit:
                     stack[top], away[top] = first[node] + box, gaps[box]
                     nearest = top if gaps[box] < away[nearest] else nearest
                     top += 1

@@ -24,28 +24,31 @@ class Samples:
     def __init__(self, tree: cKDTree) -> None:
         from kinectbench.scoring.camera.boxes import boxes_of
 
-        self.tree = tree
+        self._tree = tree
         self.points: Float64 = np.ascontiguousarray(tree.data)
         self._boxes = boxes_of(self.points, tree.indices)
 
-    def nearest(self, points: Float64, which: Int64, places: Int64) -> tuple[Float64, Int64]:
+    def nearest(
+        self, points: Float64, which: Int64, places: Int64, both: bool = True
+    ) -> tuple[Float64, Int64]:
         """The two nearest samples of some points.
 
         Args:
             points: (n, 3).
             which: (m,) indices of those that are asked.
             places: (n, 2) where the search begins, see `two_nearest`; changed.
+            both: whether the distance of the second is asked.
 
         Returns:
             (m, 2) distances, and (m,) the index of the nearest sample.
         """
         from kinectbench.scoring.camera.boxes import two_nearest
 
-        far = two_nearest(points, which, places, *self._boxes)
-        found: Int64 = self.tree.indices[places[which, 0]]
-        even = np.flatnonzero(far[:, 1] - far[:, 0] <= EVEN * far[:, 1])
+        far = two_nearest(points, which, places, both, *self._boxes)
+        found: Int64 = self._tree.indices[places[which, 0]]
+        even = np.flatnonzero((1 - EVEN) * far[:, 1] <= far[:, 0])
         if len(even):
-            found[even] = self.tree.query(points[which[even]])[1]
+            found[even] = self._tree.query(points[which[even]])[1]
         return far, found
 
     def nearest_of_all(self, points: Float64) -> tuple[Float64, Int64]:
@@ -54,7 +57,7 @@ class Samples:
 
         distances, found = np.empty(len(points)), np.empty(len(points), np.int64)
         order, places = near_together(points), np.full((len(points), 2), -1)
-        far, found[order] = self.nearest(points, order, places)
+        far, found[order] = self.nearest(points, order, places, both=False)
         distances[order] = far[:, 0]
         return distances, found
 
