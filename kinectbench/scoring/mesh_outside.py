@@ -27,10 +27,14 @@ def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
     Source: the divergence theorem; parts that overlap count as often as they are enclosed.
     """
     inside = whole = 0.0
+    beyond = np.asarray(((vertices < 0) | (vertices > side)).any(axis=1))
+    leaves = np.asarray(beyond[faces].any(axis=1))
     for begin in range(0, len(faces), AT_ONCE):
         triangles = vertices[faces[begin : begin + AT_ONCE]]
-        whole += float((_areas(triangles) * _mean(triangles[:, :, 2])).sum())
-        for piece in _within_walls(triangles, side):
+        under = _areas(triangles) * _mean(triangles[:, :, 2])
+        whole += float(under.sum())
+        inside += float(under[~leaves[begin : begin + AT_ONCE]].sum())
+        for piece in _within_walls(triangles[leaves[begin : begin + AT_ONCE]], side):
             inside += float((_areas(piece) * _mean(np.clip(piece[:, :, 2], 0, side))).sum())
     return 1.0 if whole == 0 else float(np.clip(1 - inside / whole, 0, 1))
 

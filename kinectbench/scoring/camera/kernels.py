@@ -211,26 +211,38 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def strayed(points, asked, base, leeway):  # type: ignore[no-untyped-def]
-    """(m,) int64: of points (n, 3) that are asked (n,), those not within `leeway` (n,) of `base` (n, 3)."""
-    found, count = np.empty(len(points), np.int64), 0
-    for n in range(len(points)):
-        x, y, z = points[n, 0] - base[n, 0], points[n, 1] - base[n, 1], points[n, 2] - base[n, 2]
-        if asked[n] and not np.sqrt(x * x + y * y + z * z) < leeway[n]:
-            found[count] = n
-            count += 1
-    return found[:count]
+def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # type: ignore[no-untyped-def]
+    """What a step of the registration draws where: those asked to their nearest, then the nearest of all.
 
+    Args:
+        ours: (n, 3) of the prediction.
+        theirs: (m, 3) of the truth.
+        normals: (m, 3) there.
+        asked: (n,) which of ours are asked.
+        found: (k,) of these, the index of the nearest of theirs.
+        nearest: (m,) the index of the nearest of ours.
+        affine: (3, 4) maps ours.
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def distances_to(points, samples, found):  # type: ignore[no-untyped-def]
-    """(n,) float64: of points (n, 3) to the samples (m, 3) with the indices `found` (n,)."""
-    distances = np.empty(len(points))
-    for n in range(len(points)):
-        f = found[n]
-        x, y, z = points[n, 0] - samples[f, 0], points[n, 1] - samples[f, 1], points[n, 2] - samples[f, 2]
-        distances[n] = np.sqrt(x * x + y * y + z * z)
-    return distances
+    Returns:
+        (k + m, 3) float64 each: places of ours, mapped; where each belongs; the normals there. And (3,) the
+        mean of the places.
+    """
+    count, k = len(found), 0
+    places, middle = np.empty((count + len(theirs), 3)), np.zeros(3)
+    targets, across = np.empty_like(places), np.empty_like(places)
+    for n in range(len(ours) + len(theirs)):
+        if n < len(ours) and not asked[n]:
+            continue
+        one = n if n < len(ours) else nearest[n - len(ours)]
+        other = found[k] if n < len(ours) else n - len(ours)
+        x, y, z = ours[one]
+        for axis in range(3):
+            a, b, c, d = affine[axis]
+            places[k, axis] = a * x + b * y + c * z + d
+            targets[k, axis], across[k, axis] = theirs[other, axis], normals[other, axis]
+            middle[axis] += places[k, axis]
+        k += 1
+    return places, targets, across, middle / k
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

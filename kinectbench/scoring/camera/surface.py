@@ -14,6 +14,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack
+from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera_shape import CameraShape
 
 # Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
@@ -66,6 +67,11 @@ class Surface:
         """
         of_cells = bool(len(self.corner)) and not self.is_triangle
         return cKDTree(self.points_m, leafsize=24, compact_nodes=False, balanced_tree=not of_cells)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The same, to look for the nearest of many points."""
+        return Samples(self.tree)
 
     @cached_property
     def center_m(self) -> Float64:
@@ -133,12 +139,10 @@ class Surface:
         """
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
-        if self.found_in is None:
-            distances, found = self.tree.query(points_m)
-        else:
-            before, T = self.found_in
-            distances, found = before.tree.query(mapped(points_m, T[:3]))
-            distances = distances / similarity_scale(T)
+        before, T = self.found_in or (self, np.eye(4))
+        asked = points_m if self.found_in is None else mapped(points_m, T[:3])
+        distances, found = before.samples.nearest_of_all(asked)
+        distances /= similarity_scale(T)
         if len(self.corner):
             owner = self.owner[found]
             distances = to_patches(
@@ -186,6 +190,8 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         vertices_m: (v, 3) metres.
         faces: (m, 3).
     """
+    from kinectbench.scoring.camera.patches import in_triangles
+
     corner, ahead, behind = (vertices_m[faces[:, n]] for n in range(3))
     first, second = ahead - corner, behind - corner
     across = np.cross(first, second)
@@ -200,14 +206,7 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
     areas = twice / 2 if total > 0 else np.ones(len(faces))
     most = MESH_SAMPLES if total > 0 else 0
     counts = np.maximum(1, np.rint(areas / areas.sum() * most)).astype(np.int64)
-    owner = np.repeat(np.arange(len(faces)), counts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    u, v = ((0.5 + number * step) % 1 for step in STEPS)
-    beyond = u + v > 1
-    u, v = np.where(beyond, 1 - u, u), np.where(beyond, 1 - v, v)
-    single = counts[owner] == 1
-    u, v = np.where(single, 1 / 3, u), np.where(single, 1 / 3, v)
-    points = corner[owner] + u[:, None] * first[owner] + v[:, None] * second[owner]
+    points, owner = in_triangles(counts, corner, first, second, STEPS)
     return Surface(
         points, (areas / counts)[owner], normals[owner], corner, first, second, owner, is_triangle=True
     )
@@ -227,6 +226,7 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
         The surface, and (n, 3) indices of cells.
     """
     from kinectbench.scoring.camera.kernels import faces_of_cells, outward
+    from kinectbench.scoring.camera.patches import squares_of_cells
 
     low, high = _box(cells)
     part = cells[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
@@ -234,11 +234,8 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     inside, axes, signs = faces_of_cells(packed)
     _refuse_many(len(inside))
     normals = outward(packed, inside)
-    units = np.eye(3)
-    centers = inside + low + 0.5 + 0.5 * signs[:, None] * units[axes]
-    first, second = units[(axes + 1) % 3], units[(axes + 2) % 3]
-    made = _squares(centers, first, second, normals, voxel_size_m)
-    return made, (inside + low).astype(np.int64)
+    centers_m, corner, first, second = squares_of_cells(inside, axes, signs, low, voxel_size_m)
+    return _squares(centers_m, corner, first, second, normals, voxel_size_m), inside + low
 
 
 def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
@@ -257,7 +254,9 @@ def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
     first = np.cross(normals, least)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
     second = np.cross(normals, first)
-    return _squares(points - 0.5, first, second, normals, voxel_size_m)
+    corner = (points - 0.5 - (first + second) / 2) * voxel_size_m
+    centers_m, first, second = (part * voxel_size_m for part in (points - 0.5, first, second))
+    return _squares(centers_m, corner, first, second, normals, voxel_size_m)
 
 
 def _refuse_many(samples: int) -> None:
@@ -268,23 +267,18 @@ def _refuse_many(samples: int) -> None:
 
 
 def _squares(
-    centers: Float64, first: Float64, second: Float64, normals: Float64, voxel_size_m: float
+    centers_m: Float64,
+    corner: Float64,
+    first: Float64,
+    second: Float64,
+    normals: Float64,
+    voxel_size_m: float,
 ) -> Surface:
-    """Squares with sides of a cell, from centres in cells and their directions."""
+    """Squares with sides of a cell; each stands for what of the slanted surface it is a step of."""
     # A plane with this normal has as many steps or crossings for each cell of its area.
     steps = np.abs(normals).sum(axis=1)
-    areas = voxel_size_m**2 / np.where(steps > 0, steps, 1)
-    corner = (centers - (first + second) / 2) * voxel_size_m
-    return Surface(
-        centers * voxel_size_m,
-        areas,
-        normals,
-        corner,
-        first * voxel_size_m,
-        second * voxel_size_m,
-        np.arange(len(centers)),
-        is_triangle=False,
-    )
+    areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
+    return Surface(centers_m, areas, normals, corner, first, second, owner, is_triangle=False)
 
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:

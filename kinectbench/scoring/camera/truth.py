@@ -63,7 +63,7 @@ class SpaceTruth:
     @cached_property
     def known_surface(self) -> Surface:
         """The faces that are known."""
-        return self.surface.chosen(self.is_known)
+        return self.surface if self.is_known.all() else self.surface.chosen(self.is_known)
 
     @cached_property
     def areas_m2(self) -> dict[ShapePart, tuple[float, float]]:

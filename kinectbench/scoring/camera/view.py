@@ -21,7 +21,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
-from kinectbench.scoring.camera.align import KINDS, register_surface
+from kinectbench.scoring.camera.align import KINDS, SurfaceRegistration, register_kinds
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
 from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, closed_mesh, solid_in, to_be_closed
@@ -166,12 +166,13 @@ def score_shape(
     if close is not None and may_close and (made := to_be_closed(shape, surface, close)) is not None:
         own, closed = made, close
         mesh = None if made is shape else closed_mesh(made)
+    registered = register_kinds(truth, as_predicted, [kind for _, kind in asked if kind is not None])
     rows: list[Scored] = []
     for protocol, kind in asked:
         T, alignment, moved = truth.T_grid_camera, None, as_predicted
         if kind is not None:
-            found_T, alignment = _aligned(truth, as_predicted, kind)
-            T = found_T @ T
+            alignment = _alignment(as_predicted, kind, registered[kind])
+            T = registered[kind].T @ T
             moved = surface.transformed(T)
         solid = None if truth.is_open else solid_in(truth, own, mesh, T, closed)
         if votes is not None and solid is not None:
@@ -199,12 +200,11 @@ def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
     return [*found, *(("aligned", kind) for kind in kinds if "aligned" in protocols)]
 
 
-def _aligned(truth: SpaceTruth, surface: Surface, kind: str) -> tuple[Float64, Alignment]:
-    """The registration of a surface in the truth's grid, and what is reported of it."""
-    found = register_surface(truth, surface, kind)
+def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Alignment:
+    """What is reported of a registration of a surface in the truth's grid."""
     middle, scale = surface.center_m, similarity_scale(found.T)
     shift_m = transform_points(found.T, middle) - middle
-    return found.T, Alignment(
+    return Alignment(
         kind=kind,
         scale=scale,
         rotation_deg=float(np.degrees(rotation_angle_rad(found.T[:3, :3] / scale))),
