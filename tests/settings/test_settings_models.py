@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def test_names_that_are_unsafe_as_files_do_not(name: str) -> None:
 
 
 def test_recordings_of_one_object_share_a_split() -> None:
-    def benchmark(*recordings: dict[str, object]) -> BenchmarkSettings:
+    def benchmark(*recordings: Mapping[str, object]) -> BenchmarkSettings:
         return BenchmarkSettings.model_validate({"name": "x", "recordings": list(recordings)})
 
     again = {**CHAIR, "id": "chair_02", "object": "chair_01"}
