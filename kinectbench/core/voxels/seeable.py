@@ -38,6 +38,8 @@ ROUNDING_M, LEVEL = 1e-6, 1e-9
 # Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
 # of a desk with a back and two sides as many.
 OPEN_WAYS = 5
+# So near to a camera position lies one that no leg hides from the ways out: legs are thinner.
+BESIDE_M = 0.3
 # Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
 VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
 
@@ -134,27 +136,37 @@ def without_rising(space: Space, empty: Bools) -> Space:
         space: where lines pass and cameras can be.
         empty: bool of the same shape, seen to be empty; the rest counts as unseen.
     """
-    reached = _reached_without_rising(space.state, empty)
-    if np.array_equal(reached, space.state == PLACE):
+    from scipy import ndimage
+
+    place = space.state == PLACE
+    reached = _reached_without_rising(place, empty)
+    if np.array_equal(reached, place):
         return space
-    return replace(space, state=np.where((space.state == PLACE) & ~reached, np.uint8(PASSABLE), space.state))
+    ways = _level_ways_out(space.state, reached & ~empty)
+    # Beside a leg few ways lead out, a little farther away more.
+    cells = 2 * round(BESIDE_M / space.voxel_size_m) + 1
+    below = _open_below(space.state, ndimage.maximum_filter(ways, (cells, cells, 1)))
+    may_enter = empty.copy()
+    may_enter[:, :, 1:] |= ~below[:, :, :-1]
+    reached = _reached_without_rising(place, may_enter)
+    return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _reached_without_rising(state, empty):  # type: ignore[no-untyped-def]
-    """Camera positions reached from beyond the grid without a step up into unseen space below an object.
+def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
+    """Camera positions reached from beyond the grid, with steps up only into what one may enter so.
 
-    Steps are to 6 neighbours. Through the grid's lowest layer a camera comes in where it is empty.
+    Steps are to 6 neighbours. Through the grid's lowest layer a camera comes in where it may.
     """
-    nx, ny, nz = state.shape
-    reached = np.zeros(state.shape, np.bool_)
-    stack = np.empty(np.count_nonzero(state == PLACE), np.int64)
+    nx, ny, nz = place.shape
+    reached = np.zeros(place.shape, np.bool_)
+    stack = np.empty(np.count_nonzero(place), np.int64)
     count = 0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or k == nz - 1
-                if state[i, j, k] == PLACE and (edge or (k == 0 and empty[i, j, k])):
+                if place[i, j, k] and (edge or (k == 0 and may_enter[i, j, k])):
                     reached[i, j, k] = True
                     stack[count] = (i * ny + j) * nz + k
                     count += 1
@@ -167,9 +179,7 @@ def _reached_without_rising(state, empty):  # type: ignore[no-untyped-def]
             c = k + (step == 5) - (step == 4)
             if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
                 continue
-            if state[a, b, c] != PLACE or reached[a, b, c]:
-                continue
-            if c <= k or empty[a, b, c] or _level_ways_out(state, i, j, k) < OPEN_WAYS:
+            if place[a, b, c] and not reached[a, b, c] and (c <= k or may_enter[a, b, c]):
                 reached[a, b, c] = True
                 stack[count] = (a * ny + b) * nz + c
                 count += 1
@@ -177,19 +187,38 @@ def _reached_without_rising(state, empty):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _level_ways_out(state, i, j, k):  # type: ignore[no-untyped-def]
-    """The number of the eight level rays along the grid's axes and diagonals that meet no obstacle."""
-    nx, ny, _ = state.shape
-    count = 0
-    for dx in range(-1, 2):
-        for dy in range(-1, 2):
-            if dx == 0 and dy == 0:
-                continue
-            a, b = i, j
-            while 0 <= a < nx and 0 <= b < ny and state[a, b, k] != BLOCKED:
-                a, b = a + dx, b + dy
-            count += not (0 <= a < nx and 0 <= b < ny)
-    return count
+def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
+    """uint8: of the eight level rays along axes and diagonals those that meet no obstacle; 0 if not asked."""
+    nx, ny, nz = state.shape
+    ways = np.zeros(state.shape, np.uint8)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if not asked[i, j, k]:
+                    continue
+                for way in range(9):
+                    dx, dy = way // 3 - 1, way % 3 - 1
+                    if dx == 0 and dy == 0:
+                        continue
+                    a, b = i, j
+                    while 0 <= a < nx and 0 <= b < ny and state[a, b, k] != BLOCKED:
+                        a, b = a + dx, b + dy
+                    ways[i, j, k] += not (0 <= a < nx and 0 <= b < ny)
+    return ways
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _open_below(state, ways):  # type: ignore[no-untyped-def]
+    """Whether at or straight below a voxel, with no obstacle between, most level rays lead out."""
+    nx, ny, nz = state.shape
+    below = np.zeros(state.shape, np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            is_open = False
+            for k in range(nz):
+                is_open = state[i, j, k] != BLOCKED and (is_open or ways[i, j, k] >= OPEN_WAYS)
+                below[i, j, k] = is_open
+    return below
 
 
 def line_space(
