@@ -353,21 +353,21 @@ class BenchmarkSettings(Settings):
 
     @model_validator(mode="after")
     def _unique(self) -> "BenchmarkSettings":
-        first_of: dict[str, int] = {}
+        first_of_id: dict[str, int] = {}
+        first_of_object: dict[str, int] = {}
         for index, recording in enumerate(self.recordings):
-            if (earlier := first_of.setdefault(f"id {recording.id}", index)) != index:
-                raise _clash(
-                    index, earlier, f"two recordings have the id '{recording.id}': give each its own"
+            earlier = first_of_id.setdefault(recording.id, index)
+            if earlier != index:
+                problem = f"two recordings have the id '{recording.id}': give each its own"
+                raise _clash(index, earlier, problem)
+            earlier = first_of_object.setdefault(recording.object_name, index)
+            first = self.recordings[earlier]
+            if first.split != recording.split:
+                problem = (
+                    f"object '{recording.object_name}' is in two splits: '{first.split}' ({first.id}) and "
+                    f"'{recording.split}' ({recording.id}); an object belongs to one"
                 )
-            chosen = f"{recording.box} {recording.pick} {recording.masks}"
-            things = {f"object '{recording.object_name}'": "", f"recording '{recording.path}'": chosen}
-            for what, how in things.items():
-                first = self.recordings[earlier := first_of.setdefault(what + how, index)]
-                if first.split != recording.split:
-                    splits = f"'{first.split}' ({first.id}) and '{recording.split}' ({recording.id})"
-                    raise _clash(
-                        index, earlier, f"{what} is in two splits: {splits}; an object belongs to one"
-                    )
+                raise _clash(index, earlier, problem)
         clash = first_clash(Named(each.id, each.object_name, each.category) for each in self.recordings)
         if clash is not None:
             raise _clash(clash.row, clash.earlier, clash.problem)

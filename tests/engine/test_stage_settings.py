@@ -15,7 +15,8 @@ from kinectbench.engine.stage_settings import Source, Work
 from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage
 from kinectbench.engine.steps import STEPS
 from kinectbench.settings.base import Settings
-from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.models import BenchmarkSettings, ObjectCuts
+from kinectbench.stages.segment.segment import GivenObject
 
 EVERY = (*STAGES, SUGGEST)
 # Values of which each optional setting takes one.
@@ -108,16 +109,19 @@ def test_a_step_takes_the_work_of_its_own_stage(stage: Stage) -> None:
 
 
 def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: dict[str, Any] = {}
+    handed: list[Any] = []
     for name in ("_own", "_scene", "plane_given", "write_object"):
         monkeypatch.setattr(steps, name, lambda *_: (None, None))
-    monkeypatch.setattr(steps, "segment", lambda *_, **words: given.update(words))
+    monkeypatch.setattr(steps, "segment", lambda *values: handed.extend(values))
     own = {"id": "chair", "path": "chair", "category": "chair"}
     said = {"categories": {"chair": {"underside": "closed"}}, "segmentation": {"line_width_m": 0.02}}
     settings = BenchmarkSettings.model_validate({"name": "small", "recordings": [own], **said})
     needs = STAGES[3].needs(Job(settings, settings.recordings[0], Path("root")))
     STEPS["segment"](Work(needs, {}, {}, Path("object"), lambda *_: None))
-    assert given == {"underside": "closed", "limits": SensorLimits(line_width_m=0.02), "picked": None}
+    (cuts,) = [each for each in handed if isinstance(each, ObjectCuts)]
+    (given,) = [each for each in handed if isinstance(each, GivenObject)]
+    assert cuts.limits() == SensorLimits(line_width_m=0.02)
+    assert (given.underside, given.picked, given.box) == ("closed", None, None)
 
 
 def test_no_way_leads_from_the_work_to_the_job() -> None:
