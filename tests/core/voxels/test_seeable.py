@@ -208,6 +208,24 @@ def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
         assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
 
 
+@pytest.mark.parametrize("rail", [22, 30])
+def test_beside_a_leg_a_camera_stands_below_an_object_too(rail: int) -> None:
+    """A sideboard on four legs, with a rail down to a layer on two sides: beside a leg few ways lead out."""
+    solid = np.zeros((80, 80, 80), bool)
+    solid[15:65, 15:65, 30:70] = True
+    solid[17:63, 17:63, 30:68] = False
+    for x in (15, 61):
+        for y in (15, 61):
+            solid[x : x + 4, y : y + 4, :32] = True
+    for y in (15, 63):
+        solid[15:65, y : y + 2, rail:30] = True
+    heights_m = ((np.arange(80) + 0.5) * 0.01).astype(np.float32)
+    limits = replace(LIMITS, near_m=0.1)
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    inner = np.s_[20:60, 20:60, 36:60]
+    assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9 and sight.only_from_below[inner].all()
+
+
 @pytest.mark.parametrize("door", [30, 60])
 def test_a_camera_that_came_in_through_a_door_may_rise(door: int) -> None:
     """A cabinet with a bottom that nobody looked into; the space behind the lintel is higher."""
