@@ -136,7 +136,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Details below the table: why an object's estimate is uncertain, and what to record again.
+    """Details below the table: what an object's estimate rests on and what widens it, what to record again.
 
     Args:
         rows: a recording each.
@@ -151,6 +151,8 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
             out.print(Text(heading), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
+        if row.rests_on_word:
+            out.print(Text(f"{row.recording}: {row.rests_on_word}"), soft_wrap=True)
         for frontier in (row.frontiers or ()) if frontiers and not row.made else ():
             out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 

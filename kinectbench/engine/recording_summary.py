@@ -22,6 +22,9 @@ class RecordingSummary(StoredPart):
     estimated_iou_low: float | None = Field(description=INTERVAL_LOW)
     estimated_iou_high: float | None = Field(description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] | None = Field(description="what widens that interval")
+    rests_on_word: str | None = Field(
+        None, description="what `underside: closed` decides, if that is much: a person's word, no measurement"
+    )
     frontiers: tuple[FrontierPart, ...] | None = Field(description="openings that nobody looked into")
     views: int | None = Field(description="their number")
     pairs: int | None = Field(description="their number")

@@ -21,7 +21,7 @@ from kinectbench.engine.stages import Job
 OF_POSES = ("source", "grade", "verdict", "recommended")
 OF_OBJECT = (
     *("repeatability_iou", "estimated_iou", "estimated_iou_low", "estimated_iou_high"),
-    *("estimated_iou_reasons", "frontiers"),
+    *("estimated_iou_reasons", "rests_on_word", "frontiers"),
 )
 File = TypeVar("File", bound=Stored)
 

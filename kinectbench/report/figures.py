@@ -37,6 +37,7 @@ class StageFigures:
         estimate: the estimated IoU with its interval, or "".
         reasons: what widens that interval, one line each.
         advice: what to record again, a line for each unobserved opening.
+        word: what rests on a person's statement, or "".
     """
 
     verdict: str
@@ -47,6 +48,7 @@ class StageFigures:
     estimate: str = ""
     reasons: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    word: str = ""
 
 
 def health_figures(health: TrajectoryHealth) -> StageFigures:
@@ -69,6 +71,7 @@ def quality_figures(quality: QualityFile) -> StageFigures:
         quality.estimated_iou_words() or "",
         quality.estimated_iou_reasons,
         quality.advice,
+        quality.rests_on_word or "",
     )
 
 

@@ -68,14 +68,14 @@ def _card(row: TriageRow, folder: Path) -> Card:
     except StorageError:  # what failed may have left anything
         pictures = ()
     quality = QualityFile.read_if_there(folder / "object") if row.built else None
-    high = quality.estimated_iou_high if quality else None
     # A limit may begin with the same fact.
     incomplete = [line for line in row.incomplete if not any(each.startswith(line) for each in row.reasons)]
-    return Card(row, TONES[row.decision], _figures(row, high), tuple(incomplete), pictures)
+    return Card(row, TONES[row.decision], _figures(row, quality), tuple(incomplete), pictures)
 
 
-def _figures(row: TriageRow, high: float | None) -> str:
+def _figures(row: TriageRow, quality: QualityFile | None) -> str:
     """The estimates that no reason states, and whose word the underside is."""
+    high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
     known = row.estimated_known_iou
@@ -84,6 +84,8 @@ def _figures(row: TriageRow, high: float | None) -> str:
     if row.underside is not None:
         by = f"as its {row.underside_by} says" if row.underside_by else "as nobody said more"
         parts.append(f"underside {row.underside}, {by}")
+    if quality is not None and quality.rests_on_word:
+        parts.append(quality.rests_on_word)
     return "; ".join(parts)
 
 

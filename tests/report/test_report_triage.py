@@ -36,6 +36,7 @@ def test_triage_of_a_build(two: Path, command: Command) -> None:
     assert "There is no picture of it." in page and "http" not in page.replace("http-equiv", "")
     chair = page.partition("<h3>chair ")[2].partition("</article>")[0]
     assert "underside closed, as its recording says" in chair
+    assert "of the solid rests on `underside: closed` alone" in chair
     known = f"IoU on known voxels {rows['chair'].estimated_known_iou:.2f}"
     assert chair.count(known) == 1 and chair.count("on known voxels") == 1
     counts = ", ".join(f"{decision} {count}" for decision, count in found.counts.items())

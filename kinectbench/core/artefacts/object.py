@@ -26,6 +26,9 @@ MEASUREMENT_WARNINGS = (
     "what carries it gave no depth",
     "large pieces that do not touch",
 )
+# The underside is asked about, and what a person says of it is shown, if it decides this share of the solid
+# (chosen by hand).
+LEAST_UNDERSIDE_SHARE = 0.05
 # Before the lines of `estimated_iou_reasons`, where an estimate is shown with its interval in brackets.
 REASONS_FOLLOW = "the interval in brackets is so wide because of"
 
@@ -263,6 +266,18 @@ class QualityFile(Stored):
     def advice(self) -> tuple[str, ...]:
         """What to record again, a line for each unobserved opening."""
         return tuple(frontier.advice for frontier in self.frontiers)
+
+    @property
+    def rests_on_word(self) -> str | None:
+        """What `underside: closed`, a person's word that nothing measured, decides; None: little or nothing.
+
+        If the word is false, all voxels that rest on it are air, and the IoU is lower by that factor.
+        """
+        share, low = self.underside_share or 0.0, self.estimated_iou_low
+        if self.underside != "closed" or share <= LEAST_UNDERSIDE_SHARE:
+            return None
+        line = f"{share:.0%} of the solid rests on `underside: closed` alone, which no frame confirms"
+        return line if low is None else f"{line}; if it is false, the IoU may be {low * (1 - share):.2f}"
 
     def estimated_iou_words(self, decimals: int = 2) -> str | None:
         """The estimated IoU with its interval, such as `0.74 (0.35 to 0.80)`; None without an estimate."""

@@ -7,13 +7,13 @@ import pytest
 from evidence_by_hand import shape_of
 from scipy import ndimage
 
+from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.boxes import OrientedBox
 from kinectbench.core.types import Underside
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.estimate import IouEstimate
-from kinectbench.stages.segment.judge.frontiers import LEAST_UNDERSIDE_SHARE
 from kinectbench.stages.segment.judge.quality import (
     _underside_question,
     _unsupported,

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.sensor_limits import SensorLimits
@@ -21,8 +22,6 @@ Direction = Literal["up", "side", "down"]
 
 # A frontier is reported from this share of the solid's volume and this area on (chosen by hand).
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
-# The report asks about the underside if the answer decides this share of the solid (chosen by hand).
-LEAST_UNDERSIDE_SHARE = 0.05
 # Less probable voxels are almost certainly air.
 LEAST_PROBABILITY = 0.025
 # Directions tried for how much of a region they show: 16 degrees apart (chosen by hand).

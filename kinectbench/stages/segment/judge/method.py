@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.artefacts.solid_method import (
     AirMethod,
     CarriedLegs,
@@ -76,7 +77,7 @@ def method(rules: Rules) -> SolidMethod:
         voxel_size_by_recording=(grids.LEAST_VOXEL_M, grids.STEP_M, grids.VOXELS_LONG),
         frontiers=FrontierMethod(
             least_share=frontiers.LEAST_SHARE,
-            least_underside_share=frontiers.LEAST_UNDERSIDE_SHARE,
+            least_underside_share=LEAST_UNDERSIDE_SHARE,
             least_area_m2=frontiers.LEAST_AREA_M2,
             least_probability=frontiers.LEAST_PROBABILITY,
             enough=frontiers.ENOUGH,

@@ -2,7 +2,13 @@
 
 import numpy as np
 
-from kinectbench.core.artefacts.object import BoxPart, FrontierPart, LabelCounts, QualityFile
+from kinectbench.core.artefacts.object import (
+    LEAST_UNDERSIDE_SHARE,
+    BoxPart,
+    FrontierPart,
+    LabelCounts,
+    QualityFile,
+)
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.types import Int32, Int64, Underside
@@ -19,7 +25,7 @@ from kinectbench.stages.segment.judge.estimate import (
     estimate_iou,
     volume_share_per_mm,
 )
-from kinectbench.stages.segment.judge.frontiers import LEAST_UNDERSIDE_SHARE, Frontier
+from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import Solids, SolidShape
