@@ -18,7 +18,7 @@ from typed import model_of
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import COLUMNS
 from kinectbench.core.images import read_color
-from kinectbench.core.storage import sha256_file
+from kinectbench.core.storage import sha256_file, sha256_text
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.attribution import citation_text
@@ -335,7 +335,7 @@ def test_schema_problems() -> None:
 
 def test_lineage(release: Release) -> None:
     chair = json.loads((release.folder / "lineage.json").read_text())["recordings"]["chair_01"]
-    assert chair["files"] == {"depth/0.png": "ab" * 32} and chair["source"] == "made up"
+    assert chair["files"] == {"depth/0.png": sha256_text("chair_01")} and chair["source"] == "made up"
     assert chair["views"] == [{"view": v, "frame": 7, "stamp_ns": 70} for v in ("000", "001")]
 
 

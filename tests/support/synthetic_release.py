@@ -22,7 +22,7 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.mesh import join, read_own_ply, write_ply
-from kinectbench.core.storage import sha256_file
+from kinectbench.core.storage import sha256_file, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.solid import voxelize_solid
@@ -155,7 +155,7 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = 
         write_object(build / name / "object", mesh_of(pairs, numbers, category), front)
         write_json(build / name / "object" / "quality.json", {"repeatability_iou": 0.93})
         write_json(build / name / "sequence" / "camera.json", CAMERA)
-        write_json(build / name / "sources.json", {"depth/0.png": [10, 20, "ab" * 32]})
+        write_json(build / name / "sources.json", {"depth/0.png": [10, 20, sha256_text(name)]})
 
 
 def mesh_of(pairs: Sequence[Pair], numbers: Sequence[int], category: str) -> TriangleMesh:

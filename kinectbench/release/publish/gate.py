@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import Flow
+from kinectbench.release.publish.same_frames import refuse_same_frames
 from kinectbench.release.triage.rules import NOT_BUILT, judged
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
@@ -58,6 +59,7 @@ class Gate:
         not_built: how many of the benchmark are not built, or not asked for.
         without_pair: ids of those that would be published, and have no pair.
         of_one_object: ids of those whose object another recording shows, by `--isolate`.
+        twice: lines about published recordings that hold the same frames.
     """
 
     published: tuple[str, ...]
@@ -69,6 +71,7 @@ class Gate:
     not_built: int = 0
     without_pair: tuple[str, ...] = ()
     of_one_object: tuple[str, ...] = ()
+    twice: tuple[str, ...] = ()
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -139,6 +142,7 @@ class Gate:
             yield poor_line(name, limits, why)
         for name, why_look in self.look.items():
             yield look_line(name, why_look)
+        yield from self.twice
 
 
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:
@@ -151,6 +155,7 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
         allow_poor: whether those that do not keep the limits pass, too.
 
     Raises:
+        ReleaseError: one recording is published in two splits, under two ids.
         StorageError: a built file is damaged.
     """
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()
@@ -174,7 +179,8 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
             elif each.decision == "look":
                 look[name] = each.look
     ordered = tuple(name for name in recordings if name in published)
-    return Gate(ordered, poor, refused, rejected, failed, look, not_built)
+    twice = tuple(refuse_same_frames(settings, build, ordered))
+    return Gate(ordered, poor, refused, rejected, failed, look, not_built, twice=twice)
 
 
 def _why_all_the_same(recording: RecordingSettings, allow_poor: bool) -> str | None:

@@ -106,8 +106,8 @@ def publish(
 
     Raises:
         ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, no
-            recording passes the gate, there is no pair at all or none to be held back, a file is larger than
-            `verify` accepts, or a folder holds something else.
+            recording passes the gate, one is in two splits, there is no pair at all or none to be held back,
+            a file is larger than `verify` accepts, or a folder holds something else.
         SettingsError: views are to be isolated, and the framing is `object`.
         StorageError: the disk is full or read-only.
     """
