@@ -208,6 +208,7 @@ def _tables(
     """Score the predictions, or else the baselines, and print problems; `of_one`: of one method."""
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
+    from kinectbench.scoring.predictions import lines_without, split_methods
     from kinectbench.scoring.score import score_methods
 
     with common.executor() as executor, console.progress_bar("score") as progress:
@@ -216,6 +217,9 @@ def _tables(
         else:
             options: dict[str, Any] = {"jobs": executor or common.workers, **known, **of_one}
             tables = score_methods(release, predictions, folder, progress=progress, **options)
+    if predictions is not None:
+        methods = split_methods(predictions, release.targets)
+        console.lines("warning", lines_without(predictions, methods, release.targets), "yellow")
     tell_problems(tables)
     return tables
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from kinectbench.scoring.truth import read_parts, read_voxel_size
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Unsupported mesh formats: such a file in the place of a prediction was meant as one.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
+# What is looked for in a method's folder, in words.
+EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
 # Files of a folder of predictions that are looked at; no release has as many pairs.
 MOST_FILES = 1_000_000
 
@@ -189,8 +191,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         ]
     if not methods:
         raise PredictionError(
-            f"{folder}: no predictions there; expected <recording>/<view>.npy, .npz, .ply or .obj, or a "
-            "folder of these per method",
+            f"{folder}: no predictions there; expected {EXPECTED}, or a folder of these per method",
             what="none",
         )
     for path in methods:
@@ -200,6 +201,27 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
             )
         check_method(path.name)
     return {path.name: path for path in methods}
+
+
+def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
+    """A line for each folder beside the methods' that holds no prediction; hidden ones are no methods.
+
+    Args:
+        folder: what `split_methods` looked at.
+        methods: what it found there.
+        targets: what could be answered.
+    """
+    if folder in methods.values():
+        return []
+    with _readable(folder):
+        others = sorted(
+            path.name
+            for path in listed_paths(folder)
+            if path.is_dir() and path.name not in methods and not path.name.startswith(".")
+        )
+    such = next((f", such as {target.name}.npy" for target in targets if target.split == "test"), "")
+    lines = [f"{printable(name)}/: no prediction there; expected {EXPECTED}{such}" for name in others[:NAMED]]
+    return lines + [f"and {len(others) - NAMED} more folders without a prediction"] * (len(others) > NAMED)
 
 
 def check_folder(folder: Path) -> None:
