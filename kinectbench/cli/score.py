@@ -294,7 +294,7 @@ def compare_command(
     protocol: Annotated[
         str, typer.Option(help=f"{PROTOCOLS}; also camera-occluded, aligned-t+s-visible, …")
     ] = "known",
-) -> None:
+) -> int:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import comparison_tables
@@ -306,7 +306,8 @@ def compare_command(
     comparison = compare_tables(tables, metric, protocol)
     if common.as_json:
         console.say_json(asdict(comparison))
-        return
-    for table in comparison_tables(comparison):
-        console.out.print(table)
-    console.lines("note", comparison.notes, "yellow")
+    else:
+        for table in comparison_tables(comparison):
+            console.out.print(table)
+        console.lines("note", comparison.notes, "yellow")
+    return SOME_FAILED if comparison.left_out else 0

@@ -50,3 +50,16 @@ def test_a_method_without_any_prediction_is_named(
     assert checked.status == 3 and words in line and line.endswith("such as chair_01/000.npy")
     scored = command(tmp_path, "score", *of, *PLAIN)
     assert scored.status == 0 and f"warning: {words}" in scored.err
+
+
+def test_an_incomplete_method_does_not_stop_the_comparison_of_others(
+    command: Command, release: Release, tmp_path: Path
+) -> None:
+    for name in ("a", "b", "c"):
+        method(tmp_path / "all" / name, release)
+    (tmp_path / "all" / "c" / "chair_01" / "000.npy").unlink()
+    of = ("--benchmark", str(release.folder), "--jobs", "1", *PLAIN, "--no-gallery")
+    assert command(tmp_path, "score", "all", *of).status == 3
+    compared = command(tmp_path, "compare", "scores")
+    assert compared.status == 3 and "a - b" in compared.out and "c - " not in compared.out
+    assert "note: c: left out, some of its pairs are not scored (1 failed): complete it" in compared.err
