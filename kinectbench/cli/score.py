@@ -73,12 +73,13 @@ def score_command(
         return _score_part(common, predictions, out, known | of_one)
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
-    from kinectbench.scoring.score import check_request
+    from kinectbench.scoring.request import Request, check_request
 
     if predictions is None:
         _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
-        check_request(predictions, protocol, thresholds, missing, upsampling, close)
+        rest = (save_thresholds, missing, upsampling, close, common.cluster is not None)
+        check_request(Request(protocol, thresholds, *rest), predictions)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)

@@ -224,6 +224,18 @@ def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[T
     return lines + [f"and {len(others) - NAMED} more folders without a prediction"] * (len(others) > NAMED)
 
 
+def declared_folders(folder: Path) -> list[Path]:
+    """A folder of predictions itself if it has a method.json, else those in it that have one, sorted.
+
+    Raises:
+        PredictionError: it cannot be looked into.
+    """
+    if (folder / MethodFile.FILE).is_file():
+        return [folder]
+    with _readable(folder):
+        return sorted(path for path in listed_paths(folder) if (path / MethodFile.FILE).is_file())
+
+
 def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot hold predictions of any release.
 
