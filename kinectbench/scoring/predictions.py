@@ -293,26 +293,29 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     answered = {target.split for target in (*predictions.files, *predictions.problems)}
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in predictions.missing if target.split in required}
-    problems = method_problems(folder, predictions.method, release)
+    problems, readable = method_problems(folder, predictions.method, release), list[Target]()
     for done, target in enumerate(release.targets, start=1):
         line = predictions.problems.get(target) or missing.get(target)
         if target in predictions.files:
             line = _file_problem(release, target, predictions.files[target], predictions.method)
+            readable += [target] if line is None else []
         if line:
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    if not problems and (line := axes_problem(_looked_at(release, predictions))):
+    if line := axes_problem(_looked_at(release, predictions, readable)):
         problems.append(line)
     return problems + stray_lines(predictions.stray, predictions.missing)
 
 
-def _looked_at(release: Release, predictions: FoundPredictions) -> Iterator[tuple[Prediction, Bools]]:
-    """Some grids, each with the partial of its view."""
-    grids = [target for target, path in predictions.files.items() if path.suffix not in MESHES]
-    for target in sorted(grids)[:MOST_LOOKED_AT]:
-        (partial,) = read_parts(release.pair_path(target), target.sha256, ("partial",))
-        yield load_prediction(predictions.files[target]), unpack(partial)
+def _looked_at(
+    release: Release, predictions: FoundPredictions, readable: Sequence[Target]
+) -> Iterator[tuple[Prediction, Bools]]:
+    """Some grids, spread over all of them, each with the partial of its view."""
+    for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
+        names = ("partial_256", "voxel_size_m")
+        partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
+        yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
 
 
 def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
