@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_once import made_once
 
-from kinectbench.core.types import Bools
+from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.synthesize import synthesize
@@ -43,7 +43,7 @@ def truths(views: Release) -> list[tuple[Bools, Bools]]:
     return [(unpack(full), unpack(partial)) for full, partial in parts]
 
 
-def coarse(full: Bools, cells: int = 32) -> Prediction:
+def coarse(full: Bools, cells: int = 32) -> Float32:
     return reduced(full, cells).astype(np.float32)
 
 
@@ -64,14 +64,15 @@ def test_every_order_and_flip_is_named(truths: list[tuple[Bools, Bools]]) -> Non
 
 @pytest.mark.slow
 def test_all_axes_are_named_and_the_remedy_brings_them_back(truths: list[tuple[Bools, Bools]]) -> None:
+    right = [(coarse(full), partial) for full, partial in truths]
     for order, turned in ALL_AXES[1:]:
         flipped = [axis for axis in range(3) if turned[axis]]
-        wrong = [(np.flip(coarse(full), flipped).transpose(order), partial) for full, partial in truths]
+        wrong = [(np.flip(grid, flipped).transpose(order), partial) for grid, partial in right]
         line = axes_problem(wrong)
         assert line is not None, (order, turned)
         remedy = line.split("of arrays write ")[1]
-        for (grid, _), (full, _) in zip(wrong, truths, strict=True):
-            assert np.array_equal(eval(remedy, {"grid": grid}), coarse(full)), (order, turned, line)
+        for (grid, _), (expected, _) in zip(wrong, right, strict=True):
+            assert np.array_equal(eval(remedy, {"grid": grid}), expected), (order, turned, line)
 
 
 def test_right_predictions_are_not_named_however_poor(
@@ -81,7 +82,7 @@ def test_right_predictions_are_not_named_however_poor(
     made: dict[str, list[tuple[Prediction, Bools]]] = {}
     noise = np.random.default_rng(0)
     for target, (full, partial) in zip(views.targets, truths, strict=True):
-        poor = dict(predicted(BaselineTask(views, target, 0.1, names)))
+        poor: dict[str, Prediction] = dict(predicted(BaselineTask(views, target, 0.1, names)))
         poor |= {"true": full, "few cells": coarse(full, 8), "moved": np.roll(full, 10, 2)}
         poor |= {"noisy": (0.2 * coarse(full, 64) + 0.2 * noise.random((64,) * 3)).astype(np.float32)}
         poor |= {"noise": noise.random((32,) * 3, np.float32), "empty": np.zeros((8,) * 3, bool)}
@@ -96,9 +97,9 @@ def test_right_predictions_are_not_named_however_poor(
 
 def test_a_symmetric_prediction_is_not_accused_of_what_changes_nothing() -> None:
     """A ball fits with all axes; a roof that stands askew in depth fits as well with left for right."""
-    x, y, z = np.indices((256,) * 3) - 127.5
-    ball = x**2 + y**2 + z**2 < 90**2
-    roof = (np.abs(x) < 100) & (np.abs(y) < 40) & (z > 0.5 * y) & (z < 90)
+    x, y, z = np.ogrid[-127.5:128, -127.5:128, -127.5:128]
+    ball: Bools = x**2 + y**2 + z**2 < 90**2
+    roof: Bools = (np.abs(x) < 100) & (np.abs(y) < 40) & (z > 0.5 * y) & (z < 90)
     for solid, named in ((ball, None), (roof, "x, -y, z (-")):
         seen = solid & (np.cumsum(solid, axis=2) == 1)
         assert axes_problem([(solid, seen)] * 10) is None
