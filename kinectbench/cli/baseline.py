@@ -53,7 +53,7 @@ def check_command(common: Common, predictions: Predictions) -> int:
     from kinectbench.scoring.camera_predictions import check_camera
     from kinectbench.scoring.declared import read_in_camera
     from kinectbench.scoring.predictions import check as find_problems
-    from kinectbench.scoring.predictions import check_folder, split_methods
+    from kinectbench.scoring.predictions import check_folder, lines_without, split_methods
 
     if common.benchmark is None:
         check_folder(predictions)  # before the benchmark is built
@@ -71,6 +71,8 @@ def check_command(common: Common, predictions: Predictions) -> int:
         problems += [begin + line for line in faults]
         shown += [begin + line for line in console.by_mistake(faults)]
         notes += [begin + line for line in lines]
+    without = lines_without(predictions, methods, release.targets)
+    problems, shown = problems + without, shown + without
     console.lines("note", notes, "cyan")
     common.tell_problems(problems, f"{predictions}: all well", shown)
     return SOME_FAILED if problems else exit_status(rows)

@@ -33,7 +33,7 @@ MEASURED = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+
 LOG_EVERY_S = 10.0
 # The fields of a summary that each stage provides.
 COLUMNS: Mapping[str, Mapping[str, str]] = {
-    "ingest": {"frames": "frames"},
+    "ingest": {"frames": "frames", "damaged": "damaged"},
     "track": {"left_out": "left out", "lost": "lost"},
     "segment": {"repeatability_iou": "odd/even IoU", "estimated_iou": "est. IoU"},
     "sample-views": {"views": "views"},
@@ -176,6 +176,8 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
     columns = {"recording": "recording"}
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
+    if not any(row.damaged for row in rows):
+        columns.pop("damaged", None)
     columns["status"] = "status"
     medians = (
         f"contained and residual: medians over the pairs; passed over: {PASSED_OVER}"

@@ -73,12 +73,13 @@ def score_command(
         return _score_part(common, predictions, out, known | of_one)
     from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
-    from kinectbench.scoring.score import check_request
+    from kinectbench.scoring.request import Request, check_request
 
     if predictions is None:
         _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
-        check_request(predictions, protocol, thresholds, missing, upsampling, close)
+        rest = (save_thresholds, missing, upsampling, close, common.cluster is not None)
+        check_request(Request(protocol, thresholds, *rest), predictions)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
@@ -208,6 +209,7 @@ def _tables(
     """Score the predictions, or else the baselines, and print problems; `of_one`: of one method."""
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
+    from kinectbench.scoring.predictions import lines_without, split_methods
     from kinectbench.scoring.score import score_methods
 
     with common.executor() as executor, console.progress_bar("score") as progress:
@@ -216,6 +218,9 @@ def _tables(
         else:
             options: dict[str, Any] = {"jobs": executor or common.workers, **known, **of_one}
             tables = score_methods(release, predictions, folder, progress=progress, **options)
+    if predictions is not None:
+        methods = split_methods(predictions, release.targets)
+        console.lines("warning", lines_without(predictions, methods, release.targets), "yellow")
     tell_problems(tables)
     return tables
 
@@ -290,7 +295,7 @@ def compare_command(
     protocol: Annotated[
         str, typer.Option(help=f"{PROTOCOLS}; also camera-occluded, aligned-t+s-visible, …")
     ] = "known",
-) -> None:
+) -> int:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import comparison_tables
@@ -302,7 +307,8 @@ def compare_command(
     comparison = compare_tables(tables, metric, protocol)
     if common.as_json:
         console.say_json(asdict(comparison))
-        return
-    for table in comparison_tables(comparison):
-        console.out.print(table)
-    console.lines("note", comparison.notes, "yellow")
+    else:
+        for table in comparison_tables(comparison):
+            console.out.print(table)
+        console.lines("note", comparison.notes, "yellow")
+    return SOME_FAILED if comparison.left_out else 0

@@ -11,6 +11,7 @@ class RecordingSummary(StoredPart):
 
     recording: str = Field(description="its id")
     frames: int | None = Field(description="their number")
+    damaged: int | None = Field(None, description="number of further frames that could not be read")
     left_out: tuple[int, ...] | None = Field(description="frames whose depth disagrees with their given pose")
     lost: int | None = Field(description="number of frames without a pose, but for these")
     source: str | None = Field(description="of the poses: trust, refine or tracked")

@@ -75,6 +75,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
     return RecordingSummary(
         recording=job.recording.id,
         frames=sequence.frames if sequence else None,
+        damaged=sequence.damaged if sequence else None,
         left_out=tuple(row.frame for row in health.rejected) if health else None,
         lost=len(health.lost) if health else None,
         **{key: getattr(health, key, None) for key in OF_POSES},

@@ -51,12 +51,14 @@ class StageFigures:
     word: str = ""
 
 
-def health_figures(health: TrajectoryHealth) -> StageFigures:
-    """A trajectory's figures, coloured by its grade."""
+def health_figures(health: TrajectoryHealth, damaged: int | None = None) -> StageFigures:
+    """A trajectory's figures, coloured by its grade, after the number of frames that could not be read."""
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
-    return StageFigures(health.verdict, tone, health.grade, health.warnings, _shown(health, HIDDEN))
+    unread = () if damaged is None else (("damaged frames", str(damaged)),)
+    rows = (*unread, *_shown(health, HIDDEN))
+    return StageFigures(health.verdict, tone, health.grade, health.warnings, rows)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:

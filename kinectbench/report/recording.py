@@ -11,6 +11,7 @@ from kinectbench.core import images
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.object_grids import ObjectVolume, unmeasured_faces
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
@@ -97,7 +98,8 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         """A stage's file; None if it is not current or has none."""
         return model.read_if_there(current[stage]) if stage in current else None
 
-    health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
+    sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
+    floor = read("segment", FloorFile)
     cameras_world = read_poses(current["track"]).T_world_camera if "track" in current else None
     T_floor_world = None if floor is None else floor.T_floor_world
     quality, mesh, unseen, turning = read("segment", QualityFile), None, np.zeros(0, bool), None
@@ -126,7 +128,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     old = {s.name for s in STAGES if s.name not in current and (folder / s.folder).is_dir()}
     return RecordingPart(
         settings=job.recording,
-        health=None if health is None else health_figures(health),
+        health=None if health is None else health_figures(health, sequence.damaged if sequence else None),
         quality=None if quality is None else quality_figures(quality),
         turntable=turning,
         plan=plan,

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES, ScoreRow
+from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError
-from kinectbench.scoring.averages import ObjectMeans, object_means
+from kinectbench.scoring.averages import ObjectMeans
+from kinectbench.scoring.comparable import check_same, comparable_means, complete_ones, left_out_lines
 from kinectbench.scoring.letters import MOST_GROUPS, letters
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.uncertainty import (
@@ -74,9 +75,11 @@ class Comparison:
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
         groups: {scope: {method: letters}}: two methods share a letter if no difference between them is shown.
         differences: of every pair of methods in every scope.
-        notes: one line each: where the test set is too small to tell, and how many pairs are left out.
+        notes: one line each: methods that are left out, where the test set is too small to tell, and how many
+            pairs are left out.
         too_small: {scope: a sentence} of scopes where no pair of methods could be distinguished.
         standings: {method: "reported", or "verified" with date and version}.
+        left_out: names of methods that are not compared, as pairs of theirs are not scored.
         truth_unknown_share: {scope: share of the true shapes that is not known}; None in older tables.
         unknown_by_object: the same of every object of the tables, also of those that are left out.
     """
@@ -93,29 +96,31 @@ class Comparison:
     unknown_by_object: Mapping[str, float]
     too_small: Mapping[str, str]
     standings: Mapping[str, str]
+    left_out: tuple[str, ...]
 
 
 def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = PRIMARY) -> Comparison:
     """Compare methods that were scored on the same truth.
 
     Args:
-        tables: at least two, complete.
+        tables: at least two complete ones; incomplete ones are left out, with a note.
         metric: one of those that are averaged.
         protocol: one of those that they were scored under.
 
     Raises:
-        SettingsError: fewer than two tables, another truth, version or upsampling, an incomplete table, pairs
-            that differ, or the metric or protocol was not scored.
+        SettingsError: fewer than two complete tables, another truth, version or upsampling, pairs that
+            differ, or the metric or protocol was not scored.
     """
     if metric not in METRICS:
         raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
-    names = method_names(tables)
-    _check(tables, names)
-    means = [_means(table, metric, protocol) for table in tables]
-    _same_pairs(tables, names, protocol)
+    all_of = dict(zip(method_names(tables), tables, strict=True))
+    complete = complete_ones(all_of)
+    names, tables = tuple(complete), tuple(complete.values())
+    means = comparable_means(complete, metric, protocol)
+    check_same(complete, protocol)
     scopes = [*means[0], *([ALL] if len(means[0]) > 1 else [])]
     columns = [{scope: _values(of, metric, scope) for scope in scopes} for of in means]
-    rows, notes, small = [], [], {}
+    rows, notes, small = list[Difference](), left_out_lines(all_of), dict[str, str]()
     for scope in scopes:
         of_scope = [column[scope] for column in columns]
         rows += _differences(names, of_scope, scope, metric, _intervals(means, metric, scope))
@@ -153,7 +158,8 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         {scope: None if of is None else of.truth_unknown_share for scope, of in unknown.items()},
         tables[0].truth_unknown_share,
         small,
-        {name: table.standing for name, table in zip(names, tables, strict=True)},
+        {name: table.standing for name, table in complete.items()},
+        tuple(name for name in all_of if name not in complete),
     )
 
 
@@ -185,81 +191,6 @@ def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
     given = [table.method for table in tables]
     again = [given[:index].count(name) for index, name in enumerate(given)]
     return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
-
-
-def _check(tables: Sequence[ScoreTable], names: Sequence[str]) -> None:
-    """Refuse tables that cannot be compared."""
-    if len(tables) < 2:
-        raise SettingsError("compare: give the scores of at least two methods")
-    for table in tables:
-        if table.benchmark_sha256 != tables[0].benchmark_sha256:
-            raise SettingsError(
-                f"{table.method}: scored against benchmark {table.benchmark_sha256[:12]}, {names[0]} against "
-                f"{tables[0].benchmark_sha256[:12]}; score both against one",
-                what="other-scores",
-            )
-        if table.counted_by != tables[0].counted_by:
-            raise SettingsError(
-                f"{table.method}: counted by {table.counted_by}, {names[0]} by {tables[0].counted_by}; "
-                "score both again with one version and one `--upsampling`",
-                what="other-scores",
-            )
-        if not table.complete:
-            raise SettingsError(
-                f"{table.method}: some of its pairs are not scored; complete it first", what="other-scores"
-            )
-
-
-def _means(table: ScoreTable, metric: str, protocol: str) -> dict[str, ObjectMeans]:
-    """The object means of each category."""
-    means = object_means(table.rows).get(protocol)
-    if means is None:
-        raise SettingsError(
-            f"{table.method}: not scored under '{protocol}'; score it again with it", what="other-scores"
-        )
-    if not means:
-        raise SettingsError(
-            f"{table.left_out_line(protocol)}; there is nothing to compare by", what="other-scores"
-        )
-    column = AVERAGED.index(metric)
-    if any(np.isnan(mean.values[:, column]).any() for mean in means.values()):
-        raise SettingsError(
-            f"{table.method}: scored without '{metric}'; score it again with it", what="other-scores"
-        )
-    return means
-
-
-def _same_pairs(tables: Sequence[ScoreTable], names: Sequence[str], protocol: str) -> None:
-    """Refuse tables of other pairs, or with contradictions about the same truth."""
-    for name, table in zip(names, tables, strict=True):
-        if table.base_rate != tables[0].base_rate:
-            raise SettingsError(
-                f"{name}: other base rates than {names[0]}; score both again", what="other-scores"
-            )
-    pairs = [{row.pair: _of_truth(row) for row in table.pairs(protocol)} for table in tables]
-    for name, other_pairs in zip(names, pairs, strict=True):
-        if other_pairs.keys() != pairs[0].keys():
-            raise SettingsError(
-                f"{name}: other pairs than {names[0]}; score both against one benchmark", what="other-scores"
-            )
-        other = next((pair for pair, of in other_pairs.items() if of != pairs[0][pair]), None)
-        if other is not None:
-            raise SettingsError(
-                f"{name}: states other truth of {other} than {names[0]}; score both again",
-                what="other-scores",
-            )
-    for name, table in zip(names, tables, strict=True):
-        left_out, first = (set(t.all_unknown_pairs.get(protocol, ())) for t in (table, tables[0]))
-        if left_out != first:  # the truth alone decides
-            raise SettingsError(
-                f"{name}: leaves out other pairs than {names[0]}; score both again", what="other-scores"
-            )
-
-
-def _of_truth(row: ScoreRow) -> tuple[object, ...]:
-    """The values of a row that do not depend on the prediction."""
-    of = row.object, row.category, row.coverage_voxels, row.coverage_shape, row.unknown_share
-    return (*of, row.base_rate_ce)
 
 
 Weighted = Mapping[str, tuple[float, float]]

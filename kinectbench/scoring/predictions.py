@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from kinectbench.scoring.truth import read_parts, read_voxel_size
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Unsupported mesh formats: such a file in the place of a prediction was meant as one.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
+# What is looked for in a method's folder, in words.
+EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
 # Files of a folder of predictions that are looked at; no release has as many pairs.
 MOST_FILES = 1_000_000
 
@@ -189,8 +191,7 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         ]
     if not methods:
         raise PredictionError(
-            f"{folder}: no predictions there; expected <recording>/<view>.npy, .npz, .ply or .obj, or a "
-            "folder of these per method",
+            f"{folder}: no predictions there; expected {EXPECTED}, or a folder of these per method",
             what="none",
         )
     for path in methods:
@@ -200,6 +201,39 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
             )
         check_method(path.name)
     return {path.name: path for path in methods}
+
+
+def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
+    """A line for each folder beside the methods' that holds no prediction; hidden ones are no methods.
+
+    Args:
+        folder: what `split_methods` looked at.
+        methods: what it found there.
+        targets: what could be answered.
+    """
+    if folder in methods.values():
+        return []
+    with _readable(folder):
+        others = sorted(
+            path.name
+            for path in listed_paths(folder)
+            if path.is_dir() and path.name not in methods and not path.name.startswith(".")
+        )
+    such = next((f", such as {target.name}.npy" for target in targets if target.split == "test"), "")
+    lines = [f"{printable(name)}/: no prediction there; expected {EXPECTED}{such}" for name in others[:NAMED]]
+    return lines + [f"and {len(others) - NAMED} more folders without a prediction"] * (len(others) > NAMED)
+
+
+def declared_folders(folder: Path) -> list[Path]:
+    """A folder of predictions itself if it has a method.json, else those in it that have one, sorted.
+
+    Raises:
+        PredictionError: it cannot be looked into.
+    """
+    if (folder / MethodFile.FILE).is_file():
+        return [folder]
+    with _readable(folder):
+        return sorted(path for path in listed_paths(folder) if (path / MethodFile.FILE).is_file())
 
 
 def check_folder(folder: Path) -> None:
@@ -259,26 +293,29 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     answered = {target.split for target in (*predictions.files, *predictions.problems)}
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in predictions.missing if target.split in required}
-    problems = method_problems(folder, predictions.method, release)
+    problems, readable = method_problems(folder, predictions.method, release), list[Target]()
     for done, target in enumerate(release.targets, start=1):
         line = predictions.problems.get(target) or missing.get(target)
         if target in predictions.files:
             line = _file_problem(release, target, predictions.files[target], predictions.method)
+            readable += [target] if line is None else []
         if line:
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    if not problems and (line := axes_problem(_looked_at(release, predictions))):
+    if line := axes_problem(_looked_at(release, predictions, readable)):
         problems.append(line)
     return problems + stray_lines(predictions.stray, predictions.missing)
 
 
-def _looked_at(release: Release, predictions: FoundPredictions) -> Iterator[tuple[Prediction, Bools]]:
-    """Some grids, each with the partial of its view."""
-    grids = [target for target, path in predictions.files.items() if path.suffix not in MESHES]
-    for target in sorted(grids)[:MOST_LOOKED_AT]:
-        (partial,) = read_parts(release.pair_path(target), target.sha256, ("partial",))
-        yield load_prediction(predictions.files[target]), unpack(partial)
+def _looked_at(
+    release: Release, predictions: FoundPredictions, readable: Sequence[Target]
+) -> Iterator[tuple[Prediction, Bools]]:
+    """Some grids, spread over all of them, each with the partial of its view."""
+    for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
+        names = ("partial_256", "voxel_size_m")
+        partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
+        yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
 
 
 def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:

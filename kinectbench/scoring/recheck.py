@@ -18,7 +18,8 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import differing, read_table
-from kinectbench.scoring.score import check_missing, score
+from kinectbench.scoring.request import check_missing
+from kinectbench.scoring.score import score
 from kinectbench.scoring.thresholds import FROM_FILE
 
 # Keys that are not compared, or compared in a special way.

@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import get_args
 
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
-from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, SettingsError
-from kinectbench.core.extras import missing_extra
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress
-from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
@@ -26,14 +23,16 @@ from kinectbench.scoring.declared import (
     changed_line,
     method_lines,
     read_in_camera,
-    read_method,
 )
 from kinectbench.scoring.pair_result import Counting, Journal
-from kinectbench.scoring.predictions import check_folder, check_method, split_methods, stray_lines
-from kinectbench.scoring.protocols import check_protocols, protocols_of
+from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, stray_lines
+from kinectbench.scoring.protocols import protocols_of
 from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.request import Request, check_declared, check_request, check_words
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
-from kinectbench.scoring.thresholds import SEARCHED, read_thresholds
+from kinectbench.scoring.thresholds import SEARCHED
+
+NOT_FROM_VALIDATION = "the thresholds are not from validation; predict it too"
 
 
 def score(
@@ -76,12 +75,15 @@ def score(
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
     check_words(protocols, upsampling, close)
+    here = jobs if isinstance(jobs, int) else 1
+    far = not isinstance(jobs, int)
+    check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, far), predictions)
     if (file := read_in_camera(predictions)) is not None:
-        rest = (missing, _processes(jobs, thresholds_file), progress, close)
-        return score_in_camera(release, predictions, file, method, protocols_in_space(protocols, file), *rest)
+        space = protocols_in_space(protocols, file)
+        return score_in_camera(release, predictions, file, method, space, missing, here, progress, close)
     asked = plan(release, predictions, thresholds_file, missing)
     if space := space_alone(protocols, upsampling, close):
-        table = score_grid_in_space(release, asked, method, space, missing, _processes(jobs), progress)
+        table = score_grid_in_space(release, asked, method, space, missing, here, progress)
         return _with_what_is_said(table, predictions, asked, release)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
@@ -90,7 +92,7 @@ def score(
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
     tallies = {target: result.tally for target, result in results.items()}
-    rates = base_rates(release, jobs if isinstance(jobs, int) else 1, tallies)
+    rates = base_rates(release, here, tallies)
     empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
@@ -128,15 +130,6 @@ def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], tab
     return [changed_line(changed, len(digests))] if changed else []
 
 
-def _processes(jobs: int | Executor, thresholds: Path | None = None) -> int:
-    """The number of processes; refuses options that predictions in the camera frame do not support."""
-    if thresholds is not None:
-        raise SettingsError(f"--thresholds {thresholds}: predictions in the camera frame have none")
-    if not isinstance(jobs, int):
-        raise SettingsError("--cluster: surfaces in space are scored on one machine; use --jobs")
-    return jobs
-
-
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
     """Refuse a table too large to read, before counting."""
     if pairs * len(protocols) > MOST_ROWS:
@@ -153,21 +146,6 @@ def counting_of(
 ) -> Counting:
     """The rules by which a release's pairs are counted; arguments and errors as of `score`."""
     return Counting(protocols_of(release, protocols), upsampling, surface)
-
-
-def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | None = None) -> None:
-    """Refuse names of protocols, of upsampling and of ways to close meshes that are not known.
-
-    Raises:
-        SettingsError: one that is not, or what it needs is not installed.
-    """
-    check_protocols(protocols)
-    if upsampling not in CONVENTIONS:
-        raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
-    if close not in (None, *CLOSINGS):
-        raise SettingsError(f"--close {close}: choose {' or '.join(CLOSINGS)}")
-    if close == "poisson" and (missing := missing_extra("build")):
-        raise SettingsError(f"--close {close}: {missing}", what="no-package")
 
 
 def score_methods(
@@ -204,11 +182,14 @@ def score_methods(
         close: see `score`.
 
     Raises:
-        SettingsError: what is of one method is given to several, or there are no thresholds to be saved.
+        SettingsError: what is of one method is given to several, an option contradicts another or what a
+            method declares, or there are no thresholds to be saved.
         PredictionError: no predictions there, or none that can be scored; earlier scores are kept.
     """
-    rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
-    methods, tables = _methods(release, predictions, method, save_thresholds), list[ScoreTable]()
+    far = not isinstance(jobs, int)
+    request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, far)
+    rule = check_request(request, predictions)
+    methods, tables = _methods(release, predictions, method, request), list[ScoreTable]()
     for name, folder in methods.items():
         target = out if len(methods) == 1 else out / name
         table = score(
@@ -273,14 +254,12 @@ def count_methods(
     Returns:
         How many pairs of this part have no result, as their prediction is missing or cannot be scored.
     """
-    rule = check_request(predictions, protocols, thresholds_file, missing, upsampling)
-    methods = _methods(release, predictions, method, None)
+    far = not isinstance(jobs, int)
+    request = Request(protocols, thresholds_file, None, missing, upsampling, None, far, in_parts=True)
+    rule = check_request(request, predictions)
+    methods = _methods(release, predictions, method, request)
     failed = 0
     for name, folder in methods.items():
-        if read_in_camera(folder) is not None:
-            raise SettingsError(
-                f"{folder}: predictions in the camera frame are not scored in parts; leave out --shard"
-            )
         asked = plan(release, folder, thresholds_file, rule)
         counting = counting_of(release, protocols, upsampling, surface)
         _refuse_many_rows(len(release.split("test")), counting.protocols)
@@ -292,47 +271,10 @@ def count_methods(
     return failed
 
 
-def check_request(
-    predictions: Path | None,
-    protocols: Sequence[str] | None,
-    thresholds_file: Path | None,
-    missing: str,
-    upsampling: str,
-    close: str | None = None,
-) -> Missing:
-    """Refuse errors that can be found without the release; arguments and errors as of `score_methods`.
-
-    `predictions` is None where baselines are scored.
-
-    Returns:
-        What is to be done with a missing prediction.
-    """
-    rule = check_missing(missing)
-    check_words(protocols, upsampling, close)
-    if predictions is not None:
-        check_folder(predictions)
-    if thresholds_file is not None:
-        read_thresholds(thresholds_file, (), frozenset())
-    return rule
-
-
-def check_missing(missing: str) -> Missing:
-    """The treatment of a missing prediction.
-
-    Raises:
-        SettingsError: neither "error" nor "empty".
-    """
-    if missing not in get_args(Missing):
-        raise SettingsError(f"--missing {missing}: choose error or empty")
-    return "empty" if missing == "empty" else "error"
-
-
-def _methods(
-    release: Release, predictions: Path, method: str | None, save_thresholds: Path | None
-) -> dict[str, Path]:
-    """The folder of each method, by name; refuses several if the request is about one."""
-    methods = split_methods(predictions, release.targets)
-    for option, value in (("--method names", method), ("--save-thresholds is of", save_thresholds)):
+def _methods(release: Release, predictions: Path, method: str | None, request: Request) -> dict[str, Path]:
+    """The folder of each method, by name; refuses what contradicts one of them, before any is counted."""
+    methods, saved = split_methods(predictions, release.targets), request.save_thresholds
+    for option, value in (("--method names", method), ("--save-thresholds is of", saved)):
         if value is not None and len(methods) > 1:
             raise SettingsError(
                 f"{option} one method, but {predictions} holds {len(methods)}: name the folder of one of them"
@@ -340,17 +282,21 @@ def _methods(
     named = methods if method is None else dict(zip([method], methods.values(), strict=True))
     for name, folder in named.items():
         check_method(name)
-        if read_in_camera(folder) is None:  # before any is counted
-            read_method(folder)
+        check_declared(request, folder)
+        if saved is not None and not _answers_validation(release, folder):
+            raise SettingsError(f"--save-thresholds {saved}: {NOT_FROM_VALIDATION}")
     return named
+
+
+def _answers_validation(release: Release, folder: Path) -> bool:
+    """Whether a method predicts anything of the validation split."""
+    return bool(find_predictions(folder, release.split("validation")).files)
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
     """Write the thresholds of all categories to a file; some at least were found on validation."""
     if table.threshold_source not in SEARCHED:
-        raise SettingsError(
-            f"--save-thresholds {path}: the thresholds are not from validation; predict it too"
-        )
+        raise SettingsError(f"--save-thresholds {path}: {NOT_FROM_VALIDATION}")
     # Without objects the file states that they are unknown, as for the method's own thresholds.
     objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(

@@ -166,6 +166,9 @@ def test_one_damaged_image_is_left_out_with_a_warning(command: Command, one: Pat
     run = command(one, "ingest")
     assert run.status == 0
     assert [line for line in run.err.splitlines() if path.name in line and "frame left out" in line]
+    assert run.out.split("damaged")[1].split("│")[2:4] == ["     23 ", "       1 "]
+    (row,) = json.loads(command(one, "ingest", "--json").out)
+    assert (row["frames"], row["damaged"]) == (23, 1)
 
 
 def test_a_recording_that_fails_does_not_stop_the_others(

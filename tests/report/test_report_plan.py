@@ -123,6 +123,8 @@ def test_the_health_in_words() -> None:
     assert figures.warnings == ()
     rows = dict(figures.rows)
     assert rows["grade"] == "good" and rows["arc (deg)"] == "180" and rows["median shift (mm)"] == "–"
+    assert "damaged frames" not in rows
+    assert dict(words.health_figures(health, 3).rows) == {"damaged frames": "3", **rows}
     assert rows["rejected"] == "2" and rows["keyframes"] == "7 entries" and rows["ties · loop"] == "0"
 
 

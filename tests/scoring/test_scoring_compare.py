@@ -1,7 +1,9 @@
 """Intervals, sign flips, Holm, ranks: against scipy, full enumeration and numbers by hand."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -190,7 +192,10 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         lambda t: t.model_copy(update={"settings": ScoreSettings(protocols=("known",), upsampling="other")}),
         "bad: counted by score version 1, upsampling other, good by .*; score both again with one version",
     ),
-    "incomplete": (lambda t: t.model_copy(update={"complete": False}), "some of its pairs are not scored"),
+    "incomplete": (
+        lambda t: t.model_copy(update={"complete": False}),
+        r"bad: left out, some of its pairs are not scored \(0 failed\).*; fewer than two methods are left",
+    ),
     "other pairs": (lambda t: t.model_copy(update={"rows": t.rows[1:]}), "other pairs than good"),
 }
 
@@ -200,6 +205,61 @@ def test_refusals(name: str) -> None:
     spoil, message = REFUSED[name]
     with pytest.raises(SettingsError, match=message):
         compare([method("good", 0.2, 3), spoil(method("bad", 0.1, 3))])
+
+
+def test_an_incomplete_method_is_left_out_and_named() -> None:
+    """The others are compared as without it: their tests are not corrected for its."""
+    both = [method("good", 0.2, 8), method("bad", 0.1, 8)]
+    part = method("part", 0.3, 8).model_copy(update={"complete": False})
+    found, alone = compare([part, *both]), compare(both)
+    assert found.methods == ("good", "bad") and found.differences == alone.differences
+    assert found.left_out == ("part",) and not alone.left_out
+    assert found.notes[0].startswith("part: left out, some of its pairs are not scored")
+    assert found.notes[1:] == alone.notes
+
+
+def in_space(made: ScoreTable, *headings: str) -> ScoreTable:
+    """The same figures as of predictions in the camera frame."""
+    rows = [
+        replace(one, protocol=heading.split("-")[0], part="occluded" if "-" in heading else None)
+        for one in made.rows
+        for heading in headings
+    ]
+    settings = ScoreSettings(protocols=tuple(dict.fromkeys(one.protocol for one in rows)))
+    return made.model_copy(update={"rows": tuple(rows), "settings": settings})
+
+
+def test_a_line_says_under_which_protocol_methods_of_both_kinds_can_stand() -> None:
+    grid = method("cells", 0.2, 3)
+    grid = grid.model_copy(update={"settings": ScoreSettings(protocols=("known",), upsampling="half-pixel")})
+    mesh = in_space(method("mesh", 0.1, 3), "camera", "camera-occluded", "aligned")
+    words = (
+        "mesh: not scored under 'known': mesh in the camera frame and cells in cells can stand under 'camera'"
+        ": `kinectbench score PREDICTIONS --protocol camera --out FOLDER` of cells, then compare with "
+        "`--protocol camera`"
+    )
+    with raises(SettingsError, "settings.other-scores", match=re.escape(words)):
+        compare([grid, mesh])
+    free = in_space(method("free", 0.1, 3), "aligned")
+    with raises(SettingsError, "settings.other-scores", match="can stand under 'aligned'"):
+        compare([grid, mesh, free])
+    again = in_space(method("cells", 0.2, 3), "camera", "camera-occluded")
+    words = "all are under camera, camera-occluded: compare with `--protocol camera`"
+    with raises(SettingsError, "settings.other-scores", match=words):
+        compare([again, mesh])
+    assert compare([again, mesh], protocol="camera").means["chair"]["mesh"] == pytest.approx(0.615)
+
+
+def test_a_line_says_which_metrics_all_methods_have() -> None:
+    mesh = in_space(method("mesh", 0.1, 3), "camera")
+    rows = tuple(replace(one, iou=None, precision=None, chamfer_l1_m=0.1) for one in mesh.rows)
+    tables = [mesh.model_copy(update={"rows": rows, "method": name}) for name in ("mesh", "points")]
+    words = (
+        "mesh, points: no 'iou' under 'camera'; all have ce, recall, f1, chamfer_l1_m: name one by --metric"
+    )
+    with raises(SettingsError, "settings.other-scores", match=words):
+        compare(tables, protocol="camera")
+    assert compare(tables, "chamfer_l1_m", "camera").means["chair"] == {"mesh": 0.1, "points": 0.1}
 
 
 def test_unknown_names_are_refused() -> None:

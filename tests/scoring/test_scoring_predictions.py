@@ -1,7 +1,6 @@
 """Which file answers which target, and everything that is wrong said at once."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,7 @@ import pytest
 from raising import raises
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
-from kinectbench.scoring.grid_axes import axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA
 from kinectbench.scoring.predictions import check, find_predictions, split_methods
 from kinectbench.scoring.score import score
@@ -53,52 +50,6 @@ def test_everything_wrong_at_once(folder: Path, release: Release, tmp_path: Path
         "table_01/000.npy: the file is empty",
         "table_01/0.npy: answers no target of the benchmark; remove it",
     ]
-
-
-def _solids() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Twelve bodies without symmetry in 16 cells, and the part of each that is seen from its first corner."""
-    pairs = []
-    for k in range(12):
-        solid = np.zeros((16, 16, 16), bool)
-        solid[1:8, 3:10, 1 : 3 + k % 2] = True
-        solid[1:3, 3 : 6 + k % 3, 1:15] = True
-        seen = solid & np.logical_or.reduce([np.cumsum(solid, axis) == 1 for axis in range(3)])
-        pairs.append((solid, seen))
-    return pairs
-
-
-@pytest.mark.parametrize(
-    ("changed", "named"),
-    [
-        (lambda solid: solid.transpose(2, 1, 0), "transpose(2, 1, 0)"),
-        (lambda solid: solid.transpose(1, 2, 0), "transpose(2, 0, 1)"),
-        (lambda solid: solid[::-1], "axis 0 turned round"),
-        (lambda solid: np.repeat(np.repeat(np.repeat(solid, 2, 0), 2, 1), 2, 2)[:, :, ::-1], "axis 2 turned"),
-    ],
-)
-def test_grids_with_other_axes_are_named(changed: Callable[[np.ndarray], np.ndarray], named: str) -> None:
-    line = axes_problem([(np.ascontiguousarray(changed(solid)), seen) for solid, seen in _solids()])
-    assert line is not None and named in line
-
-
-def test_right_axes_weak_predictions_and_few_of_them_are_not_named() -> None:
-    noise = np.random.default_rng(0)
-    assert axes_problem(_solids()) is None
-    assert axes_problem([(noise.random((32, 32, 32), np.float32), seen) for _, seen in _solids()]) is None
-    assert axes_problem([(np.zeros((8, 8, 8), bool), seen) for _, seen in _solids()]) is None
-    assert axes_problem([(solid.transpose(2, 1, 0), seen) for solid, seen in _solids()[:9]]) is None
-
-
-def test_check_looks_at_the_axes(folder: Path, release: Release, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinectbench.scoring.grid_axes.LEAST_LOOKED_AT", 4)
-    for target in release.split("test"):
-        full = unpack(read_pair(release.pair_path(target)).full)
-        np.save(folder / target.recording / f"{target.view}.npy", full)
-    assert check(release, folder) == []
-    for path in folder.rglob("*.npy"):
-        np.save(path, np.load(path).transpose(2, 0, 1).copy())
-    (line,) = check(release, folder)
-    assert line.endswith("their axes are not those of the pairs")
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".stl", ".off"])

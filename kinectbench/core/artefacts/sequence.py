@@ -12,6 +12,10 @@ from kinectbench.core.types import Int64
 AGAIN = "delete the folder and run `kinectbench ingest` again"
 
 
+# How the warning about each frame begins that could not be read.
+DAMAGED_FRAME = "frame left out: "
+
+
 class CameraFile(Stored):
     """camera.json: the depth camera, and facts about the whole recording."""
 
@@ -57,6 +61,11 @@ class CameraFile(Stored):
         if version not in cls.READABLE_VERSIONS:
             raise ValueError(f"written in format version {version}")
         return version
+
+    @property
+    def damaged(self) -> int:
+        """The number of frames that could not be read, and are not among `frames`."""
+        return sum(line.startswith(DAMAGED_FRAME) for line in self.warnings)
 
     @property
     def camera(self) -> Camera:

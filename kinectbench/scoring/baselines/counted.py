@@ -19,8 +19,9 @@ from kinectbench.scoring.camera.grid_score import space_alone
 from kinectbench.scoring.pair_result import Counting, ceilings, count, drawn, surfaces
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.request import check_words
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import check_words, counting_of
+from kinectbench.scoring.score import counting_of
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks

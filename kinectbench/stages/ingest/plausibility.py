@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from kinectbench.core.artefacts.sequence import DAMAGED_FRAME
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.stages.ingest.images import OddImageError, image_header
@@ -78,7 +79,7 @@ class FrameChecks:
                 f"{self._recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
                 what="too-few-frames",
             )
-        warnings = [f"frame left out: {why}" for why in self._left_out]
+        warnings = [f"{DAMAGED_FRAME}{why}" for why in self._left_out]
         if len(self._empty) == self._seen:
             raise RecordingError(
                 f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)",

@@ -1,0 +1,150 @@
+"""Which tables of scores can be compared, by which metric and under which protocol; else what to do."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, ScoreRow, any_in_space
+from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.errors import SettingsError
+from kinectbench.scoring.averages import ObjectMeans, object_means
+
+Tables = Mapping[str, ScoreTable]
+# {protocol, with its part and kind: {category: means of its objects}}.
+Means = Mapping[str, Mapping[str, ObjectMeans]]
+
+
+def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
+    """Those by name of which every pair is scored: means over a part of the pairs would flatter.
+
+    Raises:
+        SettingsError: fewer than two are.
+    """
+    if len(tables) < 2:
+        raise SettingsError("compare: give the scores of at least two methods")
+    complete = {name: table for name, table in tables.items() if table.complete}
+    if len(complete) < 2:
+        lines = "; ".join(left_out_lines(tables))
+        raise SettingsError(f"{lines}; fewer than two methods are left to compare", what="other-scores")
+    return complete
+
+
+def left_out_lines(tables: Tables) -> list[str]:
+    """A line for each method that is not compared with the others, as pairs of its are not scored."""
+    return [
+        f"{name}: left out, some of its pairs are not scored ({len(table.failures)} failed): complete it, or "
+        "score it with `--missing empty`"
+        for name, table in tables.items()
+        if not table.complete
+    ]
+
+
+def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:
+    """The object means of each category, of each table.
+
+    Args:
+        tables: by the methods' names, complete.
+        metric: of `METRICS`.
+        protocol: with its part and kind, such as `aligned-t+s-visible`.
+
+    Raises:
+        SettingsError: they are of other truth, or one has no such protocol or metric; the line says which all
+            of them have.
+    """
+    _check_truth(tables)
+    of = {name: object_means(table.rows) for name, table in tables.items()}
+    if lacking := [name for name, means in of.items() if protocol not in means]:
+        raise SettingsError(_other_protocol(tables, of, lacking, protocol), what="other-scores")
+    means = {name: headings[protocol] for name, headings in of.items()}
+    for name, found in means.items():
+        if not found:
+            raise SettingsError(
+                f"{tables[name].left_out_line(protocol)}; there is nothing to compare by", what="other-scores"
+            )
+    metrics = {name: _scored_metrics(found) for name, found in means.items()}
+    if without := [name for name, scored in metrics.items() if metric not in scored]:
+        shared = [name for name in METRICS if all(name in scored for scored in metrics.values())]
+        remedy = f"all have {', '.join(shared)}: name one by --metric" if shared else "score it again with it"
+        raise SettingsError(
+            f"{', '.join(without)}: no '{metric}' under '{protocol}'; {remedy}", what="other-scores"
+        )
+    return [*means.values()]
+
+
+def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
+    """The metrics that every object has."""
+    columns = [np.isnan(of.values).any(axis=0) for of in means.values()]
+    without = dict(zip(AVERAGED, np.any(columns, axis=0).tolist(), strict=True))
+    return [name for name in METRICS if not without[name]]
+
+
+def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
+    """A line on methods that were not scored under a protocol, and on what all of them can stand."""
+    line = f"{', '.join(lacking)}: not scored under '{protocol}'"
+    if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
+        return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"
+    spatial = [name for name, table in tables.items() if any_in_space(table.settings.protocols)]
+    cells = [name for name in tables if name not in spatial]
+    both = [name for name in of[spatial[0]] if all(name in of[other] for other in spatial)] if spatial else []
+    if not cells or not both:
+        return f"{line}; score it again with it"
+    common = "camera" if "camera" in both else both[0]
+    return (
+        f"{line}: {', '.join(spatial)} in the camera frame and {', '.join(cells)} in cells can stand under "
+        f"'{common}': `kinectbench score PREDICTIONS --protocol {common.split('-')[0]} --out FOLDER` of "
+        f"{', '.join(cells)}, then compare with `--protocol {common}`"
+    )
+
+
+def _check_truth(tables: Tables) -> None:
+    """Refuse tables of different truth."""
+    first, other = next(iter(tables)), next(iter(tables.values()))
+    for name, table in tables.items():
+        if table.benchmark_sha256 != other.benchmark_sha256:
+            raise SettingsError(
+                f"{name}: scored against benchmark {table.benchmark_sha256[:12]}, {first} against "
+                f"{other.benchmark_sha256[:12]}; score both against one",
+                what="other-scores",
+            )
+
+
+def check_same(tables: Tables, protocol: str) -> None:
+    """Refuse tables counted otherwise, of other pairs, or with contradictions about the same truth.
+
+    Args:
+        tables: by the methods' names.
+        protocol: under which all were scored.
+
+    Raises:
+        SettingsError: that.
+    """
+    first, other = next(iter(tables)), next(iter(tables.values()))
+    truth, left_out = _truths(other, protocol), set(other.all_unknown_pairs.get(protocol, ()))
+    for name, table in tables.items():
+        if table.counted_by != other.counted_by:
+            raise SettingsError(
+                f"{name}: counted by {table.counted_by}, {first} by {other.counted_by}; score both again "
+                "with one version and one `--upsampling`",
+                what="other-scores",
+            )
+        pairs, problem = _truths(table, protocol), ""
+        if table.base_rate != other.base_rate:
+            problem = f"other base rates than {first}; score both again"
+        elif pairs.keys() != truth.keys():
+            problem = f"other pairs than {first}; score both against one benchmark"
+        elif differs := next((pair for pair, of in pairs.items() if of != truth[pair]), None):
+            problem = f"states other truth of {differs} than {first}; score both again"
+        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # the truth alone decides
+            problem = f"leaves out other pairs than {first}; score both again"
+        if problem:
+            raise SettingsError(f"{name}: {problem}", what="other-scores")
+
+
+def _truths(table: ScoreTable, protocol: str) -> dict[str, tuple[object, ...]]:
+    """By pair the values of its row that do not depend on the prediction."""
+    return {row.pair: _of_truth(row) for row in table.pairs(protocol)}
+
+
+def _of_truth(row: ScoreRow) -> tuple[object, ...]:
+    of = row.object, row.category, row.coverage_voxels, row.coverage_shape, row.unknown_share
+    return (*of, row.base_rate_ce)

@@ -1,0 +1,127 @@
+"""What is asked of `score`, and what of it contradicts itself or what a method declares."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from kinectbench.core.artefacts.score_figures import CLOSINGS
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.extras import missing_extra
+from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.scoring.camera.grid_score import space_alone
+from kinectbench.scoring.camera.score import protocols_in_space
+from kinectbench.scoring.declared import read_in_camera, read_method
+from kinectbench.scoring.predictions import check_folder, declared_folders
+from kinectbench.scoring.protocols import check_protocols
+from kinectbench.scoring.rounds import Missing
+from kinectbench.scoring.thresholds import read_thresholds
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of `score` that a folder of predictions may contradict; their meaning is as there.
+
+    Attributes:
+        on_cluster: whether other machines are to count.
+        in_parts: whether one part of the pairs is to be counted (`count_methods`).
+    """
+
+    protocols: Sequence[str] | None = None
+    thresholds_file: Path | None = None
+    save_thresholds: Path | None = None
+    missing: str = "error"
+    upsampling: str = HALF_PIXEL
+    close: str | None = None
+    on_cluster: bool = False
+    in_parts: bool = False
+
+
+def check_request(request: Request, predictions: Path | None) -> Missing:
+    """Refuse errors that can be found without the release.
+
+    Args:
+        request: what is asked.
+        predictions: a method's folder, or one of several methods; None where baselines are scored.
+
+    Returns:
+        What is to be done with a missing prediction.
+
+    Raises:
+        SettingsError: an option is wrong, or contradicts another or what a method.json declares.
+        PredictionError: the folder is missing, or a method.json is refused.
+    """
+    rule = check_missing(request.missing)
+    check_words(request.protocols, request.upsampling, request.close)
+    if request.thresholds_file is not None:
+        if request.save_thresholds is not None:
+            raise SettingsError(
+                f"--save-thresholds {request.save_thresholds}: with --thresholds none are found; drop one"
+            )
+        read_thresholds(request.thresholds_file, (), frozenset())
+    if predictions is not None:
+        check_folder(predictions)
+        for folder in declared_folders(predictions):
+            check_declared(request, folder)
+    if space := space_alone(request.protocols, HALF_PIXEL if predictions else request.upsampling):
+        _refuse_elsewhere(request, f"surfaces under {', '.join(space)}")
+    return rule
+
+
+def check_declared(request: Request, folder: Path) -> None:
+    """Refuse what contradicts the declaration of one method.
+
+    Args:
+        request: what is asked.
+        folder: of its predictions; without a method.json they are in the cells of a pair.
+
+    Raises:
+        SettingsError: an option is of the other kind of predictions.
+        PredictionError: its method.json is refused (`read_method`).
+    """
+    declared = read_in_camera(folder)
+    if declared is None:
+        read_method(folder)
+        if space := space_alone(request.protocols, request.upsampling, request.close):
+            _refuse_elsewhere(request, f"surfaces under {', '.join(space)}")
+        return
+    protocols_in_space(request.protocols, declared)
+    options = {"--thresholds": request.thresholds_file, "--save-thresholds": request.save_thresholds}
+    for name, given in options.items():
+        if given is not None:
+            raise SettingsError(f"{name} {given}: {declared.name} in the camera frame has none")
+    _refuse_elsewhere(request, f"{folder}: predictions in the camera frame")
+
+
+def _refuse_elsewhere(request: Request, what: str) -> None:
+    """Refuse to score surfaces in space in parts, or on other machines."""
+    if request.in_parts:
+        raise SettingsError(f"{what} are not scored in parts; leave out --shard")
+    if request.on_cluster:
+        raise SettingsError(f"--cluster: {what} are scored on one machine; use --jobs")
+
+
+def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | None = None) -> None:
+    """Refuse names of protocols, of upsampling and of ways to close meshes that are not known.
+
+    Raises:
+        SettingsError: one that is not, or what it needs is not installed.
+    """
+    check_protocols(protocols)
+    if upsampling not in CONVENTIONS:
+        raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
+    if close not in (None, *CLOSINGS):
+        raise SettingsError(f"--close {close}: choose {' or '.join(CLOSINGS)}")
+    if close == "poisson" and (missing := missing_extra("build")):
+        raise SettingsError(f"--close {close}: {missing}", what="no-package")
+
+
+def check_missing(missing: str) -> Missing:
+    """The treatment of a missing prediction.
+
+    Raises:
+        SettingsError: neither "error" nor "empty".
+    """
+    if missing not in get_args(Missing):
+        raise SettingsError(f"--missing {missing}: choose error or empty")
+    return "empty" if missing == "empty" else "error"
