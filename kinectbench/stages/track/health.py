@@ -37,6 +37,7 @@ from kinectbench.stages.track.health_figures import (
     pose_sigma_m,
     sharpness,
 )
+from kinectbench.stages.track.pose_graph import growth
 from kinectbench.stages.track.tracked import Constraint, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
@@ -86,7 +87,7 @@ def health(
         open_gap_s=_open_gap_s(case, closed),
         arc_rad=_arc_rad(case),
         ties=ConstraintCounts(**kinds, refused=len(tracked.refused)),
-        loop_correction_m=_rms_m(each.shift_m for each in case.loops if each.accepted),
+        loop_correction_m=_loop_correction_m(case.loops),
         loops=tuple(_loop(each) for each in case.loops),
         refused_loops=tuple(_loop(each) for each in case.refused_loops),
         given=None if given is None else given.figures,
@@ -259,10 +260,16 @@ def _arc_rad(case: _Case) -> float | None:
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 
-def _rms_m(shifts_m: Iterable[float]) -> float | None:
-    """The root mean square of the known values; None if there is none."""
-    finite = [shift_m for shift_m in shifts_m if np.isfinite(shift_m)]
-    return known(np.sqrt(np.mean(np.square(finite)))) if finite else None
+def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
+    """Rms correction of the accepted loops, by their weights in the pose graph; None without one.
+
+    A loop between views that hardly overlap may be off by decimetres itself, and says little of the poses.
+    """
+    believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
+    if not believed:
+        return None
+    weights = [each.constraint.weight / growth(each.constraint) ** 2 for each in believed]
+    return known(np.sqrt(np.average([each.shift_m**2 for each in believed], weights=weights)))
 
 
 def _loop(each: ConstraintCorrection) -> LoopClosure:

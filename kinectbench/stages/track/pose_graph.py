@@ -72,13 +72,17 @@ def optimise(
 def softened(constraint: Constraint) -> Float64:
     """The information (6, 6) of a constraint with the systematic errors in its covariance: (A^-1 + S)^-1.
 
-    The growth of the systematic errors was fitted to simulated orbits. A may be singular.
+    A may be singular.
     """
-    edge = constraint.registration
-    A = edge.information
-    growth = (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
-    systematic = np.diag((SYSTEMATIC * growth) ** 2)
+    A = constraint.registration.information
+    systematic = np.diag((SYSTEMATIC * growth(constraint)) ** 2)
     return np.asarray(A - A @ np.linalg.solve(A + np.linalg.inv(systematic), A))
+
+
+def growth(constraint: Constraint) -> float:
+    """The systematic errors of a constraint, by those of two equal views; it was fitted to simulated orbits."""
+    edge = constraint.registration
+    return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
 
 
 @dataclass(frozen=True)

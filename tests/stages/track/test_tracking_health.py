@@ -253,6 +253,23 @@ def test_loops_refused_and_in_doubt(circle: np.ndarray, orbit: Sequence) -> None
     assert "1 of 2 loops contradict the rest" in figures["verdict"]
 
 
+def test_a_loop_of_little_overlap_says_little_of_the_poses(circle: np.ndarray, orbit: Sequence) -> None:
+    """A loop of .31 overlap that slid by 107 mm along a body: of right poses, as 37 other loops said."""
+    slid = rigid(np.eye(3), [0.107, 0, 0])
+    weak = constraint(circle, 4, 18, "loop", slid, weight=0.71, overlap=0.31, inlier_share=0.956)
+    right = constraint(circle, 0, 22, "loop", rigid(np.eye(3), [0, 0.001, 0]), inlier_share=0.99)
+    tracked = tracked_of(circle)
+    one = replace(tracked, constraints=(*tracked.constraints, right, weak))
+    figures = figures_of(orbit, "tracked", one, [])
+    assert [row["correction_mm"] for row in figures["loops"]] == [1.0, 107.0]
+    assert figures["loops"][1]["believed"] and figures["loop_correction_mm"] == pytest.approx(6.6, abs=0.1)
+    # Where it overlaps as much as the other, one of both is wrong.
+    strong = constraint(circle, 4, 18, "loop", slid, inlier_share=0.99)
+    both = replace(tracked, constraints=(*tracked.constraints, right, strong))
+    figures = figures_of(orbit, "tracked", both, [])
+    assert figures["loop_correction_mm"] == pytest.approx(75.7, abs=0.1)
+
+
 def test_covisibility_is_over_some_keyframes(circle: np.ndarray, orbit: Sequence) -> None:
     many = ring(150, DISTANCE_M)
     tracked = tracked_of(many, keyframes=np.arange(0, 150), constraints=())
