@@ -59,7 +59,10 @@ class Common:
         ),
     ] = None
     force: Annotated[
-        bool, typer.Option("--force", help="make it again even if it is current; build: every stage")
+        bool,
+        typer.Option(
+            "--force", help="make again what is current; build: all stages; publish: the release alone"
+        ),
     ] = False
     wait: Annotated[
         bool, typer.Option("--wait/--no-wait", help="wait for another run here, or stop and say whose it is")

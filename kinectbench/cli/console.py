@@ -189,11 +189,9 @@ def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> 
 
 
 def _estimate(row: "RecordingSummary") -> str | None:
-    """Format with two decimals if there is an interval, which is wider than rounding."""
     from kinectbench.core.artefacts.object import with_interval
 
-    decimals = 3 if row.estimated_iou_low is None else 2
-    return with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, decimals)
+    return with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high)
 
 
 def text_table(

@@ -13,18 +13,30 @@ from kinectbench.core.errors import SettingsError
 def simulate_command(
     common: Common,
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
-    object_name: Annotated[str | None, typer.Option("--object", help="such as chair:seed=3")] = None,
+    object_name: Annotated[
+        str | None,
+        typer.Option(
+            "--object", help="such as chair:seed=3, of --families; default: the preset's, most chair:seed=0"
+        ),
+    ] = None,
     mesh: Annotated[Path | None, typer.Option(help="a mesh file in metres, instead of an object")] = None,
     preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
-    frames: Annotated[int | None, typer.Option(min=1, help="number of frames")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="draws everything but the object")] = None,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="number of frames; default: the preset's, most have 300")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="draws everything but the object; default: the preset's, most 0")
+    ] = None,
     form: Annotated[
         str | None,
         typer.Option(
-            "--format", help="tum, folder, bag, bag_compressed, ros2_sqlite, ros2_mcap, or one of a plug-in"
+            "--format",
+            help="tum (default; of a .bag: bag), folder, bag, bag_compressed, ros2_sqlite, ros2_mcap, or one "
+            "of a plug-in",
         ),
     ] = None,
     presets: Annotated[bool, typer.Option("--presets", help="list the presets")] = False,
+    families: Annotated[bool, typer.Option("--families", help="list the families of objects")] = False,
     contact_sheets: Annotated[
         Path | None, typer.Option(help="draw twelve objects of each family into this folder")
     ] = None,
@@ -33,6 +45,7 @@ def simulate_command(
 ) -> None:
     """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
     from kinectbench.cli import console
+    from kinectbench.lab.simulate.objects import families as object_families
     from kinectbench.lab.simulate.presets import PRESETS, simulate_named
     from kinectbench.lab.simulate.truth import is_truth, read_truth, truth_folder
 
@@ -40,6 +53,9 @@ def simulate_command(
         width = max(map(len, PRESETS))
         rows = {name: text for name, (text, _) in PRESETS.items()}
         common.tell(rows, (f"{name:<{width}}  {text}" for name, text in rows.items()))
+        return
+    if families:
+        common.tell(sorted(object_families()), sorted(object_families()))
         return
     if mesh is not None and object_name is not None:
         raise SettingsError("simulate: give --object or --mesh, not both")

@@ -1,6 +1,6 @@
 """Settings from command-line options; one clear line for every wrong one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from pydantic import ValidationError
@@ -64,13 +64,24 @@ def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], 
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what
     if error["type"] == "extra_forbidden":
-        inner = model_of(annotation)
-        return f"{where}: unknown; {suggestion(str(location[-1]), list(inner.model_fields) if inner else [])}"
+        inner, key = model_of(annotation), str(location[-1])
+        if homes := list(_homes(model, key)):
+            return f"{where}: unknown; did you mean {' or '.join(homes)}?"
+        return f"{where}: unknown; {suggestion(key, list(inner.model_fields) if inner else [])}"
     if error["type"] == "value_error":
         return f"{where}: {pydantic_message(error)}"
     inner = model_of(annotation)
     found = f"values of {listed(inner.model_fields)}" if inner else wanted(annotation, constraints)
     return f"{where}: found {error['input']!r}; wanted {found}"
+
+
+def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
+    """The full names of a key in the sections of some settings, such as `path.frames`."""
+    for name, field in model.model_fields.items():
+        if name == key:
+            yield where + name
+        elif (inner := model_of(field.annotation)) is not None:
+            yield from _homes(inner, key, f"{where}{name}.")
 
 
 def _option(location: Sequence[str], overrides: Sequence[str]) -> str:

@@ -49,6 +49,7 @@ def test_simulate_lists_presets_and_draws_contact_sheets(
     """Of two families; that all are drawn is tested beside the sheets."""
     assert set(json.loads(command(tmp_path, "simulate", "--presets", "--json").out)) == set(PRESETS)
     assert "orbit-v1" in command(tmp_path, "simulate", "--presets").out
+    assert json.loads(command(tmp_path, "simulate", "--families", "--json").out) == sorted(families())
     few = {family: families()[family] for family in ("bench", "table")}
     monkeypatch.setattr("kinectbench.lab.simulate.objects.contact_sheets.families", lambda: few)
     sheets = json.loads(command(tmp_path, "simulate", "--contact-sheets", "sheets", "--json").out)

@@ -67,7 +67,7 @@ def test_all_axes_are_named_and_the_remedy_brings_them_back(truths: list[tuple[B
     right = [(coarse(full), partial) for full, partial in truths]
     for order, turned in ALL_AXES[1:]:
         flipped = [axis for axis in range(3) if turned[axis]]
-        wrong = [(np.flip(grid, flipped).transpose(order), partial) for grid, partial in right]
+        wrong = [(np.flip(grid, tuple(flipped)).transpose(order), partial) for grid, partial in right]
         line = axes_problem(wrong)
         assert line is not None, (order, turned)
         remedy = line.split("of arrays write ")[1]

@@ -284,10 +284,17 @@ class QualityFile(Stored):
         return with_interval(self.estimated_iou, self.estimated_iou_low, self.estimated_iou_high, decimals)
 
 
-def with_interval(value: float | None, low: float | None, high: float | None, decimals: int) -> str | None:
-    """`0.74 (0.35 to 0.80)`; without an interval the value alone; None without a value."""
+def with_interval(
+    value: float | None, low: float | None, high: float | None, decimals: int | None = None
+) -> str | None:
+    """`0.74 (0.35 to 0.80)`; without an interval the value alone; None without a value.
+
+    By default it has two decimals with an interval, which is wider than rounding, else three.
+    """
     if value is None:
         return None
+    if decimals is None:
+        decimals = 3 if low is None else 2
     ends = "" if low is None or high is None else f" ({low:.{decimals}f} to {high:.{decimals}f})"
     return f"{value:.{decimals}f}{ends}"
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinectbench.core.artefacts.object import with_interval
 from kinectbench.lab.evaluate.evaluation import (
     AlignmentFigures,
     Evaluation,
@@ -182,10 +183,9 @@ def _solid(figures: SolidFigures) -> Iterator[FigureRow]:
     yield _row("unknown within 10 mm of measured surface, air", near.air, "%")
     yield _row("probability against share inside, ten bins", figures.calibration_error)
     yield from _bias(figures.face_bias_m)
-    yield _row("estimated IoU", figures.estimated_iou)
+    ends = figures.estimated_iou_low, figures.estimated_iou_high
+    yield FigureRow("estimated IoU", with_interval(figures.estimated_iou, *ends) or NONE)
     if figures.iou_in_interval is not None:
-        yield _row("estimated IoU, at least", figures.estimated_iou_low)
-        yield _row("estimated IoU, at most", figures.estimated_iou_high)
         yield FigureRow("IoU lies between them", "yes" if figures.iou_in_interval else "no")
     yield _row("estimated IoU on known", figures.estimated_known_iou)
 

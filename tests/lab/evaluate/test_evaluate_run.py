@@ -175,6 +175,16 @@ def printed(evaluation: Evaluation) -> str:
     return console.export_text()
 
 
+def test_the_estimated_iou_is_rounded_as_the_build_says_it(written: tuple[Evaluation, Path]) -> None:
+    evaluation = written[0]
+    assert evaluation.solid is not None
+    for low, high, words in ((None, None, "0.808"), (0.4309, 1.0, r"0\.81 \(0\.43 to 1\.00\)")):
+        solid = replace(
+            evaluation.solid, estimated_iou=0.8078, estimated_iou_low=low, estimated_iou_high=high
+        )
+        assert re.search(rf"estimated IoU +│ +{words} │", printed(replace(evaluation, solid=solid)))
+
+
 def test_the_table(written: tuple[Evaluation, Path]) -> None:
     text = printed(written[0])
     for line in (

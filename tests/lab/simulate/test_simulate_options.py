@@ -36,6 +36,8 @@ def test_merged_leaves_its_arguments_alone() -> None:
     [
         ("path.frams=3", "in --set path.frams=3: unknown; did you mean 'frames'"),
         ("sensr.model=ideal", "did you mean 'sensor'"),
+        ("frames=3", "in --set frames=3: unknown; did you mean path.frames?"),
+        ("scene.frames=3", "in --set scene.frames=3: unknown; did you mean path.frames?"),
         ("path.frames=x", "found 'x'; wanted a whole number from 1 to 100000"),
         ("path.frames=0", "in --set path.frames=0: found 0; wanted a whole number"),
         ("path.arc_rad=1e9", "from 0 to 100"),
