@@ -78,7 +78,7 @@ def score_command(
     if predictions is None:
         _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
-        rest = (save_thresholds, missing, upsampling, close, common.cluster is not None)
+        rest = (save_thresholds, missing, upsampling, close, common.cluster or 1)
         check_request(Request(protocol, thresholds, *rest), predictions)
     release, rows = find_release(common)
     folder = out or common.beside("scores")

@@ -8,33 +8,22 @@ import typer
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
 
+OBJECT = "such as chair:seed=3, of --families; default: the preset's, most chair:seed=0"
+FRAMES = "number of frames; default: the preset's, most have 300"
+SEED = "draws everything but the object; default: the preset's, most 0"
+FORMAT = "tum (default; of a .bag: bag), folder, bag, bag_compressed, ros2_sqlite, ros2_mcap, or a plug-in's"
+
 
 @takes("overrides", "jobs", "as_json")
 def simulate_command(
     common: Common,
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
-    object_name: Annotated[
-        str | None,
-        typer.Option(
-            "--object", help="such as chair:seed=3, of --families; default: the preset's, most chair:seed=0"
-        ),
-    ] = None,
+    object_name: Annotated[str | None, typer.Option("--object", help=OBJECT)] = None,
     mesh: Annotated[Path | None, typer.Option(help="a mesh file in metres, instead of an object")] = None,
     preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
-    frames: Annotated[
-        int | None, typer.Option(min=1, help="number of frames; default: the preset's, most have 300")
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="draws everything but the object; default: the preset's, most 0")
-    ] = None,
-    form: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            help="tum (default; of a .bag: bag), folder, bag, bag_compressed, ros2_sqlite, ros2_mcap, or one "
-            "of a plug-in",
-        ),
-    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help=FRAMES)] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help=SEED)] = None,
+    form: Annotated[str | None, typer.Option("--format", help=FORMAT)] = None,
     presets: Annotated[bool, typer.Option("--presets", help="list the presets")] = False,
     families: Annotated[bool, typer.Option("--families", help="list the families of objects")] = False,
     contact_sheets: Annotated[
@@ -55,7 +44,7 @@ def simulate_command(
         common.tell(rows, (f"{name:<{width}}  {text}" for name, text in rows.items()))
         return
     if families:
-        common.tell(sorted(object_families()), sorted(object_families()))
+        common.tell(names := sorted(object_families()), names)
         return
     if mesh is not None and object_name is not None:
         raise SettingsError("simulate: give --object or --mesh, not both")

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 
@@ -51,12 +52,12 @@ class StageFigures:
     word: str = ""
 
 
-def health_figures(health: TrajectoryHealth, damaged: int | None = None) -> StageFigures:
+def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
     """A trajectory's figures, coloured by its grade, after the number of frames that could not be read."""
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
-    unread = () if damaged is None else (("damaged frames", str(damaged)),)
+    unread = () if sequence is None else (("damaged frames", str(sequence.damaged)),)
     rows = (*unread, *_shown(health, HIDDEN))
     return StageFigures(health.verdict, tone, health.grade, health.warnings, rows)
 

@@ -98,8 +98,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
         """A stage's file; None if it is not current or has none."""
         return model.read_if_there(current[stage]) if stage in current else None
 
-    sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
-    floor = read("segment", FloorFile)
+    health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
     cameras_world = read_poses(current["track"]).T_world_camera if "track" in current else None
     T_floor_world = None if floor is None else floor.T_floor_world
     quality, mesh, unseen, turning = read("segment", QualityFile), None, np.zeros(0, bool), None
@@ -128,7 +127,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     old = {s.name for s in STAGES if s.name not in current and (folder / s.folder).is_dir()}
     return RecordingPart(
         settings=job.recording,
-        health=None if health is None else health_figures(health, sequence.damaged if sequence else None),
+        health=None if health is None else health_figures(health, read("ingest", CameraFile)),
         quality=None if quality is None else quality_figures(quality),
         turntable=turning,
         plan=plan,

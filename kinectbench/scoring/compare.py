@@ -135,9 +135,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         for scope in scopes
     }
     ranks = {scope: _ranks(names, [d for d in rows if d.scope == scope], metric) for scope in scopes}
-    groups = {
-        scope: _groups(averages[scope], [d for d in rows if d.scope == scope], metric) for scope in scopes
-    }
+    groups = {name: _groups(averages[name], [d for d in rows if d.scope == name], metric) for name in scopes}
     notes += [
         f"{scope}: more than {MOST_GROUPS} groups, so no letters are given; the differences say more"
         for scope, of in groups.items()
@@ -159,7 +157,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         tables[0].truth_unknown_share,
         small,
         {name: table.standing for name, table in complete.items()},
-        tuple(name for name in all_of if name not in complete),
+        tuple(sorted(all_of.keys() - complete.keys())),
     )
 
 

@@ -9,6 +9,7 @@ from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.extras import missing_extra
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
+from kinectbench.engine.executor import Executor
 from kinectbench.scoring.camera.grid_score import space_alone
 from kinectbench.scoring.camera.score import protocols_in_space
 from kinectbench.scoring.declared import read_in_camera, read_method
@@ -23,7 +24,7 @@ class Request:
     """The options of `score` that a folder of predictions may contradict; their meaning is as there.
 
     Attributes:
-        on_cluster: whether other machines are to count.
+        jobs: how many processes here count, or which other machines.
         in_parts: whether one part of the pairs is to be counted (`count_methods`).
     """
 
@@ -33,7 +34,7 @@ class Request:
     missing: str = "error"
     upsampling: str = HALF_PIXEL
     close: str | None = None
-    on_cluster: bool = False
+    jobs: int | Executor | str = 1
     in_parts: bool = False
 
 
@@ -79,6 +80,7 @@ def check_declared(request: Request, folder: Path) -> None:
         SettingsError: an option is of the other kind of predictions.
         PredictionError: its method.json is refused (`read_method`).
     """
+    check_words(request.protocols, request.upsampling, request.close)
     declared = read_in_camera(folder)
     if declared is None:
         read_method(folder)
@@ -97,7 +99,7 @@ def _refuse_elsewhere(request: Request, what: str) -> None:
     """Refuse to score surfaces in space in parts, or on other machines."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
-    if request.on_cluster:
+    if not isinstance(request.jobs, int):
         raise SettingsError(f"--cluster: {what} are scored on one machine; use --jobs")
 
 

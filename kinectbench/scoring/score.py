@@ -28,7 +28,7 @@ from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, stray_lines
 from kinectbench.scoring.protocols import protocols_of
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.request import Request, check_declared, check_request, check_words
+from kinectbench.scoring.request import Request, check_declared, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.thresholds import SEARCHED
 
@@ -74,10 +74,8 @@ def score(
         ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
         SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
     """
-    check_words(protocols, upsampling, close)
     here = jobs if isinstance(jobs, int) else 1
-    far = not isinstance(jobs, int)
-    check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, far), predictions)
+    check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
     if (file := read_in_camera(predictions)) is not None:
         space = protocols_in_space(protocols, file)
         return score_in_camera(release, predictions, file, method, space, missing, here, progress, close)
@@ -91,8 +89,7 @@ def score(
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    tallies = {target: result.tally for target, result in results.items()}
-    rates = base_rates(release, here, tallies)
+    rates = base_rates(release, here, {target: result.tally for target, result in results.items()})
     empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
@@ -182,12 +179,10 @@ def score_methods(
         close: see `score`.
 
     Raises:
-        SettingsError: what is of one method is given to several, an option contradicts another or what a
-            method declares, or there are no thresholds to be saved.
+        SettingsError: an option contradicts another, what a method declares, or that there are several.
         PredictionError: no predictions there, or none that can be scored; earlier scores are kept.
     """
-    far = not isinstance(jobs, int)
-    request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, far)
+    request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
     methods, tables = _methods(release, predictions, method, request), list[ScoreTable]()
     for name, folder in methods.items():
@@ -208,8 +203,7 @@ def score_methods(
         )
         _write(table, folder, target, alone=len(methods) == 1)
         tables.append(table)
-        if save_thresholds is not None:
-            _freeze(release, table, save_thresholds)
+        _freeze(release, table, save_thresholds)
     return tables
 
 
@@ -254,8 +248,7 @@ def count_methods(
     Returns:
         How many pairs of this part have no result, as their prediction is missing or cannot be scored.
     """
-    far = not isinstance(jobs, int)
-    request = Request(protocols, thresholds_file, None, missing, upsampling, None, far, in_parts=True)
+    request = Request(protocols, thresholds_file, None, missing, upsampling, None, jobs, in_parts=True)
     rule = check_request(request, predictions)
     methods = _methods(release, predictions, method, request)
     failed = 0
@@ -293,8 +286,10 @@ def _answers_validation(release: Release, folder: Path) -> bool:
     return bool(find_predictions(folder, release.split("validation")).files)
 
 
-def _freeze(release: Release, table: ScoreTable, path: Path) -> None:
-    """Write the thresholds of all categories to a file; some at least were found on validation."""
+def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
+    """Write the thresholds of all categories to a file, if any; some at least were found on validation."""
+    if path is None:
+        return
     if table.threshold_source not in SEARCHED:
         raise SettingsError(f"--save-thresholds {path}: {NOT_FROM_VALIDATION}")
     # Without objects the file states that they are unknown, as for the method's own thresholds.

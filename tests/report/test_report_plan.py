@@ -12,6 +12,7 @@ from analytic_scenes import health_of
 from report_fake_build import cameras_floor
 
 from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.sequence import DAMAGED_FRAME, CameraFile
 from kinectbench.core.artefacts.trajectory import RejectedFrame
 from kinectbench.report import figures as words
 from kinectbench.report import recording
@@ -113,6 +114,10 @@ def test_figures_in_words(tmp_path: Path) -> None:
     )
 
 
+CAMERA = dict.fromkeys(("fx", "fy", "cx", "cy"), 1.0) | {"color_registered": True}
+FILE: dict[str, Any] = CAMERA | {"format_version": 2, "width": 4, "height": 3, "depth_scale": 1000.0}
+
+
 def test_the_health_in_words() -> None:
     rejected = [RejectedFrame(frame=1), RejectedFrame(frame=2)]
     health = health_of(
@@ -124,7 +129,9 @@ def test_the_health_in_words() -> None:
     rows = dict(figures.rows)
     assert rows["grade"] == "good" and rows["arc (deg)"] == "180" and rows["median shift (mm)"] == "–"
     assert "damaged frames" not in rows
-    assert dict(words.health_figures(health, 3).rows) == {"damaged frames": "3", **rows}
+    lines = tuple(f"{DAMAGED_FRAME}{name}: cut off" for name in "abc")
+    sequence = CameraFile.model_validate(FILE | {"warnings": ("other", *lines)})
+    assert dict(words.health_figures(health, sequence).rows) == {"damaged frames": "3", **rows}
     assert rows["rejected"] == "2" and rows["keyframes"] == "7 entries" and rows["ties · loop"] == "0"
 
 

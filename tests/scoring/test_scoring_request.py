@@ -90,7 +90,7 @@ def test_surfaces_in_space_are_not_scored_in_parts_or_elsewhere(
     assert not (tmp_path / "out").exists()
     for method, protocols in (("net", None), ("cells", ("camera",))):
         with raises(SettingsError, "settings.wrong-value", match="--cluster: .* on one machine"):
-            check_request(Request(protocols, on_cluster=True), folder / method)
+            check_request(Request(protocols, jobs="tcp://there:8786"), folder / method)
 
 
 def test_baselines_are_asked_for_protocols_of_one_kind() -> None:
