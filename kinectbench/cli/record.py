@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,8 +12,8 @@ from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
+    from kinectbench.record.build_process import BuildProcess
     from kinectbench.record.guide.process import GuideProcess
-    from kinectbench.record.odometry_process import OdometryProcess
     from kinectbench.record.recorder import Recorded
 
 
@@ -62,7 +62,7 @@ def record_command(
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
-    with _odometry(out) if built else nullcontext() as odometry:
+    with _begun(out) if built else nullcontext() as begun:
         with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
             done = record_with(
                 camera,
@@ -75,24 +75,24 @@ def record_command(
         _tell(common, done)
         if done.failure:
             return CANNOT_BE_USED
-        return _build(common, out, ended_s, odometry) if built else 0
+        return _build(common, out, ended_s, begun) if built else 0
 
 
 @contextmanager
-def _odometry(out: Path) -> "Iterator[OdometryProcess | None]":
-    """Begin the build's odometry while one records; None if the package that it needs is missing."""
+def _begun(out: Path) -> "Iterator[BuildProcess | None]":
+    """Begin the build while one records; None if the package that it needs is missing."""
     from kinectbench.core.extras import missing_extra
 
     if missing_extra("build"):
         yield None  # the build says so
         return
-    from kinectbench.record.odometry_process import OdometryProcess
+    from kinectbench.record.build_process import BuildProcess
 
-    odometry = OdometryProcess(out)
+    begun = BuildProcess(out)
     try:
-        yield odometry
+        yield begun
     finally:
-        odometry.close()
+        begun.close()
 
 
 @contextmanager
@@ -122,20 +122,24 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
             guide.close()
 
 
-def _build(common: Common, out: Path, ended_s: float, odometry: "OdometryProcess | None") -> int:
+def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
     """Write a benchmark.yaml into the new folder, build it, and say how long after the last frame it was."""
     from dataclasses import replace
 
     from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
+    from kinectbench.stages.ingest.partial_sequence import using_partial_sequence
     from kinectbench.stages.track.partial_odometry import using_partial_odometry
 
-    if odometry is not None:
-        odometry.ended()
+    if begun is not None:
+        begun.ended()
     quiet = replace(common, as_json=False)
     init_command(folder=out)
-    with using_partial_odometry(odometry.so_far) if odometry is not None else nullcontext():
+    with ExitStack() as stack:
+        if begun is not None:
+            stack.enter_context(using_partial_sequence(begun.sequence))
+            stack.enter_context(using_partial_odometry(begun.odometry))
         status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")

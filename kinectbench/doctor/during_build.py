@@ -70,6 +70,10 @@ class OffsetWatch:
         self._recording = recording
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
+    def wants(self, index: int) -> bool:
+        """Whether `inspect` would read a frame."""
+        return index in self._gathering.indices
+
     def see(self, index: int, frame: RawFrame) -> None:
         """Take a frame as recorded."""
         self._gathering.take(index, frame)

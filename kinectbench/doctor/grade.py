@@ -15,7 +15,7 @@ from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.ingest.plausibility import trajectory_problem
 from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.sequence_folder import onto_depth
+from kinectbench.stages.ingest.sequence_writer import onto_depth
 from kinectbench.stages.track import track
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES
 

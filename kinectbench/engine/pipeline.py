@@ -23,6 +23,7 @@ from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
 from kinectbench.engine.interrupts import check_interrupt
 from kinectbench.engine.locks import locked
+from kinectbench.engine.processes import give_back_memory
 from kinectbench.engine.recording_summary import RecordingSummary
 from kinectbench.engine.slim import refuse_slim
 from kinectbench.engine.stage_settings import MASKS, Source, Work
@@ -255,6 +256,7 @@ def _make(
         Timing(seconds=round(time.monotonic() - started, 3)).write(folder)
         if stage.name in OVERTAKEN:
             (job.build / OVERTAKEN[stage.name]).unlink(missing_ok=True)
+    give_back_memory()
 
 
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:

@@ -36,6 +36,9 @@ from kinectbench.settings.models import (
     RecordingSettings,
 )
 
+# What a benchmark and its commands keep beside benchmark.yaml: no part of a recording that lies there, too.
+OF_BENCHMARK = ("benchmark.yaml", "build", "benchmark", "predictions", "scores", "triage", "reproduce")
+
 
 @dataclass(frozen=True)
 class Job:
@@ -220,6 +223,9 @@ def _recording(job: Job) -> Mapping[str, Source]:
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
+    if job.root.is_relative_to(job.source):
+        own = {job.root / name for name in (*OF_BENCHMARK, f"masks/{job.recording.id}")}
+        files = [file for file in files if own.isdisjoint((file, *file.parents))]
     return {"recording": Source(job.source, content_hash(files, job.source, job.build))}
 
 

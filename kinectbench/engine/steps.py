@@ -36,6 +36,7 @@ from kinectbench.engine.stages import SUGGEST
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.fuse.reconstruction import write_reconstruction
+from kinectbench.stages.ingest.partial_sequence import partial_sequence
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.pairs import full_shape, write_pairs
@@ -97,7 +98,8 @@ def _ingest(work: Work[IngestSettings]) -> None:
     watches = needed and not work.settings.own_pixels
     watched = recording if watches else replace(recording, given_trajectory=None)
     watch = OffsetWatch(watched)
-    write_sequence(recording, work.folder, work.progress, needs_trajectory=needed, watch=watch)
+    partial, where = partial_sequence(), (work.folder, work.progress)
+    write_sequence(recording, *where, needs_trajectory=needed, watch=watch, partial=partial)
 
 
 def _track(work: Work[TrackSettings]) -> None:

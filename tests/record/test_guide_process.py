@@ -28,7 +28,6 @@ from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.geometry.depth import TERMS, DepthCalibration
 from kinectbench.core.geometry.rigid import rigid_from_twist
-from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import compare_poses
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 from kinectbench.core.types import Float64
@@ -41,7 +40,6 @@ from kinectbench.record.guide.guide import FLOOR_THERE, NOTHING_THERE, Guide
 from kinectbench.record.guide.process import NO_CLICK, GuideProcess
 from kinectbench.record.guide.tracker import NEWEST, LiveFrames, LiveTracker
 from kinectbench.record.interface import Frame, Setup
-from kinectbench.record.odometry_process import GrowingFrames
 from kinectbench.record.recorder import record
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -259,12 +257,10 @@ def test_what_was_seen_stays_where_it_is_when_the_world_moves(source: Path) -> N
     assert guide.seen is None and guide.shown()["path"] == []
 
 
-def test_averaged_depth_is_corrected_once(source: Path) -> None:
+def test_averaged_depth_is_corrected_once(source: Path, tmp_path: Path) -> None:
     """What `improve` is given of calibrated depth is given back, within a tenth of a millimetre."""
-    write = open_recording(source)
-    maps = MapCache(
-        Sequence(write.camera, write.depth_scale, write.stamps_ns, False, None, GrowingFrames(write))
-    )
+    write_sequence(open_recording(source), tmp_path)
+    maps = MapCache(read_sequence(tmp_path))
     maps.calibrate(DepthCalibration(np.full(len(TERMS), 0.003)))
     depth_m = maps[3][0].depth_m
     maps.improve(3, stored_depth(depth_m))

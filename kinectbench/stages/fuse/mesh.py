@@ -6,8 +6,9 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float64, Int64
+from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.observation import evident_weight, without_fringe
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
@@ -35,7 +36,8 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     parts, offset = [], 0
     vertices, faces = [], []
     free_votes, surface_votes = volume.free, volume.surface
-    for brick in bricks:
+
+    def surface_of(brick: Int32) -> tuple[Int32, TriangleMesh]:
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
@@ -45,7 +47,9 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
         surface = volume.dense(surface_votes, first, BRICK_BLOCKS + 1)[:side, :side, :side]
         signed_m = without_fringe(tsdf, free, surface, volume.voxel_size_m, trust)
         evident = evident_weight(tsdf, weight, volume.voxel_size_m) > min_weight
-        part = isosurface(signed_m, evident)
+        return first, isosurface(signed_m, evident)
+
+    for first, part in ahead(surface_of, bricks):
         parts.append(_edge_keys(part.vertices, first.astype(np.int64) * BLOCK_VOXELS))
         vertices.append(part.vertices + first * BLOCK_VOXELS)
         faces.append(part.faces + offset)

@@ -26,12 +26,14 @@ class FrameChecks:
     """Checks each frame against the recording's camera and gathers data for checks at the end.
 
     Damaged frames are left out, and counted.
+
+    Attributes:
+        recording: of the frames; more of it may be known later.
     """
 
     def __init__(self, recording: Recording) -> None:
         """Start before the first frame."""
-        self._recording = recording
-        self._every = max(1, len(recording) // SAMPLED_FRAMES)
+        self.recording = recording
         self._left_out: list[str] = []
         self._seen = 0
         self._empty: list[str] = []
@@ -45,13 +47,13 @@ class FrameChecks:
             DamagedImageError: the colour image is damaged, or an image has the wrong size.
             RecordingError: stamps do not increase.
         """
-        check_size(frame, self._recording)
+        check_size(frame, self.recording)
         if self._last_stamp_ns is not None and frame.stamp_ns <= self._last_stamp_ns:
             raise RecordingError(
                 f"{frame.name}: its stamp {format_stamp(frame.stamp_ns)} s does not increase",
                 what="bad-stamp",
             )
-        suffix = check_color(frame, self._recording)
+        suffix = check_color(frame, self.recording)
         self._last_stamp_ns = frame.stamp_ns
         self._look_at_depth(frame)
         return suffix
@@ -67,7 +69,7 @@ class FrameChecks:
             RecordingError: 5 % or more of the recording are left out, or fewer than three frames are left;
                 no depth at all, or an absurd depth scale.
         """
-        lost, frames = len(self._left_out), len(self._recording)
+        lost, frames = len(self._left_out), len(self.recording)
         if lost and lost >= MAX_DAMAGED * frames:
             raise RecordingError(
                 f"{self._left_out[0]} ({lost} of {frames} frames cannot be used; "
@@ -76,7 +78,7 @@ class FrameChecks:
             )
         if frames - lost < MIN_FRAMES:
             raise RecordingError(
-                f"{self._recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
+                f"{self.recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
                 what="too-few-frames",
             )
         warnings = [f"{DAMAGED_FRAME}{why}" for why in self._left_out]
@@ -93,20 +95,21 @@ class FrameChecks:
     def _look_at_depth(self, frame: RawFrame) -> None:
         if not frame.depth.any():
             self._empty.append(frame.name)
-        elif (self._seen - len(self._empty)) % self._every == 0:
+        else:
             sample = frame.depth[::SAMPLED_EVERY_PX, ::SAMPLED_EVERY_PX]
             valid = sample[sample > 0] if sample.any() else frame.depth[frame.depth > 0]
             self._medians.append(float(np.median(valid)))
         self._seen += 1
 
     def _check_scale(self) -> None:
-        native = float(np.median(self._medians))
-        problem = scale_problem(native, self._recording.depth_scale)
+        every = max(1, len(self.recording) // SAMPLED_FRAMES)
+        native = float(np.median(self._medians[::every]))
+        problem = scale_problem(native, self.recording.depth_scale)
         if not problem:
             return
         better = suggested_scale(native)
         raise RecordingError(
-            f"{self._recording.path}: {problem}: give its unit in benchmark.yaml, "
+            f"{self.recording.path}: {problem}: give its unit in benchmark.yaml, "
             f"`camera: {{depth_scale: ...}}` (units a metre; at {better:g} it would be {native / better:.3g} "
             "m); where it has poses, `kinectbench inspect` tries scales and codes by them",
             what="bad-depth-scale",

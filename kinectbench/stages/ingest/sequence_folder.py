@@ -8,54 +8,29 @@ mask/000000.png       0 or 255 = the object; only if the recording has masks
 given_trajectory.txt  TUM text, camera to world; only if the recording has one
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
 from kinectbench.core.errors import GivenPosesError, KinectBenchError, RecordingError, StorageError
-from kinectbench.core.sequence import Sequence, UpSample, depth_in_metres
+from kinectbench.core.sequence import Sequence, UpSample
 from kinectbench.core.storage import storage_errors
-from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_text
 from kinectbench.core.types import Bools, Progress
 from kinectbench.core.untrusted import UNPACKED_BYTES, read_plain
-from kinectbench.stages.ingest.depth_code import decode_depth, encode_depth
-from kinectbench.stages.ingest.images import (
-    DamagedImageError,
-    decode_color_bgr,
-    decode_depth_png,
-    decode_mask,
-    encode_png,
-)
-from kinectbench.stages.ingest.plausibility import FrameChecks, trajectory_problem
-from kinectbench.stages.ingest.recording import RawFrame, Recording
-from kinectbench.stages.ingest.registration import ColorRegistration
+from kinectbench.stages.ingest.depth_code import decode_depth
+from kinectbench.stages.ingest.images import decode_depth_png, decode_mask
+from kinectbench.stages.ingest.partial_sequence import PartialSequence, go_on_from
+from kinectbench.stages.ingest.plausibility import trajectory_problem
+from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.sequence_writer import DEPTH_SUFFIX, SequenceWriter, Watch
 
 TRAJECTORY = "given_trajectory.txt"
-DEPTH_SUFFIX = ".kbd"
-
-
-class Watch(Protocol):
-    """Observes frames while they are written."""
-
-    def see(self, index: int, frame: RawFrame) -> None:
-        """Check a frame of the recording."""
-        ...
-
-    def warnings(self) -> list[str]:
-        """Warnings after the last frame, one line each."""
-        ...
-
-    def scale_warnings(self) -> list[str]:
-        """Evidence against depth_scale and intrinsics, one line each."""
-        ...
 
 
 def write_sequence(
@@ -65,6 +40,7 @@ def write_sequence(
     *,
     needs_trajectory: bool = True,
     watch: Watch | None = None,
+    partial: PartialSequence | None = None,
 ) -> list[str]:
     """Write a recording into an empty folder, holding one frame at a time, and check it on the way.
 
@@ -75,6 +51,7 @@ def write_sequence(
         needs_trajectory: refuse a recording whose given trajectory is broken or of another time; else it is
             left out with a warning.
         watch: is shown each frame that is whole, as it was recorded, and adds its warnings.
+        partial: what was written of the recording before; used if it is of these frames.
 
     Returns:
         Warnings, one line each; they are stored in camera.json too.
@@ -86,12 +63,12 @@ def write_sequence(
     problem = trajectory_problem(recording)
     if problem and needs_trajectory:
         raise GivenPosesError(f"{problem}; `trajectory: ignore` does without it")
-    with storage_errors(folder):
-        for name in ("depth", "color"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-    checks = FrameChecks(recording)
-    rows = _write_frames(recording, folder, checks, progress, watch)
-    warnings = [*recording.warnings, *checks.verdict()]
+    writer = SequenceWriter(recording, folder)
+    if partial is not None:
+        go_on_from(partial, writer, watch)
+    writer.take(len(recording), progress, watch)
+    rows = writer.rows
+    warnings = [*recording.warnings, *writer.checks.verdict()]
     if problem:
         warnings.append(f"{problem}; it is ignored")
     if watch:
@@ -205,12 +182,13 @@ class FolderFrames:
         return None if name is None else (Path(name).suffix, self._bytes(name))
 
     def digest(self, index: int) -> bytes:
-        """`frame_digest` of one frame.
+        """Tells frames apart by what is stored of them: packed depth, and encoded colour.
 
         Raises:
             StorageError: an image is missing.
         """
-        return frame_digest(self._bytes(self.rows[index].depth), self.color_encoded(index))
+        depth, (suffix, data) = self._bytes(self.rows[index].depth), self.color_encoded(index) or ("", b"")
+        return blake2b(len(depth).to_bytes(8, "little") + depth + suffix.encode() + data).digest()
 
     def _bytes(self, name: str) -> bytes:
         try:
@@ -218,130 +196,3 @@ class FolderFrames:
         except OSError as error:
             reason = error.strerror
             raise StorageError(f"{self.folder / name}: cannot be read ({reason}); {AGAIN}") from error
-
-
-def frame_digest(depth: bytes, color: tuple[str, bytes] | None) -> bytes:
-    """Tells frames apart by what is stored of them: depth as `encode_depth` packs it, and encoded colour."""
-    suffix, data = color or ("", b"")
-    return blake2b(len(depth).to_bytes(8, "little") + depth + suffix.encode() + data).digest()
-
-
-def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """The registration of a frame's colour onto depth; None if already registered or unknown."""
-    if recording.color_calibration is None or recording.color_registered:
-        return None
-    register = ColorRegistration(recording.camera, recording.color_calibration)
-    return partial(_registered, register, recording.depth_scale)
-
-
-def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
-    """A frame whose colour is brought onto its depth."""
-    if frame.color is None:
-        return frame
-    bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
-    if bgr.shape[1::-1] != register.color_px:
-        raise RecordingError(
-            f"{frame.name}: its colour is {bgr.shape[1]}x{bgr.shape[0]}, but its camera makes "
-            f"{register.color_px[0]}x{register.color_px[1]}: correct the calibration, or remove it"
-        )
-    depth_m = depth_in_metres(frame.depth, depth_scale)
-    return replace(frame, color=(".png", encode_png(register(depth_m, bgr))))
-
-
-def _write_frames(
-    recording: Recording, folder: Path, checks: FrameChecks, progress: Progress | None, watch: Watch | None
-) -> list[FrameRow]:
-    """Write every whole frame; returns the rows of frames.json."""
-    register = onto_depth(recording)
-    rows: list[FrameRow] = []
-    # Readers are not thread-safe: a video or a database has a position.
-    # Damage is noted here alone, in the order of the frames: those after them are checked ahead.
-    for packed in ahead(partial(_packed, register), _checked_frames(recording, checks, progress)):
-        if isinstance(packed, _Damaged):
-            checks.leave_out(packed.why)
-            continue
-        rows.append(_write_packed(packed, len(rows), folder))
-        if watch:
-            watch.see(packed.index, packed.frame)
-    return rows
-
-
-@dataclass(frozen=True)
-class _Damaged:
-    """A frame that is left out; `why` names it and the damage."""
-
-    why: str
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """A frame on its way to disk.
-
-    Attributes:
-        index: its place in the recording.
-        frame: as it was recorded.
-        color_suffix: of its colour image; None: it has none.
-        written: as it is written: with its colour on its depth.
-        depth: packed.
-    """
-
-    index: int
-    frame: RawFrame
-    color_suffix: str | None
-    written: RawFrame
-    depth: bytes = b""
-
-
-def _checked_frames(
-    recording: Recording, checks: FrameChecks, progress: Progress | None
-) -> Iterator[_Checked | _Damaged]:
-    """The frames one after another, or what damages them."""
-    for index in range(len(recording)):
-        try:
-            frame = recording.frame(index)
-            checked: _Checked | _Damaged = _Checked(index, frame, checks.check(frame), frame)
-        except DamagedImageError as error:
-            checked = _Damaged(str(error))
-        yield checked
-        if progress:
-            progress(index + 1, len(recording))
-
-
-def _packed(
-    register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
-) -> _Checked | _Damaged:
-    """Pack a frame's depth, and bring its colour onto it."""
-    if isinstance(checked, _Damaged):
-        return checked
-    depth = encode_depth(checked.frame.depth)
-    if register is None:
-        return replace(checked, depth=depth)
-    try:
-        registered = register(checked.frame)
-    except DamagedImageError as error:
-        return _Damaged(str(error))
-    return replace(checked, depth=depth, written=registered, color_suffix=checked.color_suffix and ".png")
-
-
-def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
-    """Write one frame; its row."""
-    frame = checked.written
-    depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
-    color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"
-    mask = None if frame.mask is None else f"mask/{index:06d}.png"
-    with storage_errors(folder):
-        (folder / depth).write_bytes(checked.depth)
-        if frame.color is not None:
-            (folder / f"{color}").write_bytes(frame.color[1])
-        if frame.mask is not None:
-            (folder / "mask").mkdir(exist_ok=True)
-            pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
-            (folder / f"{mask}").write_bytes(encode_png(pixels))
-    return FrameRow(
-        index=index,
-        recorded=checked.index,
-        stamp_ns=frame.stamp_ns,
-        depth=depth,
-        color=color,
-        mask=mask,
-    )

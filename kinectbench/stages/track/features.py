@@ -62,10 +62,10 @@ class FeatureCache(OrderedDict[int, Features]):
         return type(self), (self.maps,), None, None, iter(self.items())
 
     def __missing__(self, index: int) -> Features:
-        self[index] = find_features(self.maps[index])
+        found = self[index] = find_features(self.maps[index])
         if len(self) > CACHED_FRAMES:
             self.popitem(last=False)
-        return self[index]
+        return found
 
 
 def find_features(maps: FrameMaps) -> Features:

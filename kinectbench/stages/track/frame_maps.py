@@ -91,19 +91,25 @@ class Level:
 
 
 class FrameMaps:
-    """One frame at three resolutions, each half the one before; computed on demand."""
+    """One frame at three resolutions, each half the one before; computed on demand.
+
+    Threads may share it: at worst two of them compute the same.
+    """
 
     def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
-        self._inputs = [(camera, depth_m, intensity)]
+        self._inputs = {0: (camera, depth_m, intensity)}
         self._made: dict[int, Level] = {}
 
     def __getitem__(self, level: int) -> Level:
         """A resolution by its number, 0 the finest."""
-        while len(self._inputs) <= level:
-            self._inputs.append(_halved_inputs(*self._inputs[-1]))
         if level not in self._made:
-            self._made[level] = _level(*self._inputs[level], POINTS[level])
+            self._made[level] = _level(*self._input(level), POINTS[level])
         return self._made[level]
+
+    def _input(self, level: int) -> tuple[Camera, Float32, Float32]:
+        if level not in self._inputs:
+            self._inputs[level] = _halved_inputs(*self._input(level - 1))
+        return self._inputs[level]
 
     @property
     def has_intensity(self) -> bool:
@@ -122,7 +128,8 @@ class FrameMaps:
 class MapCache:
     """The maps of a sequence's frames, computed on demand; the last 150 are kept to bound memory.
 
-    The reduced images of the first 2000 frames stay in memory, because reading is slow.
+    The reduced images of the first 2000 frames stay in memory, because reading is slow. Threads may share it
+    while nothing is improved or calibrated: at worst two of them compute the same.
 
     Attributes:
         sequence: the recording.
@@ -155,10 +162,8 @@ class MapCache:
         self._kept.pop(index, None)
 
     def __getitem__(self, index: int) -> FrameMaps:
-        if index in self._kept:
-            self._kept.move_to_end(index)
-            return self._kept[index]
-        maps = self._made(index, self.shutter, self.averaged.get(index))
+        # Each call on a dictionary is whole by itself, whatever other threads do.
+        maps = self._kept.pop(index, None) or self._made(index, self.shutter, self.averaged.get(index))
         self._kept[index] = maps
         if len(self._kept) > CACHED_FRAMES:
             self._kept.popitem(last=False)

@@ -4,13 +4,14 @@ Every constraint is a registration that is accepted in both directions. The trie
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import KeyframeThumbnail, covisible, keyframe_thumbnail
 from kinectbench.stages.track.depth_calibration import CalibrationView, calibrate, evenly_chosen
@@ -99,9 +100,7 @@ class _Builder:
         self.calibration = NO_CALIBRATION
         self.keyframes = odometry.keyframes
         self.row = {frame: row for row, frame in enumerate(self.keyframes)}
-        self.thumbnails: list[KeyframeThumbnail] = [
-            keyframe_thumbnail(maps[frame]) for frame in self.keyframes
-        ]
+        self.thumbnails = list(ahead(lambda frame: keyframe_thumbnail(maps[frame]), self.keyframes))
         self.textured = any(maps[frame].has_intensity for frame in self.keyframes[:3])
         self.lost = np.array([frame is None for frame in odometry.frames])
         followed = [odometry.frames[frame] for frame in self.keyframes]
@@ -110,7 +109,7 @@ class _Builder:
         self.T_given = None if T_given is None else T_given[list(self.keyframes)]
         steps = np.linalg.norm(np.diff(self.T_segment[:, :3, 3], axis=0), axis=1) if len(followed) else []
         self.path_m = np.concatenate([[0.0], np.cumsum(steps)])
-        self.constraints: list[Constraint] = [self._again(each) for each in odometry.constraints]
+        self.constraints: list[Constraint] = list(ahead(self._again, odometry.constraints))
         self.round = 0
         self.refused: list[Constraint] = []
         self.tried = {(constraint.a, constraint.b) for constraint in self.constraints}
@@ -128,19 +127,17 @@ class _Builder:
 
     def add_loop_candidates(self) -> None:
         """Try keyframes of similar appearance that are no neighbours, and those on both sides of a gap."""
-        similar = similarity([self.features[frame] for frame in self.keyframes])
+        similar = similarity(list(ahead(self.features.__getitem__, self.keyframes)))
         order = np.arange(len(self.keyframes))
         similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
-        tries = set()
+        tries = set[tuple[int, int]]()
         for row in order:
             for other in np.argsort(-similar[row], kind="stable")[:SIMILAR_PER_KEYFRAME]:
                 if similar[row, other] >= MIN_SIMILARITY:
-                    tries.add((min(row, other), max(row, other)))
-        for row in order[1:]:
-            if self.segments[row] != self.segments[row - 1]:
-                tries.add((row - 1, row))
-        for a, b in sorted(tries):
-            self._try(int(a), int(b), None)
+                    tries.add((int(min(row, other)), int(max(row, other))))
+        parted = (1 + np.flatnonzero(np.diff(self.segments))).tolist()
+        tries |= {(row - 1, row) for row in parted}
+        self._try((a, b, None) for a, b in sorted(tries))
 
     def add_covisibility_constraints(self) -> None:
         """Try keyframes with a predicted shared view, largest first."""
@@ -156,8 +153,7 @@ class _Builder:
             tries[b] += 1
             chosen.append((a, b))
         # In the order of the path, so that their maps are still cached.
-        for a, b in sorted(chosen):
-            self._try(a, b, self._between(a, b))
+        self._try((a, b, self._between(a, b)) for a, b in sorted(chosen))
 
     def _covisible_pairs(self) -> list[tuple[float, int, int]]:
         pairs = []
@@ -167,24 +163,30 @@ class _Builder:
             pairs += [(share, int(rows[i]), int(rows[j])) for share, i, j in result]
         return pairs
 
-    def _try(self, a: int, b: int, T_a_b: Float64 | None) -> None:
-        """Register keyframe b to a; keep it as a constraint if it is accepted."""
+    def _try(self, pairs: Iterable[tuple[int, int, Float64 | None]]) -> None:
+        """Register keyframes b to a, with T_a_b if known, but no pair twice; keep what is accepted."""
+        fresh = []
+        for a, b, T_a_b in pairs:
+            frames = self.keyframes[a], self.keyframes[b]
+            if frames not in self.tried:
+                self.tried.add(frames)
+                fresh.append((a, b, T_a_b))
+        for made in ahead(self._constraint, fresh):
+            if made is not None:
+                (self.constraints if made.weight else self.refused).append(made)
+
+    def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
+        """Keyframe b registered to a; of weight 0 if that is not accepted, None if it cannot be done."""
+        a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
-        if frames in self.tried:
-            return
-        self.tried.add(frames)
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
         kind: ConstraintKind = "covisible" if near else "loop"
         best = self._register(frames, T_a_b)
         if best is None:
-            return
+            return None
         made = Constraint(*frames, best, kind)
-        accepted = self._is_mutual(frames, best) and not (
-            self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
-        )
-        (self.constraints if accepted else self.refused).append(
-            made if accepted else replace(made, weight=0.0)
-        )
+        drifts = self.group[a] == self.group[b] and self._breaks_drift_bound(a, b, best.T_target_source)
+        return made if self._is_mutual(frames, best) and not drifts else replace(made, weight=0.0)
 
     def _register(self, frames: tuple[int, int], T_a_b: Float64 | None) -> Registration | None:
         target, source = (self.maps[frame] for frame in frames)
@@ -209,10 +211,8 @@ class _Builder:
     def _breaks_drift_bound(self, a: int, b: int, T_a_b: Float64) -> bool:
         error = invert_rigid(T_a_b) @ invert_rigid(self.T_world[a]) @ self.T_world[b]
         walked_m = abs(self.path_m[b] - self.path_m[a])
-        return bool(
-            np.linalg.norm(error[:3, 3]) > DRIFT_M + DRIFT_SHARE * walked_m
-            or rotation_angle_rad(error[:3, :3]) > DRIFT_RAD
-        )
+        moved = np.linalg.norm(error[:3, 3]) > DRIFT_M + DRIFT_SHARE * walked_m
+        return bool(moved or rotation_angle_rad(error[:3, :3]) > DRIFT_RAD)
 
     def optimise(self) -> None:
         """Join groups that are connected by enough constraints, then optimise each group."""
@@ -241,11 +241,11 @@ class _Builder:
         self.maps.calibrate(NO_CALIBRATION)
         self.calibration = calibrate(self._view(a, b) for a, b in evenly_chosen(pairs))
         self.maps.calibrate(self.calibration)
-        along = sorted(
-            range(len(self.constraints)), key=lambda t: (self.constraints[t].a, self.constraints[t].b)
-        )
-        for t in along:
-            self.constraints[t] = self._again(self.constraints[t])
+        ends = [(each.a, each.b) for each in self.constraints]
+        along = sorted(range(len(ends)), key=ends.__getitem__)
+        again = ahead(self._again, [self.constraints[t] for t in along])
+        for t, constraint in zip(along, list(again), strict=True):
+            self.constraints[t] = constraint
 
     def _view(self, a: int, b: int) -> CalibrationView:
         target, source = (self.maps[self.keyframes[row]][0] for row in (a, b))
@@ -271,13 +271,15 @@ class _Builder:
 
     def _confirm_joins(self) -> None:
         """Try the keyframes next to the ends of a joining constraint: they should overlap as well."""
+        near = []
         for _, constraints in sorted(self._joining_constraints().items()):
             for each in constraints[:JOINS_CONFIRMED]:
                 a, b = self._ends(each)
                 for i, j in ((a - 1, b), (a + 1, b), (a, b - 1), (a, b + 1)):
                     inside = 0 <= i < len(self.group) and 0 <= j < len(self.group)
                     if inside and (self.group[i], self.group[j]) == (self.group[a], self.group[b]):
-                        self._try(i, j, self._between(i, a) @ each.T_a_b @ self._between(b, j))
+                        near.append((i, j, self._between(i, a) @ each.T_a_b @ self._between(b, j)))
+        self._try(near)
 
     def _join_groups(self) -> None:
         """Join two groups if two constraints agree on their relative pose, or one spans a gap in time.

@@ -17,6 +17,7 @@ import numpy as np
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Float64, Progress
 from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
@@ -83,9 +84,9 @@ def _place(
 ) -> Tracked:
     """Register every frame to several optimised keyframes at once."""
     placer, placed = _Placer(maps, odometry, graph), []
-    for index in range(len(maps.sequence)):
+    for index, first in enumerate(ahead(placer.first_try, range(len(maps.sequence)))):
         progress(index + 1)
-        placed.append(placer.place(index))
+        placed.append(placer.place(index, first))
     placed = [_supported(placed, odometry, index) for index in range(len(placed))]
     registrations = [each.registration for each in placed]
     measured = [(r.residual_m, r.noise_m, r.inlier_share) if r else (np.nan,) * 3 for r in registrations]
@@ -126,6 +127,16 @@ class _Placed:
     registration: Registration | None = None
 
 
+@dataclass(frozen=True)
+class _FirstTry:
+    """A frame's predicted pose, the rows of keyframes around it, and its registration to them from there."""
+
+    state: State
+    T_world_camera: Float64
+    around: tuple[int, ...]
+    registration: Registration
+
+
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
     """A placed frame, without its pose if its own keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
@@ -146,8 +157,11 @@ class _Placer:
         followed = [f.registration for f in odometry.frames if f is not None and f.registration is not None]
         self.reference = median_quality(followed)
 
-    def place(self, index: int) -> _Placed:
-        """Register one frame to the keyframes with the largest shared view."""
+    def first_try(self, index: int) -> _Placed | _FirstTry:
+        """Register one frame to the keyframes with the largest shared view, from its predicted pose.
+
+        It depends on no other frame's; a frame that cannot be registered has its place.
+        """
         frame = self.odometry.frames[index]
         if frame is None:
             return _Placed(state="lost", reason=self.odometry.reasons[index])
@@ -158,8 +172,16 @@ class _Placer:
         around = self._around(index, frame, T_world)
         if not around:
             return _Placed(state=state, T_world_camera=T_world)
-        registration = self._registered(index, around, T_world)
-        if frame.keyframe != index:
+        return _FirstTry(state, T_world, tuple(around), self._registered(index, around, T_world))
+
+    def place(self, index: int, first: _Placed | _FirstTry) -> _Placed:
+        """Place the next frame by its first try, or by a search around it."""
+        if isinstance(first, _Placed):
+            return first
+        around, T_world, state = first.around, first.T_world_camera, first.state
+        registration = first.registration
+        if index not in self.row:
+            registration = self._good_enough(index, first)
             T_world = on_so3(self.graph.T_world[around[0]] @ registration.T_target_source)
         reason = None if is_accepted(registration) else UNOBSERVABLE if registration.degenerate else DISAGREES
         return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
@@ -184,28 +206,26 @@ class _Placer:
         return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
 
     def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
-        """Measure a keyframe in place; register any other frame, with a search if it is not good enough."""
+        """Measure a keyframe in place; register any other frame."""
         source = self.maps[index]
         targets = [self.maps[self.graph.keyframes[k]] for k in around]
-        T_around = [invert_rigid(self.graph.T_world[k]) for k in around]
+        starts = [invert_rigid(self.graph.T_world[k]) @ T_world for k in around]
         if index in self.row:
-            return measure(source, targets, [T @ T_world for T in T_around])
-        registration = register(
-            source,
-            targets,
-            [T @ T_world for T in T_around],
-            coarsest=0,
-            prior=PLACED,
-            every=point_stride(source),
-        )
-        if self.reference.meets_reference(registration):
-            self.reference = self.reference.after(registration)
-            return registration
-        for T_around_k, target in zip(T_around, targets, strict=True):
-            elsewhere = search(source, target, T_around_k @ T_world).T_target_source
-            T_there = invert_rigid(T_around_k) @ elsewhere
-            other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
-            registration = better(registration, other)
+            return measure(source, targets, starts)
+        return register(source, targets, starts, coarsest=0, prior=PLACED, every=point_stride(source))
+
+    def _good_enough(self, index: int, first: _FirstTry) -> Registration:
+        """The first registration; if it is not good enough, the best of a search."""
+        registration = first.registration
+        if not self.reference.meets_reference(registration):
+            source = self.maps[index]
+            targets = [self.maps[self.graph.keyframes[k]] for k in first.around]
+            T_around = [invert_rigid(self.graph.T_world[k]) for k in first.around]
+            for T_around_k, target in zip(T_around, targets, strict=True):
+                elsewhere = search(source, target, T_around_k @ first.T_world_camera).T_target_source
+                T_there = invert_rigid(T_around_k) @ elsewhere
+                other = register(source, targets, [T @ T_there for T in T_around], coarsest=0, prior=PLACED)
+                registration = better(registration, other)
         self.reference = self.reference.after(registration)
         return registration
 

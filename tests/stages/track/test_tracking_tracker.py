@@ -38,7 +38,7 @@ from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import track
 from kinectbench.stages.track.tracked import Tracked
-from kinectbench.stages.track.tracker import DISAGREES, UNSUPPORTED, _Placed, _Placer, track_frames
+from kinectbench.stages.track.tracker import DISAGREES, UNSUPPORTED, _FirstTry, _Placed, _Placer, track_frames
 
 pytestmark = pytest.mark.xdist_group("tracking")
 # Wrong is what no reconstruction survives; a good trajectory is far better.
@@ -264,8 +264,8 @@ def test_a_frame_has_no_pose_if_its_keyframe_cannot_be_placed(monkeypatch: pytes
     sequence, place = couch().sequence, _Placer.place
     keyframe = int(track_frames(sequence).keyframes[1])
 
-    def disturbed(placer: _Placer, index: int) -> _Placed:
-        placed = place(placer, index)
+    def disturbed(placer: _Placer, index: int, first: _Placed | _FirstTry) -> _Placed:
+        placed = place(placer, index, first)
         return replace(placed, reason=DISAGREES) if index == keyframe else placed
 
     monkeypatch.setattr(_Placer, "place", disturbed)

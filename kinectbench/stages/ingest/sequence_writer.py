@@ -1,0 +1,192 @@
+"""Writing the frames of a sequence one by one: each is decoded, checked, packed and stored."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from kinectbench.core.artefacts.sequence import FrameRow
+from kinectbench.core.errors import RecordingError
+from kinectbench.core.sequence import depth_in_metres
+from kinectbench.core.storage import storage_errors
+from kinectbench.core.threads import ahead
+from kinectbench.core.types import Progress
+from kinectbench.stages.ingest.depth_code import encode_depth
+from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png
+from kinectbench.stages.ingest.plausibility import FrameChecks
+from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.registration import ColorRegistration
+
+DEPTH_SUFFIX = ".kbd"
+
+
+class Watch(Protocol):
+    """Observes frames while they are written."""
+
+    def wants(self, index: int) -> bool:
+        """Whether `see` looks at a frame of the recording."""
+        ...
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        """Check a frame of the recording."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """Warnings after the last frame, one line each."""
+        ...
+
+    def scale_warnings(self) -> list[str]:
+        """Evidence against depth_scale and intrinsics, one line each."""
+        ...
+
+
+class SequenceWriter:
+    """Writes frames; a pickled copy goes on elsewhere, with the same result.
+
+    Attributes:
+        folder: of the sequence.
+        checks: of the frames that were taken.
+        rows: of the frames that were written.
+        taken: how many frames of the recording, damaged ones included.
+    """
+
+    def __init__(self, recording: Recording, folder: Path) -> None:
+        """Make the folders of images.
+
+        Raises:
+            StorageError: they cannot be made.
+        """
+        with storage_errors(folder):
+            for name in ("depth", "color"):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.checks = FrameChecks(recording)
+        self.rows: list[FrameRow] = []
+        self.taken = 0
+        self._register = onto_depth(recording)
+
+    def take(self, count: int, progress: Progress | None = None, watch: Watch | None = None) -> None:
+        """Write the next frames of the recording, up to this number of all.
+
+        Raises:
+            RecordingError: a frame cannot be used; damaged ones are left out.
+            StorageError: the folder cannot be written.
+        """
+        # Readers are not thread-safe: a video or a database has a position.
+        # Damage is noted here alone, in the order of the frames: those after them are checked ahead.
+        checked = _checked_frames(self.checks, range(self.taken, count), progress)
+        for packed in ahead(partial(_packed, self._register), checked):
+            self.taken += 1
+            if isinstance(packed, _Damaged):
+                self.checks.leave_out(packed.why)
+                continue
+            self.rows.append(_write_packed(packed, len(self.rows), self.folder))
+            if watch:
+                watch.see(packed.index, packed.frame)
+
+
+def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
+    """The registration of a frame's colour onto depth; None if already registered or unknown."""
+    if recording.color_calibration is None or recording.color_registered:
+        return None
+    register = ColorRegistration(recording.camera, recording.color_calibration)
+    return partial(_registered, register, recording.depth_scale)
+
+
+def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
+    """A frame whose colour is brought onto its depth."""
+    if frame.color is None:
+        return frame
+    bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
+    if bgr.shape[1::-1] != register.color_px:
+        raise RecordingError(
+            f"{frame.name}: its colour is {bgr.shape[1]}x{bgr.shape[0]}, but its camera makes "
+            f"{register.color_px[0]}x{register.color_px[1]}: correct the calibration, or remove it"
+        )
+    depth_m = depth_in_metres(frame.depth, depth_scale)
+    return replace(frame, color=(".png", encode_png(register(depth_m, bgr))))
+
+
+@dataclass(frozen=True)
+class _Damaged:
+    """A frame that is left out; `why` names it and the damage."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A frame on its way to disk.
+
+    Attributes:
+        index: its place in the recording.
+        frame: as it was recorded.
+        color_suffix: of its colour image; None: it has none.
+        written: as it is written: with its colour on its depth.
+        depth: packed.
+    """
+
+    index: int
+    frame: RawFrame
+    color_suffix: str | None
+    written: RawFrame
+    depth: bytes = b""
+
+
+def _checked_frames(
+    checks: FrameChecks, indices: Iterable[int], progress: Progress | None
+) -> Iterator[_Checked | _Damaged]:
+    """Frames one after another, or what damages them."""
+    recording = checks.recording
+    for index in indices:
+        try:
+            frame = recording.frame(index)
+            checked: _Checked | _Damaged = _Checked(index, frame, checks.check(frame), frame)
+        except DamagedImageError as error:
+            checked = _Damaged(str(error))
+        yield checked
+        if progress:
+            progress(index + 1, len(recording))
+
+
+def _packed(
+    register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
+) -> _Checked | _Damaged:
+    """Pack a frame's depth, and bring its colour onto it."""
+    if isinstance(checked, _Damaged):
+        return checked
+    depth = encode_depth(checked.frame.depth)
+    if register is None:
+        return replace(checked, depth=depth)
+    try:
+        registered = register(checked.frame)
+    except DamagedImageError as error:
+        return _Damaged(str(error))
+    return replace(checked, depth=depth, written=registered, color_suffix=checked.color_suffix and ".png")
+
+
+def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
+    """Write one frame; its row."""
+    frame = checked.written
+    depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
+    color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"
+    mask = None if frame.mask is None else f"mask/{index:06d}.png"
+    with storage_errors(folder):
+        (folder / depth).write_bytes(checked.depth)
+        if frame.color is not None:
+            (folder / f"{color}").write_bytes(frame.color[1])
+        if frame.mask is not None:
+            (folder / "mask").mkdir(exist_ok=True)
+            pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
+            (folder / f"{mask}").write_bytes(encode_png(pixels))
+    return FrameRow(
+        index=index,
+        recorded=checked.index,
+        stamp_ns=frame.stamp_ns,
+        depth=depth,
+        color=color,
+        mask=mask,
+    )

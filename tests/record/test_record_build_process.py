@@ -1,0 +1,203 @@
+"""The build that begins while one records: it goes on from what was done, and makes the same bytes."""
+
+import json
+import os
+import pickle
+import shutil
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_once import made_once
+from small_runs import make_small
+from typed import noted
+
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.engine.parallel import build
+from kinectbench.engine.stages import Job
+from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
+from kinectbench.settings.file import load_benchmark
+from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest.images import decode_depth_png, encode_png
+from kinectbench.stages.ingest.partial_sequence import PartialSequence, using_partial_sequence
+from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import FileRecording, RawFrame
+from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.track import track, tracker
+from kinectbench.stages.track.odometry import Follower
+from kinectbench.stages.track.partial_odometry import (
+    PartialOdometry,
+    partial_odometry_of,
+    using_partial_odometry,
+)
+
+FRAMES = 16
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`out`, 16 frames of a chair, and `sequence`, what `ingest` makes of it."""
+
+    def make(to: Path) -> None:
+        (make_small(to, ("chair",)) / "recordings/chair").rename(to / "out")
+        write_sequence(open_recording(to / "out"), to / "sequence")
+
+    return made_once(tmp_path_factory, "partial", make)
+
+
+def all_taken(folder: Path, stored: Path, *, whole: bool) -> GrowingBuild:
+    """A folder of which all is taken that can be."""
+    growing = GrowingBuild(folder, stored)
+    growing.read_again()
+    while growing.take(whole=whole):
+        pass
+    return growing
+
+
+def taken_of(folder: Path, stored: Path, *, whole: bool) -> PartialOdometry:
+    """The odometry of all that can be taken of a folder."""
+    made = all_taken(folder, stored, whole=whole).odometry()
+    assert made is not None
+    return made
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The bytes of all files by their names, without the time that was taken."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "timing.json")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def tracked(sequence: Sequence) -> Trajectory:
+    return track(sequence, "ignore", TrackingSettings())
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_tracking_goes_on_with_the_same_result(
+    recorded: Path, whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses, figures and warnings are equal to the last bit, and no frame is followed twice."""
+    sequence = read_sequence(recorded / "sequence")
+    alone = tracked(sequence)
+    partial: PartialOdometry = pickle.loads(pickle.dumps(taken_of(recorded / "out", tmp_path, whole=whole)))
+    count = FRAMES - (0 if whole else MAY_CHANGE)
+    assert len(partial.digests) == len(partial.follower.frames) == count
+    fresh: list[object] = []
+    monkeypatch.setattr(tracker, "Follower", noted(Follower, fresh))
+    with using_partial_odometry(lambda: partial):
+        after = tracked(sequence)
+    assert not fresh and len(partial.follower.frames) == FRAMES
+    assert np.array_equal(after.T_world_camera, alone.T_world_camera, equal_nan=True)
+    assert after.health == alone.health
+    found, wanted = (each.depth_calibration.coefficients_per_m for each in (after, alone))
+    assert np.array_equal(found, wanted)
+
+
+def test_what_was_taken_of_other_frames_is_not_used(recorded: Path, tmp_path: Path) -> None:
+    """One pixel, one stamp or the depth's scale differs; nor is it given out twice."""
+    sequence = read_sequence(recorded / "sequence")
+    with using_partial_odometry(lambda: taken_of(recorded / "out", tmp_path, whole=True)):
+        assert partial_odometry_of(sequence) is not None and partial_odometry_of(sequence) is None
+    source = open_recording(recorded / "out")
+    for change in ("pixel", "scale"):
+        write_sequence(source, tmp_path / change)
+        partial = taken_of(recorded / "out", tmp_path / "stored", whole=True)
+        if change == "pixel":
+            frame = next((tmp_path / change / "depth").iterdir())
+            frame.write_bytes(frame.read_bytes()[:-1] + b"?")
+        else:
+            maps = partial.follower.maps
+            maps.sequence = Sequence(source.camera, 1.0, source.stamps_ns, True, None, maps.sequence.frames)
+        with using_partial_odometry(lambda partial=partial: partial):  # type: ignore[misc]
+            assert partial_odometry_of(read_sequence(tmp_path / change)) is None
+
+
+def test_a_process_takes_the_frames_as_they_come(recorded: Path, tmp_path: Path) -> None:
+    """It waits for the folder, and gives what it has taken when it is asked."""
+    process = BuildProcess(tmp_path / "out")
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    process.ended()
+    sequence, partial = process.sequence(), process.odometry()
+    process.close()
+    assert sequence is not None and len(sequence.marks) == sequence.writer.taken <= FRAMES
+    assert partial is not None and 1 <= len(partial.digests) == len(partial.follower.frames) <= FRAMES
+    assert not (tmp_path / "out" / STORED).exists()
+
+
+def test_a_process_that_dies_costs_nothing(tmp_path: Path) -> None:
+    process = BuildProcess(tmp_path / "out")
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGKILL)
+    process.ended()
+    assert process.sequence() is None and process.odometry() is None
+    process.close()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_ingest_goes_on_with_the_same_bytes(
+    recorded: Path, whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was stored is not read again; of one frame depth is empty, which the warnings count."""
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    empty = sorted((tmp_path / "out/depth").iterdir())[3]
+    empty.write_bytes(encode_png(np.zeros_like(decode_depth_png(empty.read_bytes(), ""))))
+    source = open_recording(tmp_path / "out")
+    write_sequence(source, tmp_path / "alone")
+    growing = all_taken(tmp_path / "out", tmp_path / "stored", whole=whole)
+    partial: PartialSequence = pickle.loads(pickle.dumps(growing.sequence()))
+    read, frame = list[int](), FileRecording.frame
+
+    def noted_frame(recording: FileRecording, index: int) -> RawFrame:
+        read.append(index)
+        return frame(recording, index)
+
+    monkeypatch.setattr(FileRecording, "frame", noted_frame)
+    warnings = write_sequence(source, tmp_path / "sequence", partial=partial)
+    assert read == list(range(FRAMES - (0 if whole else MAY_CHANGE), FRAMES))
+    assert any("1 depth images are empty" in line for line in warnings)
+    assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
+
+
+@pytest.mark.parametrize("change", ["pixels", "scale", "gone"])
+def test_what_was_stored_of_other_files_is_not_used(recorded: Path, tmp_path: Path, change: str) -> None:
+    """A file was written again, the unit of depth differs, or what was stored is gone: all is read."""
+    out = tmp_path / "out"
+    shutil.copytree(recorded / "out", out)
+    partial = all_taken(out, tmp_path / "stored", whole=True).sequence()
+    if change == "pixels":
+        first, second = sorted((out / "depth").iterdir())[:2]
+        shutil.copyfile(second, first)
+    elif change == "scale":
+        said = json.loads((out / "camera.json").read_text())
+        (out / "camera.json").write_text(json.dumps({**said, "depth_scale": said["depth_scale"] / 2}))
+    else:
+        shutil.rmtree(tmp_path / "stored")
+    write_sequence(open_recording(out), tmp_path / "sequence", partial=partial)
+    write_sequence(open_recording(out), tmp_path / "alone")
+    assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
+
+
+def test_a_build_goes_on_from_it(tmp_path: Path) -> None:
+    """The stages ask for it, and their files are the same bytes as without."""
+    root = make_small(tmp_path, ("chair",))
+    file = root / "benchmark.yaml"
+    file.write_text(file.read_text().replace("category: chair}", "category: chair, trajectory: ignore}"))
+    settings = load_benchmark(file)
+    job = Job(settings, settings.recordings[0], root)
+    growing, asked = all_taken(root / "recordings/chair", tmp_path / "stored", whole=True), list[str]()
+
+    def sequence() -> PartialSequence | None:
+        asked.append("sequence")
+        return growing.sequence()
+
+    def odometry() -> PartialOdometry | None:
+        asked.append("odometry")
+        return growing.odometry()
+
+    with using_partial_sequence(sequence), using_partial_odometry(odometry):
+        assert build([job], "track")[0].error is None
+    assert asked == ["sequence", "odometry"]
+    begun = contents(job.build)
+    assert build([job], "track", ("ingest", "track"))[0].error is None
+    assert asked == ["sequence", "odometry"] and len(begun) > 2 * FRAMES and contents(job.build) == begun
