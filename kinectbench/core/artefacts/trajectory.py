@@ -158,7 +158,9 @@ class TrajectoryHealth(ScaledPart, Stored):
     )
     arc_rad: DegreesInFile | None = Field(None, description="walked around what is looked at, degrees")
     ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
-    loop_correction_m: Millimetres = Field(None, description="of believed loops with the poses, rms mm; less of those that overlap less")
+    loop_correction_m: Millimetres = Field(
+        None, description="of believed loops with the poses, rms mm; less of those that overlap less"
+    )
     loops: tuple[LoopClosure, ...] = Field((), description="closures in the pose graph")
     refused_loops: tuple[LoopClosure, ...] = Field((), description="tried and not believed")
     given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")

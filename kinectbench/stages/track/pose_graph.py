@@ -80,7 +80,7 @@ def softened(constraint: Constraint) -> Float64:
 
 
 def growth(constraint: Constraint) -> float:
-    """The systematic errors of a constraint, by those of two equal views; it was fitted to simulated orbits."""
+    """The systematic errors of a constraint, in those of two equal views; fitted to simulated orbits."""
     edge = constraint.registration
     return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
 
