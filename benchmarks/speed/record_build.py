@@ -89,7 +89,7 @@ def measure(folder: Path) -> list[Figure]:
         *left.spent("after the last frame"),
         *whole.spent("from the beginning"),
         equals("files that differ", differ, []),
-        at_most("peak memory of both in one process, MB", peak, PEAK_MB),
+        at_most("peak memory until then, in one process, MB", peak, PEAK_MB),
     ]
 
 
