@@ -34,8 +34,8 @@ MISSED = {"openni": 1, "orbbec": 1}
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that gives nothing is gone after a fifth of a second."""
-    monkeypatch.setattr(interface, "SILENT_S", 0.2)
+    """A device that gives nothing is gone after a second; a busy machine may keep it waiting."""
+    monkeypatch.setattr(interface, "SILENT_S", 1.0)
 
 
 def recorded(monkeypatch: pytest.MonkeyPatch, name: str, out: Path) -> tuple[Recorded, Recording]:
@@ -54,7 +54,8 @@ def test_a_device_is_recorded_until_it_gives_nothing(
     assert done.failure.startswith(f"{name}: ") and "frames before are whole" in done.failure
     assert len(read(recording)) == COUNT and not recording.warnings
     steps_ns = np.diff(recording.stamps_ns)
-    assert (steps_ns > 20e6).all() and (steps_ns < 200e6).all()
+    # An iPhone's stamps are those of the machine, which may be busy.
+    assert (steps_ns > 20e6).all() and (steps_ns < (5e9 if name == "iphone" else 200e6)).all()
     assert all(raw.color is not None for raw in read(recording))
 
 
