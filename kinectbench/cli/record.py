@@ -45,6 +45,7 @@ def record_command(
     from kinectbench.cli import console
     from kinectbench.record.devices import device_to_use
     from kinectbench.record.devices.replay import Replay
+    from kinectbench.record.folder import check_new
     from kinectbench.record.recorder import record as record_with
     from kinectbench.settings.models import CameraSettings
     from kinectbench.settings.overrides import settings_from_options
@@ -62,6 +63,7 @@ def record_command(
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
+    check_new(out)
     with _begun(out) if built else nullcontext() as begun:
         with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
             done = record_with(

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.sequence import Sequence
-from kinectbench.stages.ingest.partial_sequence import FrameMark, PartialSequence, frame_mark
+from kinectbench.stages.ingest.partial_sequence import FrameMark, PartialSequence, frame_mark, stored_by
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.ingest.sequence_folder import FolderFrames
@@ -33,8 +33,13 @@ NICER = 10
 READ_AGAIN_S = 1.0
 # Rows at the end of the lists whose colour may still come.
 MAY_CHANGE = 2
-# A folder in that of the recording, so that one disk holds both; hidden, it is no part of the recording.
-STORED = ".stored"
+# A folder in that of the recording, so that one disk holds both; hidden, it is no part of the recording. The
+# number of the process follows: another recorder, which is refused, removes its own alone.
+STORED = ".stored-"
+# What a closed terminal, or whoever ends a group of processes, sends: the other end decides, and is ended.
+IGNORED = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM) if os.name == "posix" else (signal.SIGINT,)
+# The process ends by itself within a frame; then it is killed.
+ENDS_WITHIN_S = 5.0
 
 
 class BuildProcess:
@@ -42,11 +47,11 @@ class BuildProcess:
 
     def __init__(self, folder: Path) -> None:
         """Start the process (spawned: threads do not survive a fork); the folder may come later."""
-        self._stored = folder / STORED
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
         self._process = context.Process(target=_run, args=(theirs, folder), name="build", daemon=True)
         self._process.start()
+        self._stored = folder / f"{STORED}{self._process.pid}"
         theirs.close()
 
     @property
@@ -71,7 +76,8 @@ class BuildProcess:
     def close(self) -> None:
         """End the process, and remove what it stored."""
         self._mine.close()
-        self._process.terminate()
+        self._process.join(ENDS_WITHIN_S)
+        self._process.kill()
         self._process.join()
         shutil.rmtree(self._stored, ignore_errors=True)
 
@@ -110,6 +116,8 @@ class GrowingBuild:
             return  # nothing is there yet
         if self._writer is None:
             self._writer = SequenceWriter(recording, self.stored)
+        if stored_by(recording) != stored_by(self._writer.checks.recording):
+            raise RecordingError(f"{self.folder}: its camera is another one now; the build stores all again")
         self._writer.checks.recording = recording
 
     def take(self, *, whole: bool) -> bool:
@@ -153,11 +161,13 @@ class GrowingBuild:
 
 def _run(connection: Connection, folder: Path) -> None:
     """In the process: take frames until they are asked for, or the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder
+    for each in IGNORED:
+        signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the terminal has one line: that of the recorder
     with suppress(OSError):
         os.nice(NICER)
-    growing, whole, busy = GrowingBuild(folder, folder / STORED), False, False
+    stored = folder / f"{STORED}{os.getpid()}"
+    growing, whole, busy = GrowingBuild(folder, stored), False, False
     try:
         while True:
             asked = connection.recv() if connection.poll(0 if busy else READ_AGAIN_S) else ""
@@ -173,4 +183,4 @@ def _run(connection: Connection, folder: Path) -> None:
     except Exception:  # the other end is gone, or the build says what is wrong: the terminal is not ours
         return
     finally:
-        shutil.rmtree(folder / STORED, ignore_errors=True)
+        shutil.rmtree(stored, ignore_errors=True)

@@ -13,6 +13,7 @@ from made_once import made_once
 from small_runs import make_small
 from typed import noted
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.engine.parallel import build
@@ -20,6 +21,7 @@ from kinectbench.engine.stages import Job
 from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import TrackingSettings
+from kinectbench.stages.ingest import sequence_writer
 from kinectbench.stages.ingest.images import decode_depth_png, encode_png
 from kinectbench.stages.ingest.partial_sequence import PartialSequence, using_partial_sequence
 from kinectbench.stages.ingest.readers import open_recording
@@ -122,7 +124,33 @@ def test_a_process_takes_the_frames_as_they_come(recorded: Path, tmp_path: Path)
     process.close()
     assert sequence is not None and len(sequence.marks) == sequence.writer.taken <= FRAMES
     assert partial is not None and 1 <= len(partial.digests) == len(partial.follower.frames) <= FRAMES
-    assert not (tmp_path / "out" / STORED).exists()
+    assert not [*(tmp_path / "out").glob(f"{STORED}*")]
+
+
+def test_a_closed_terminal_leaves_nothing(recorded: Path, tmp_path: Path) -> None:
+    """Signals to a group of processes do not stop it; its recorder ends it, and what it stored is removed."""
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    process = BuildProcess(tmp_path / "out")
+    assert process.sequence() is not None or process.sequence() is not None
+    for each in (signal.SIGHUP, signal.SIGTERM):
+        os.kill(process.pid or 0, each)
+    assert process.sequence() is not None
+    assert [*(tmp_path / "out").glob(f"{STORED}*")] == [tmp_path / "out" / f"{STORED}{process.pid}"]
+    process.close()
+    assert not [*(tmp_path / "out").glob(f"{STORED}*")]
+
+
+def test_another_camera_in_between_is_refused(recorded: Path, tmp_path: Path) -> None:
+    """What was stored by one camera.json does not go on with another."""
+    out = tmp_path / "out"
+    shutil.copytree(recorded / "out", out)
+    growing = GrowingBuild(out, tmp_path / "stored")
+    growing.read_again()
+    assert growing.take(whole=True)
+    said = json.loads((out / "camera.json").read_text())
+    (out / "camera.json").write_text(json.dumps({**said, "depth_scale": said["depth_scale"] / 2}))
+    with pytest.raises(RecordingError):
+        growing.read_again()
 
 
 def test_a_process_that_dies_costs_nothing(tmp_path: Path) -> None:
@@ -178,7 +206,7 @@ def test_what_was_stored_of_other_files_is_not_used(recorded: Path, tmp_path: Pa
     assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
 
 
-def test_a_build_goes_on_from_it(tmp_path: Path) -> None:
+def test_a_build_goes_on_from_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stages ask for it, and their files are the same bytes as without."""
     root = make_small(tmp_path, ("chair",))
     file = root / "benchmark.yaml"
@@ -195,9 +223,11 @@ def test_a_build_goes_on_from_it(tmp_path: Path) -> None:
         asked.append("odometry")
         return growing.odometry()
 
+    written = list[object]()
+    monkeypatch.setattr(sequence_writer, "_write_packed", noted(sequence_writer._write_packed, written))
     with using_partial_sequence(sequence), using_partial_odometry(odometry):
         assert build([job], "track")[0].error is None
-    assert asked == ["sequence", "odometry"]
+    assert asked == ["sequence", "odometry"] and not written
     begun = contents(job.build)
-    assert build([job], "track", ("ingest", "track"))[0].error is None
+    assert build([job], "track", ("ingest", "track"))[0].error is None and len(written) == FRAMES
     assert asked == ["sequence", "odometry"] and len(begun) > 2 * FRAMES and contents(job.build) == begun

@@ -44,6 +44,7 @@ def lines(build: Path, own: Mapping[str, Mapping[str, Any]] = {}) -> list[str]:
     [
         (range(200), True),  # a copy
         (range(90, 190), True),  # a part
+        (range(90, 110), True),  # a small one
         (range(110, 310), False),  # fewer than half
         (range(1000, 1200), False),  # the intrinsics alone
     ],
@@ -56,8 +57,17 @@ def test_what_is_tested_was_not_learnt_from(frames: range, same: bool, tmp_path:
             lines(tmp_path)
     else:
         assert lines(tmp_path) == []
-    # What boxes choose in one recording are two objects.
-    assert lines(tmp_path, {VALIDATION: {"box": BOX}}) == []
+    # What boxes, masks or the object of a mask choose in one recording are two objects.
+    for own in ({"box": BOX}, {"segment_by": "turntable"}, {"camera": {"mask_object": 2}}):
+        assert lines(tmp_path, {VALIDATION: own}) == []
+
+
+def test_one_object_of_several_of_a_recording(tmp_path: Path) -> None:
+    """The first has another box; the same box stands in two splits."""
+    for name in (TEST, TOO, VALIDATION):
+        write_sources(tmp_path / name, range(200))
+    with raises(ReleaseError, "release.object-in-two-splits"):
+        lines(tmp_path, {TOO: {"box": BOX}, VALIDATION: {"box": BOX}})
 
 
 def test_a_recording_of_one_file(tmp_path: Path) -> None:

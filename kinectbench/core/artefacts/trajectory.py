@@ -159,7 +159,7 @@ class TrajectoryHealth(ScaledPart, Stored):
     arc_rad: DegreesInFile | None = Field(None, description="walked around what is looked at, degrees")
     ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
     loop_correction_m: Millimetres = Field(
-        None, description="of believed loops with the poses, rms mm; less of those that overlap less"
+        None, description="of believed loops with the poses, rms mm, without one in twenty that may be off"
     )
     loops: tuple[LoopClosure, ...] = Field((), description="closures in the pose graph")
     refused_loops: tuple[LoopClosure, ...] = Field((), description="tried and not believed")

@@ -1,6 +1,7 @@
 """One recording under two ids: what is tested must not be what was learnt from."""
 
 import heapq
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,9 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 # Two recordings hold the same frames if files of this share of the smaller one's bytes are equal: a frame
 # without depth, or the intrinsics, are equal in many. Chosen by hand.
 SAME_SHARE = 0.5
-# Files by which recordings are found that are compared, those with the smallest hashes: if half of the files
-# are equal, all of them differ in one of 65,000 cases (2^-16).
-COMPARED_BY = 16
+# Files of each recording, those with the smallest hashes, that are looked for among all files of the others:
+# of two that share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
+LOOKED_FOR = 16
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class SameFrames:
 
 
 def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> Iterator[SameFrames]:
-    """Recordings of different objects with the same frames, each with the first of its kind.
+    """Recordings of different objects with the same frames, in pairs, in their order.
 
     Entries that choose by different boxes, clicks or masks are different objects of one recording.
 
@@ -35,19 +36,23 @@ def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[s
         build: holds a folder per recording; one without sources.json, as of imported pairs, is passed over.
         recordings: ids.
     """
-    by_id, holder_of = settings.by_id(), dict[str, str]()
+    by_id = settings.by_id()
+    chosen_by = {name: _chosen_by(by_id[name]) for name in recordings}
+    holders = defaultdict[tuple[str, str], list[str]](list)
+    for name in recordings:
+        for digest in _looked_for(_files(build / name)):
+            holders[digest, chosen_by[name]].append(name)
+    order, found = {name: place for place, name in enumerate(recordings)}, set[tuple[int, int]]()
     for name in recordings:
         files = _files(build / name)
-        signature = _signature(files)
-        for earlier in dict.fromkeys(holder_of[digest] for digest in signature if digest in holder_of):
-            first, second = by_id[earlier], by_id[name]
-            if first.object_name == second.object_name or _chosen_by(first) != _chosen_by(second):
-                continue
-            if _shared(_files(build / earlier), files) >= SAME_SHARE:
-                yield SameFrames(first, second)
-                break
-        for digest in signature:
-            holder_of.setdefault(digest, name)
+        near = {other for file in files.values() for other in holders.get((file.sha256, chosen_by[name]), ())}
+        for other in near - {name}:
+            a, b = sorted((order[name], order[other]))
+            others = by_id[other].object_name != by_id[name].object_name
+            if others and (a, b) not in found and _shared(files, _files(build / other)) >= SAME_SHARE:
+                found.add((a, b))
+    for a, b in sorted(found):
+        yield SameFrames(by_id[recordings[a]], by_id[recordings[b]])
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
@@ -79,10 +84,10 @@ def _files(folder: Path) -> Mapping[str, SourceFile]:
     return {} if sources is None else sources.files
 
 
-def _signature(files: Mapping[str, SourceFile]) -> list[str]:
+def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
     """The smallest hashes of its files that are no smaller than the mean: of pictures, or the bag."""
     mean = sum(file.size for file in files.values()) / max(1, len(files))
-    return heapq.nsmallest(COMPARED_BY, {file.sha256 for file in files.values() if file.size >= mean})
+    return heapq.nsmallest(LOOKED_FOR, {file.sha256 for file in files.values() if file.size >= mean})
 
 
 def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
@@ -92,6 +97,7 @@ def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -
     return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))
 
 
-def _chosen_by(recording: RecordingSettings) -> tuple[object, ...]:
-    """How an entry chooses its object in the frames."""
-    return recording.box, recording.pick, recording.masks
+def _chosen_by(recording: RecordingSettings) -> str:
+    """How an entry chooses its object in the frames, as text."""
+    mask_object = recording.camera.mask_object if recording.camera else None
+    return repr((recording.box, recording.pick, recording.masks, recording.segment_by, mask_object))

@@ -104,7 +104,7 @@ def _same_file(source: Path, target: Path) -> None:
 
 def _is_of(partial: PartialSequence, recording: Recording) -> bool:
     """Whether the frames that were taken are the recording's first ones."""
-    if _facts(partial.writer.checks.recording) != _facts(recording):
+    if stored_by(partial.writer.checks.recording) != stored_by(recording):
         return False
     places, marks = recording.places[: partial.writer.taken], partial.marks
     return len(places) == len(marks) and all(
@@ -112,7 +112,7 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
     )
 
 
-def _facts(recording: Recording) -> tuple[object, ...]:
+def stored_by(recording: Recording) -> tuple[object, ...]:
     """What the stored frames depend on besides their files."""
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())

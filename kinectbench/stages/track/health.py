@@ -41,6 +41,9 @@ from kinectbench.stages.track.pose_graph import growth
 from kinectbench.stages.track.tracked import Constraint, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
+# The share of loops that may be off themselves, and three standard deviations of the systematic error of a
+# loop between equal views. Chosen by hand.
+MAY_BE_OFF, OWN_ERROR_M = 0.05, 0.003
 # The figure is only reported: pairs of more keyframes cost time.
 COVISIBLE_KEYFRAMES = 60
 
@@ -261,15 +264,20 @@ def _arc_rad(case: _Case) -> float | None:
 
 
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
-    """Rms correction of the accepted loops, by their weights in the pose graph; None without one.
+    """Rms correction of the accepted loops; None without one.
 
-    A loop between views that hardly overlap may be off by decimetres itself, and says little of the poses.
+    A loop between views that hardly overlap may be off by decimetres itself. Of the largest corrections one
+    in twenty is left out, if it is within the error of its own loop.
     """
     believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
-    if not believed:
-        return None
-    weights = [each.constraint.weight / growth(each.constraint) ** 2 for each in believed]
-    return known(np.sqrt(np.average([each.shift_m**2 for each in believed], weights=weights)))
+    believed.sort(key=lambda each: -each.shift_m)
+    few = int(MAY_BE_OFF * len(believed))
+    counted = [
+        each.shift_m
+        for rank, each in enumerate(believed)
+        if rank >= few or each.shift_m > OWN_ERROR_M * growth(each.constraint)
+    ]
+    return known(np.sqrt(np.mean(np.square(counted)))) if counted else None
 
 
 def _loop(each: ConstraintCorrection) -> LoopClosure:

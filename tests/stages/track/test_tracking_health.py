@@ -26,6 +26,7 @@ from kinectbench.core.images import image_sharpness, relative_blur
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.storage import pretty_json
 from kinectbench.stages.track.health_figures import constraint_correction, median_depths_m, sharpness
+from kinectbench.stages.track.tracked import Constraint
 
 
 @pytest.fixture(scope="module")
@@ -253,21 +254,24 @@ def test_loops_refused_and_in_doubt(circle: np.ndarray, orbit: Sequence) -> None
     assert "1 of 2 loops contradict the rest" in figures["verdict"]
 
 
-def test_a_loop_of_little_overlap_says_little_of_the_poses(circle: np.ndarray, orbit: Sequence) -> None:
-    """A loop of .31 overlap that slid by 107 mm along a body: of right poses, as 37 other loops said."""
-    slid = rigid(np.eye(3), [0.107, 0, 0])
+def test_a_loop_of_little_overlap_may_be_off_itself(circle: np.ndarray, orbit: Sequence) -> None:
+    """One of twenty that slid by 107 mm, of .31 overlap, is left out; a second, or a strong one, counts."""
+    slid, off = (rigid(np.eye(3), [shift_m, 0, 0]) for shift_m in (0.107, 0.001))
     weak = constraint(circle, 4, 18, "loop", slid, weight=0.71, overlap=0.31, inlier_share=0.956)
-    right = constraint(circle, 0, 22, "loop", rigid(np.eye(3), [0, 0.001, 0]), inlier_share=0.99)
-    tracked = tracked_of(circle)
-    one = replace(tracked, constraints=(*tracked.constraints, right, weak))
-    figures = figures_of(orbit, "tracked", one, [])
-    assert [row["correction_mm"] for row in figures["loops"]] == [1.0, 107.0]
-    assert figures["loops"][1]["believed"] and figures["loop_correction_mm"] == pytest.approx(6.6, abs=0.1)
-    # Where it overlaps as much as the other, one of both is wrong.
-    strong = constraint(circle, 4, 18, "loop", slid, inlier_share=0.99)
-    both = replace(tracked, constraints=(*tracked.constraints, right, strong))
-    figures = figures_of(orbit, "tracked", both, [])
-    assert figures["loop_correction_mm"] == pytest.approx(75.7, abs=0.1)
+    strong = constraint(circle, 4, 18, "loop", slid, overlap=0.7, inlier_share=0.99)
+    right = constraint(circle, 0, 22, "loop", off, inlier_share=0.99)
+
+    def correction_mm(*loops: Constraint) -> float:
+        tracked = tracked_of(circle)
+        tracked = replace(tracked, constraints=(*tracked.constraints, *loops))
+        return float(figures_of(orbit, "tracked", tracked, [])["loop_correction_mm"])
+
+    assert correction_mm(*[right] * 19, weak) == 1
+    for count, others in ((18, (weak, weak)), (19, (strong,)), (18, (weak,))):
+        all_of = np.array([1.0] * count + [107.0] * len(others))
+        left_out = 1 if len(others) == 2 else 0
+        wanted = np.sqrt(np.mean(np.square(all_of[: len(all_of) - left_out])))
+        assert correction_mm(*[right] * count, *others) == pytest.approx(wanted, abs=0.01)
 
 
 def test_covisibility_is_over_some_keyframes(circle: np.ndarray, orbit: Sequence) -> None:
