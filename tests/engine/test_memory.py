@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from small_benchmark import copied
 
-from kinectbench.engine.parallel import LIBRARIES_GB, UNKNOWN_PIXELS, UNKNOWN_VOXELS, expected_gb
+from kinectbench.engine import pipeline
+from kinectbench.engine.parallel import (
+    LIBRARIES_GB,
+    UNKNOWN_PIXELS,
+    UNKNOWN_VOXELS,
+    build,
+    expected_gb,
+)
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
@@ -88,6 +95,16 @@ def test_a_damaged_sequence_is_passed_over(small: Path, tmp_path: Path) -> None:
     counted = expected_gb(job)
     (root / "build" / "chair" / "sequence" / "camera.json").write_text("{")
     assert counted < expected_gb(job) < counted + 2e-9 * UNKNOWN_PIXELS
+
+
+def test_each_stage_gives_back_what_it_has_freed(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, given_back = copied(small, tmp_path / "b"), list[object]()
+    settings = load_benchmark(root / "benchmark.yaml", ())
+    monkeypatch.setattr(pipeline, "give_back_memory", lambda: given_back.append(None))
+    job = Job(settings, settings.recordings[0], root)
+    assert build([job], "track", ("ingest", "track"))[0].error is None and len(given_back) == 2
 
 
 HOLES = """

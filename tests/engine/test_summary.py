@@ -74,7 +74,9 @@ def test_what_rests_on_the_word_of_a_person(tmp_path: Path, monkeypatch: pytest.
     """A word that decides much of the solid is shown with what it costs if it is false; no warning."""
     closed = {"estimated_iou_low": 0.97, "underside": "closed", "underside_share": 0.75}
     line = "bin: 75% of the solid rests on `underside: closed` alone, which no frame confirms"
-    assert told([row(tmp_path, closed)], monkeypatch) == [f"{line}; if it is false, the IoU may be 0.22"]
+    assert told([row(tmp_path, closed)], monkeypatch) == [
+        f"{line}; if it is false, the IoU may be as low as 0.22"
+    ]
     assert told([row(tmp_path, closed | {"estimated_iou_low": None})], monkeypatch) == [line]
     for of in ({"underside_share": 0.05}, {"underside": "open"}, {"underside_share": None}):
         assert told([row(tmp_path, closed | of)], monkeypatch) == []

@@ -187,6 +187,34 @@ def test_ingest_goes_on_with_the_same_bytes(
     assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
 
 
+class EverySecond:
+    """A watch that wants every second frame."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[int, int]] = []
+
+    def wants(self, index: int) -> bool:
+        return index % 2 == 0
+
+    def see(self, index: int, frame: RawFrame) -> None:
+        self.seen += [(index, frame.stamp_ns)] if self.wants(index) else []
+
+    def warnings(self) -> list[str]:
+        return []
+
+    def scale_warnings(self) -> list[str]:
+        return []
+
+
+def test_a_watch_is_shown_what_it_wants_of_stored_frames(recorded: Path, tmp_path: Path) -> None:
+    """In the same order, as if nothing had been stored before."""
+    partial, alone = all_taken(recorded / "out", tmp_path / "stored", whole=False).sequence(), EverySecond()
+    write_sequence(open_recording(recorded / "out"), tmp_path / "alone", watch=alone)
+    after = EverySecond()
+    write_sequence(open_recording(recorded / "out"), tmp_path / "sequence", watch=after, partial=partial)
+    assert after.seen == alone.seen and len(alone.seen) == FRAMES // 2
+
+
 @pytest.mark.parametrize("change", ["pixels", "scale", "gone"])
 def test_what_was_stored_of_other_files_is_not_used(recorded: Path, tmp_path: Path, change: str) -> None:
     """A file was written again, the unit of depth differs, or what was stored is gone: all is read."""

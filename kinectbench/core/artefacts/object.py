@@ -271,13 +271,15 @@ class QualityFile(Stored):
     def rests_on_word(self) -> str | None:
         """What `underside: closed`, a person's word that nothing measured, decides; None: little or nothing.
 
-        If the word is false, all voxels that rest on it are air: the IoU falls by their share at least.
+        If the word is false, all voxels that rest on it may be air: the IoU falls by their share at most.
         """
         share, low = self.underside_share or 0.0, self.estimated_iou_low
         if self.underside != "closed" or share <= LEAST_UNDERSIDE_SHARE:
             return None
         line = f"{share:.0%} of the solid rests on `underside: closed` alone, which no frame confirms"
-        return line if low is None else f"{line}; if it is false, the IoU may be {max(0.0, low - share):.2f}"
+        if low is None:
+            return line
+        return f"{line}; if it is false, the IoU may be as low as {max(0.0, low - share):.2f}"
 
     def estimated_iou_words(self, decimals: int = 2) -> str | None:
         """The estimated IoU with its interval, such as `0.74 (0.35 to 0.80)`; None without an estimate."""
