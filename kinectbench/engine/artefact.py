@@ -38,7 +38,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 4,
     "pairs": 3,
     "suggest": 7,
-    "publish": 41,
+    "publish": 42,
     "synthesize": 2,
     "score": 10,
     "baselines": 3,
