@@ -40,7 +40,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 7,
     "publish": 42,
     "synthesize": 2,
-    "score": 10,
+    "score": 11,
     "baselines": 3,
 }
 

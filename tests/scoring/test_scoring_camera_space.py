@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 from typed import present
 
 from kinectbench.core.artefacts.score_figures import ShapePart
@@ -20,8 +21,6 @@ from kinectbench.scoring.camera_shape import CameraShape, distance_shape, occupa
 VOXEL_M = 0.003
 SIDE = 256
 RADIUS_M, MIDDLE_M = 0.3, np.full(3, 0.384)
-# Beside other programs on the same cores a process takes up to so many times the time of the processor.
-MARGIN = 1.5
 EVERYWHERE = np.full((SIDE, SIDE, SIDE // 8), 255, np.uint8)
 T_CAMERA = rigid(trimesh.transformations.rotation_matrix(0.4, [1, 2, 3])[:3, :3], [0.2, -0.1, -1.5])
 
@@ -197,18 +196,23 @@ def test_large_and_small_triangles_are_exact() -> None:
         assert np.abs(found - exact_m(mesh, places)).mean() < 1e-4
 
 
-def test_a_view_takes_half_a_second(truth: SpaceTruth) -> None:
+def test_a_view_takes_no_longer_than_six_searches_of_scipy(truth: SpaceTruth) -> None:
     """A mesh of 80,000 faces, all metrics and registrations, on one core; once all is compiled.
 
-    `benchmarks/speed/score_camera.py` measures whole views of a release.
+    A search: a tree of 80,000 points is made, and the nearest to 40,000 others are found, 0.1 s of a core. So
+    the speed of the machine does not count. `benchmarks/speed/score_camera.py` measures views of a release.
     """
     mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.31)
     points = transform_points(invert_rigid(T_CAMERA), mesh.vertices + MIDDLE_M)
     shape = CameraShape("mesh", points, mesh.faces.astype(np.int64))
-    taken = []
+    some, others = np.split(np.random.default_rng(0).random((120_000, 3)), [80_000])
+    taken, searched = [], []
     for _ in range(4):
         start = time.process_time()
         own = space_truth(truth.full, EVERYWHERE, truth.seen, T_CAMERA, VOXEL_M)
         score_shape(own, shape, asked_rows(("camera", "aligned"), "metric"))
-        taken.append(time.process_time() - start)
-    assert min(taken) < 0.5 * MARGIN
+        middle = time.process_time()
+        cKDTree(some).query(others)
+        taken.append(middle - start)
+        searched.append(time.process_time() - middle)
+    assert min(taken) < 6 * min(searched)

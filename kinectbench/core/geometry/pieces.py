@@ -11,21 +11,21 @@ def sorted_edges(faces):  # type: ignore[no-untyped-def]
     for f in range(len(faces)):
         for corner in range(3):
             begin, end = np.int64(faces[f, corner]), np.int64(faces[f, (corner + 1) % 3])
-            edges[3 * f + corner] = 2 * (min(begin, end) * vertices + max(begin, end)) + (begin > end)
+            edges[3 * f + corner] = min(begin, end) << 32 | max(begin, end) << 1 | (begin > end)
     # By the larger vertex and the direction, then by the smaller vertex: each pass keeps the order of equals.
-    edges = _counted(edges, 1, 2 * vertices)
-    return _counted(edges, 2 * vertices, vertices)
+    edges = _counted(edges, 0, 2 * vertices)
+    return _counted(edges, 32, vertices)
 
 
 @njit(cache=True, nogil=True)
-def _counted(numbers, unit, digits):  # type: ignore[no-untyped-def]
-    """The numbers sorted by one digit, `digits` times `unit` being the next: a pass of a radix sort."""
+def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
+    """The numbers sorted by 32 of their bits, which are below `digits`: a pass of a radix sort."""
     begin, found = np.zeros(digits + 1, np.int64), np.empty(len(numbers), np.int64)
     for number in numbers:
-        begin[number // unit % digits + 1] += 1
+        begin[(number >> shift & 0xFFFFFFFF) + 1] += 1
     begin = np.cumsum(begin)
     for number in numbers:
-        digit = number // unit % digits
+        digit = number >> shift & 0xFFFFFFFF
         found[begin[digit]] = number
         begin[digit] += 1
     return found

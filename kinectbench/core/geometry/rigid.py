@@ -80,6 +80,12 @@ def invert_rigid(T_a_b: Float64) -> Float64:
     return T_b_a
 
 
+def invert_similarity(T: Float64) -> Float64:
+    """Invert a (4, 4) similarity: a rotation times a scale, and a shift."""
+    linear = T[:3, :3].T / (T[:3, 0] @ T[:3, 0])
+    return rigid(linear, -(linear @ T[:3, 3]))
+
+
 def transform_points(T_a_b: Float64, points_b: NDArray[np.floating]) -> Float64:
     """Map points of shape (..., 3) from frame b to frame a; float64, same shape."""
     return np.asarray(points_b, dtype=np.float64) @ T_a_b[:3, :3].T + T_a_b[:3, 3]

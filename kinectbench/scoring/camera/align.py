@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kinectbench.core.geometry.rigid import rigid, similarity_scale
+from kinectbench.core.geometry.rigid import invert_similarity, rigid, similarity_scale
 from kinectbench.core.types import Float64
 from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface
@@ -27,9 +27,9 @@ COARSE, FINE = (400, 12), (3000, 40)
 START_DEG = 45.0
 # How much of the distance along the surface counts beside that across it: much at first, then little.
 ALONG_COARSE, ALONG_FINE = 0.3, 0.01
-# The surface of cells is a staircase: a sample of it is moved along its normal to the mean of so many around.
-# Of these, sizes come back within 0.04 %; without, within 0.2 % (measured, at 256 cells for 1.1 m).
-SMOOTHED = 32
+# The surface of cells is a staircase: a sample of it is moved along its normal to the mean of those within so
+# many cells. So sizes come back within 0.04 %; without, within 0.2 % (measured, at 256 cells for 1.1 m).
+SMOOTHED_CELLS = 3
 # Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
 # be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
 STILL, OK_STILL = 1e-5, 1e-4
@@ -76,8 +76,8 @@ class _Pair:
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))
             points_m = few.theirs.points_m
-            near = self.theirs.points_m[self.theirs.tree.query(points_m, k=range(1, SMOOTHED + 1))[1]]
-            off = ((near - points_m[:, None]) * few.normals[:, None]).sum(axis=2).mean(axis=1)
+            radius_m = SMOOTHED_CELLS * self.truth.voxel_size_m
+            off = self.theirs.samples.offsets(points_m, few.normals, radius_m)
             made[most] = replace(few.theirs, points_m=points_m + off[:, None] * few.normals)
         return replace(self, ours=self.ours.thinned(most), theirs=made[most])
 
@@ -133,15 +133,16 @@ def _rotations() -> Sequence[Float64]:
 def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float64, Float64, int]:
     """Places of the prediction, where each belongs, normals there, the middle, weights; how many one way."""
     from kinectbench.core.geometry.gauss_newton import robust_weights
-    from kinectbench.scoring.camera.kernels import drawn_together, mapped
+    from kinectbench.scoring.camera.kernels import mapped
+    from kinectbench.scoring.camera.steps import drawn_together
 
     ours, theirs, (ahead, behind) = pair.ours.points_m, pair.theirs.points_m, pair.ways
     moved = mapped(ours, T[:3])
     is_known = pair.truth.at(moved)[0]
     there, found = ahead.of(moved, is_known)
-    back, nearest = behind.of(mapped(theirs, np.linalg.inv(T)[:3]), np.ones(len(theirs), bool))
+    back, nearest = behind.of(mapped(theirs, invert_similarity(T)[:3]), np.ones(len(theirs), bool))
     drawn = drawn_together(ours, theirs, pair.normals, is_known, found, nearest, T[:3])
-    weights = [robust_weights(there), robust_weights(back * similarity_scale(T))]
+    weights = [robust_weights(there), robust_weights(back)]
     return *drawn, np.concatenate(weights), len(found)
 
 
@@ -155,10 +156,8 @@ def _far(pair: _Pair, T: Float64) -> float:
 
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
     """The similarity after some steps, and how far the last moved a sample, metres."""
-    from scipy.spatial.transform import Rotation
-
     from kinectbench.core.geometry.gauss_newton import NormalEquations, descend
-    from kinectbench.scoring.camera.kernels import step_equations
+    from kinectbench.scoring.camera.steps import similarity_about, step_equations
 
     free, size_m = KINDS[kind], pair.truth.size_m
 
@@ -169,8 +168,7 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
         step[:free] = NormalEquations(H, -g).damped().step()
         # No step doubles a size, or turns by more than a third of a circle.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
-        turn = np.exp(step[3]) * Rotation.from_rotvec(step[4:]).as_matrix()
         moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) * size_m / 2)
-        return rigid(turn, middle + step[:3] - turn @ middle) @ T, moved
+        return similarity_about(step, middle) @ T, moved
 
     return descend(advance, start, count, STILL * size_m)

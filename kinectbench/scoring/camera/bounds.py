@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.score_figures import AsPapers, Ceiling
 from kinectbench.core.types import MM_PER_M, Float64
@@ -85,6 +84,4 @@ def points_by_area(surface: Surface) -> Float64:
 
 def _to_points(points_m: Float64, others_m: Float64) -> Float64:
     """(n,) distance of each point to the nearest other one."""
-    # One that stands there again follows the first; of equal points a tree would be slow.
-    others_m = others_m[np.append(True, (np.diff(others_m, axis=0) != 0).any(axis=1))]
-    return Samples(cKDTree(others_m, compact_nodes=False)).nearest_of_all(points_m)[0]
+    return Samples(others_m).nearest(points_m)[0]

@@ -1,7 +1,8 @@
 """The two nearest samples of points, by a tree of boxes. Import late: numba is slow to load.
 
-A tree of SciPy finds them too, in twice the time: it has one point and one box at a time. Here a leaf and a
-node are looked at as a whole, and a search begins at the samples that were the nearest last.
+A tree of SciPy finds them too, but needs six times the time to be made and twice for each search: it has one
+point and one box at a time. Here the samples are put along a Z curve, a leaf and a node are looked at as a
+whole, and a search begins at the samples that were the nearest last.
 """
 
 import numpy as np
@@ -11,8 +12,10 @@ from kinectbench.core.types import Float64, Int64
 
 # Samples of a leaf, and boxes of a node. Of leaves of 8, 16, 24 and nodes of 4, 8 these are as fast as any.
 LEAF, BOXES = 16, 8
-# Of a squared distance: what is farther is not equally near, whatever is rounded.
-NEARLY = 1 + 1e-11
+# Of a squared distance, and besides: what is farther is not equally near, whatever is rounded.
+NEARLY, TINY = 1 + 1e-11, 1e-300
+# Of half a gap, what is trusted: rounding may not decide.
+SURE = 1 - 1e-9
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -21,7 +24,7 @@ def boxes_of(samples, order):  # type: ignore[no-untyped-def]
 
     Args:
         samples: (n, 3), not empty.
-        order: (n,) their order; that of the leaves of a tree has near ones together.
+        order: (n,) their order; near ones must follow each other, see `near_together`.
 
     Returns:
         (leaves, 3, LEAF) the samples in this order, filled up with infinity; (nodes, 6, BOXES) the lowest and
@@ -79,57 +82,62 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
         boxes: those.
         first: those.
     """
-    far, here = np.empty((len(which), 2)), np.empty(groups.shape[2])
-    stack, away, gaps = np.empty(128, np.int64), np.empty(128), np.empty(boxes.shape[2])
-    one, two, leaves, size = 0, 1, len(groups), groups.shape[2]
+    far, here = np.empty((len(which), 2)), np.empty(LEAF)
+    stack, away, gaps = np.empty(128, np.int64), np.empty(128), np.empty(BOXES)
+    one, two, leaves = 0, 1, len(groups)
     for m in range(len(which)):
-        n = which[m]
+        n, again = which[m], False
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         if places[n, 0] >= 0:
             one, two = places[n, 0], places[n, 1]
-        least, second = np.inf, np.inf
-        for place in (one, two):
-            g, s = place // size, place % size
-            p, q, r = groups[g, 0, s] - x, groups[g, 1, s] - y, groups[g, 2, s] - z
-            least, second = second, p * p + q * q + r * r
-        if second < least:
-            one, two, least, second = two, one, second, least
-        limit = second if both else min(second, least * NEARLY)
-        stack[0], away[0], top = leaves + len(boxes) - 1, 0.0, 1
-        # Everything is in this loop: a call, or a part of an array, counts references, which takes longer.
-        while top:
-            top -= 1
-            node = stack[top]
-            if away[top] >= limit:
-                continue
-            if node < leaves:
-                for s in range(size):
-                    p, q, r = groups[node, 0, s] - x, groups[node, 1, s] - y, groups[node, 2, s] - z
-                    here[s] = p * p + q * q + r * r
-                for s in range(size):
-                    place = node * size + s
-                    if here[s] < limit and place != one and place != two:
-                        if here[s] < least:
-                            one, two, least, second = place, one, here[s], least
-                        else:
-                            two, second = place, here[s]
-                        limit = second if both else min(second, least * NEARLY)
-                continue
-            node -= leaves
-            for box in range(len(gaps)):
-                p = max(max(boxes[node, 0, box] - x, x - boxes[node, 3, box]), 0.0)
-                q = max(max(boxes[node, 1, box] - y, y - boxes[node, 4, box]), 0.0)
-                r = max(max(boxes[node, 2, box] - z, z - boxes[node, 5, box]), 0.0)
-                gaps[box] = p * p + q * q + r * r
-            begin = nearest = top
-            for box in range(len(gaps)):
-                if gaps[box] < limit:
-                    stack[top], away[top] = first[node] + box, gaps[box]
-                    nearest = top if gaps[box] < away[nearest] else nearest
-                    top += 1
-            if top > begin:  # the nearest is the next
-                stack[nearest], stack[top - 1] = stack[top - 1], stack[nearest]
-                away[nearest], away[top - 1] = away[top - 1], away[nearest]
+        while True:
+            least, second = np.inf, np.inf
+            for place in (one, two):
+                g, s = place // LEAF, place % LEAF
+                p, q, r = groups[g, 0, s] - x, groups[g, 1, s] - y, groups[g, 2, s] - z
+                least, second = second, p * p + q * q + r * r
+            if second < least:
+                one, two, least, second = two, one, second, least
+            limit = second if both else min(second, least * NEARLY + TINY)
+            stack[0], away[0], top = leaves + len(boxes) - 1, 0.0, 1
+            # All is in this loop: a call, or a part of an array, counts references, which takes longer.
+            while top:
+                top -= 1
+                node = stack[top]
+                if away[top] >= limit:
+                    continue
+                if node < leaves:
+                    for s in range(LEAF):
+                        p, q, r = groups[node, 0, s] - x, groups[node, 1, s] - y, groups[node, 2, s] - z
+                        here[s] = p * p + q * q + r * r
+                    for s in range(LEAF):
+                        place = node * LEAF + s
+                        if here[s] < limit and place != one and place != two:
+                            if here[s] < least:
+                                one, two, least, second = place, one, here[s], least
+                            else:
+                                two, second = place, here[s]
+                            limit = second if both else min(second, least * NEARLY + TINY)
+                    continue
+                node -= leaves
+                for box in range(BOXES):
+                    p = max(max(boxes[node, 0, box] - x, x - boxes[node, 3, box]), 0.0)
+                    q = max(max(boxes[node, 1, box] - y, y - boxes[node, 4, box]), 0.0)
+                    r = max(max(boxes[node, 2, box] - z, z - boxes[node, 5, box]), 0.0)
+                    gaps[box] = p * p + q * q + r * r
+                begin = nearest = top
+                for box in range(BOXES):
+                    if gaps[box] < limit:
+                        stack[top], away[top] = first[node] + box, gaps[box]
+                        nearest = top if gaps[box] < away[nearest] else nearest
+                        top += 1
+                if top > begin:  # the nearest is the next
+                    stack[nearest], stack[top - 1] = stack[top - 1], stack[nearest]
+                    away[nearest], away[top - 1] = away[top - 1], away[nearest]
+            if again or least < second:
+                break
+            # Of equally near ones the first found is taken: by a search that begins where every other would.
+            one, two, again = 0, 1, True
         places[n, 0], places[n, 1] = one, two
         far[m, 0], far[m, 1] = np.sqrt(least), np.sqrt(second)
     return far
@@ -139,48 +147,118 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
 def near_together(points: Float64) -> Int64:
     """(n,) int64: indices of points (n, 3) in an order in which near ones follow each other.
 
-    That of a Z curve (Morton, 1966) through 32 cells a side of their box. Far ones cost time, nothing else.
+    That of a Z curve (Morton, 1966) through 2^20 cells a side of their box; in a cell the lowest index first.
     """
     low, high = points[0].copy(), points[0].copy()
     for n in range(len(points)):
         for axis in range(3):
             low[axis], high[axis] = min(low[axis], points[n, axis]), max(high[axis], points[n, axis])
-    size = max((high - low).max(), 1e-30)
-    codes, begin = np.empty(len(points), np.int64), np.zeros((1 << 15) + 1, np.int64)
+    scale = 1048575.0 / max((high - low).max(), 1e-30)
+    codes, order = np.empty(len(points), np.int64), np.arange(len(points))
     for n in range(len(points)):
-        code = 0
+        codes[n] = 0
         for axis in range(3):
-            cell = int((points[n, axis] - low[axis]) / size * 31.999)
-            for bit in range(5):
-                code |= (cell >> bit & 1) << (3 * bit + axis)
-        codes[n] = code
-        begin[code + 1] += 1
-    begin = np.cumsum(begin)
-    order = np.empty(len(points), np.int64)
-    for n in range(len(points)):
-        order[begin[codes[n]]] = n
-        begin[codes[n]] += 1
+            codes[n] |= _spread(np.int64((points[n, axis] - low[axis]) * scale)) << axis
+    for shift in range(0, 60, 15):  # by 15 bits after the other, those of equal bits as they were
+        begin, places = np.zeros((1 << 15) + 1, np.int64), np.empty(len(points), np.int64)
+        for n in range(len(codes)):
+            begin[(codes[n] >> shift & 32767) + 1] += 1
+        begin = np.cumsum(begin)
+        for n in range(len(codes)):
+            bits = codes[n] >> shift & 32767
+            places[n] = begin[bits]
+            begin[bits] += 1
+        before, ordered = codes, order
+        codes, order = np.empty_like(codes), np.empty_like(order)
+        for n in range(len(codes)):
+            codes[places[n]], order[places[n]] = before[n], ordered[n]
     return order
 
 
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _spread(cell):  # type: ignore[no-untyped-def]
+    """The 20 bits of a number, two zeros between them."""
+    cell = (cell | cell << 32) & 0x1F00000000FFFF
+    cell = (cell | cell << 16) & 0x1F0000FF0000FF
+    cell = (cell | cell << 8) & 0x100F00F00F00F00F
+    cell = (cell | cell << 4) & 0x10C30C30C30C30C3
+    return (cell | cell << 2) & 0x1249249249249249
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
-def strayed(points, asked, base, leeway):  # type: ignore[no-untyped-def]
-    """(m,) int64: of points (n, 3) that are asked (n,), those not within `leeway` (n,) of `base` (n, 3)."""
-    found, count = np.empty(len(points), np.int64), 0
+def mean_offsets(points, normals, radius, groups, boxes, first):  # type: ignore[no-untyped-def]
+    """(n,) float64: the mean offset along the normal of the samples within a radius of each point; 0 of none.
+
+    Args:
+        points: (n, 3).
+        normals: (n, 3).
+        radius: that.
+        groups: of `boxes_of`, as are those that follow.
+        boxes: those.
+        first: those.
+    """
+    offsets, stack, leaves, limit = (
+        np.zeros(len(points)),
+        np.empty(128, np.int64),
+        len(groups),
+        radius * radius,
+    )
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        stack[0], top, count = leaves + len(boxes) - 1, 1, 0
+        while top:
+            top -= 1
+            node = stack[top] - leaves
+            if node < 0:
+                for s in range(LEAF):
+                    p = groups[node + leaves, 0, s] - x
+                    q, r = groups[node + leaves, 1, s] - y, groups[node + leaves, 2, s] - z
+                    if p * p + q * q + r * r < limit:
+                        offsets[n] += p * normals[n, 0] + q * normals[n, 1] + r * normals[n, 2]
+                        count += 1
+                continue
+            for box in range(BOXES):
+                p = max(max(boxes[node, 0, box] - x, x - boxes[node, 3, box]), 0.0)
+                q = max(max(boxes[node, 1, box] - y, y - boxes[node, 4, box]), 0.0)
+                r = max(max(boxes[node, 2, box] - z, z - boxes[node, 5, box]), 0.0)
+                if p * p + q * q + r * r < limit:
+                    stack[top] = first[node] + box
+                    top += 1
+        offsets[n] /= max(count, 1)
+    return offsets
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def nearest_of_moving(points, asked, base, leeway, places, samples, order, groups, boxes, first):  # type: ignore[no-untyped-def]
+    """(m,) float64 distances of the points that are asked, and (m,) int64 indices of their nearest samples.
+
+    Args:
+        points: (n, 3).
+        asked: (n,) which are asked.
+        base: (n, 3) where each was when it was looked for last; changed, as are those that follow.
+        leeway: (n,) how far from there its nearest sample stays the nearest; -1 before the first search.
+        places: (n, 2) of `two_nearest`.
+        samples: (s, 3).
+        order: (s,) their order in the boxes.
+        groups: of `boxes_of`, as are those that follow.
+        boxes: those.
+        first: those.
+    """
+    again, count, m = np.empty(len(points), np.int64), 0, 0
     for n in range(len(points)):
         x, y, z = points[n, 0] - base[n, 0], points[n, 1] - base[n, 1], points[n, 2] - base[n, 2]
         if asked[n] and not np.sqrt(x * x + y * y + z * z) < leeway[n]:
-            found[count] = n
+            again[count] = n
             count += 1
-    return found[:count]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def distances_to(points, samples, found):  # type: ignore[no-untyped-def]
-    """(n,) float64: of points (n, 3) to the samples (m, 3) with the indices `found` (n,)."""
-    distances = np.empty(len(points))
+    far = two_nearest(points, again[:count], places, True, groups, boxes, first)
+    for k in range(count):
+        n = again[k]
+        base[n], leeway[n] = points[n], SURE * (far[k, 1] - far[k, 0]) / 2
+    distances, found = np.empty(len(points)), np.empty(len(points), np.int64)
     for n in range(len(points)):
-        f = found[n]
-        x, y, z = points[n, 0] - samples[f, 0], points[n, 1] - samples[f, 1], points[n, 2] - samples[f, 2]
-        distances[n] = np.sqrt(x * x + y * y + z * z)
-    return distances
+        if asked[n]:
+            f = order[places[n, 0]]
+            x, y, z = points[n, 0] - samples[f, 0], points[n, 1] - samples[f, 1], points[n, 2] - samples[f, 2]
+            distances[m], found[m] = np.sqrt(x * x + y * y + z * z), f
+            m += 1
+    return distances[:m], found[:m]

@@ -211,41 +211,6 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # type: ignore[no-untyped-def]
-    """What a step of the registration draws where: those asked to their nearest, then the nearest of all.
-
-    Args:
-        ours: (n, 3) of the prediction.
-        theirs: (m, 3) of the truth.
-        normals: (m, 3) there.
-        asked: (n,) which of ours are asked.
-        found: (k,) of these, the index of the nearest of theirs.
-        nearest: (m,) the index of the nearest of ours.
-        affine: (3, 4) maps ours.
-
-    Returns:
-        (k + m, 3) float64 each: places of ours, mapped; where each belongs; the normals there. And (3,) the
-        mean of the places.
-    """
-    count, k = len(found), 0
-    places, middle = np.empty((count + len(theirs), 3)), np.zeros(3)
-    targets, across = np.empty_like(places), np.empty_like(places)
-    for n in range(len(ours) + len(theirs)):
-        if n < len(ours) and not asked[n]:
-            continue
-        one = n if n < len(ours) else nearest[n - len(ours)]
-        other = found[k] if n < len(ours) else n - len(ours)
-        x, y, z = ours[one]
-        for axis in range(3):
-            a, b, c, d = affine[axis]
-            places[k, axis] = a * x + b * y + c * z + d
-            targets[k, axis], across[k, axis] = theirs[other, axis], normals[other, axis]
-            middle[axis] += places[k, axis]
-        k += 1
-    return places, targets, across, middle / k
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-def]
     """(n,) bool each: whether points lie in known cells, and in seen ones; all outside is known, not seen.
 
@@ -270,47 +235,28 @@ def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def step_equations(places, targets, normals, weights, middle, along, free):  # type: ignore[no-untyped-def]
-    """The normal equations of a step of the registration: H (free, free) and gradient (free,).
+def counts_within(counted, ours, theirs):  # type: ignore[no-untyped-def]
+    """Of the counted cells, how many are ours, and how many are theirs, too; all packed, (i, j, k / 8)."""
+    words = (
+        counted.reshape(-1).view(np.uint64),
+        ours.reshape(-1).view(np.uint64),
+        theirs.reshape(-1).view(np.uint64),
+    )
+    one = both = np.uint64(0)
+    for n in range(len(words[0])):
+        bits = words[0][n] & words[1][n]
+        one += _bits(bits)
+        both += _bits(bits & words[2][n])
+    return np.int64(one), np.int64(both)
 
-    A step shifts (3), scales by e^s and turns by a rotation vector (3) about `middle`. What it lessens is the
-    weighted sum of squared distances along the normals, and `along` times the whole squared distances.
 
-    Args:
-        places: (n, 3) of the prediction.
-        targets: (n, 3) where each belongs.
-        normals: (n, 3) there.
-        weights: (n,).
-        middle: (3,).
-        along: a factor.
-        free: 3, 4 or 7, the first so many of these.
-    """
-    H, g = np.zeros((free, free)), np.zeros(free)
-    row, whole = np.empty(7), np.empty(7)
-    # Products of the columns of the Jacobian: (1 0 0), (0 1 0), (0 0 1), p, and the unit axes x p.
-    of = np.zeros((7, 7))
-    of[0, 0] = of[1, 1] = of[2, 2] = 1.0
-    for n in range(len(places)):
-        x, y, z = places[n, 0] - middle[0], places[n, 1] - middle[1], places[n, 2] - middle[2]
-        a, b, c = places[n, 0] - targets[n, 0], places[n, 1] - targets[n, 1], places[n, 2] - targets[n, 2]
-        p, q, r = normals[n]
-        across, weight = a * p + b * q + c * r, weights[n]
-        row[0], row[1], row[2], row[3] = p, q, r, x * p + y * q + z * r
-        row[4], row[5], row[6] = -z * q + y * r, z * p + -x * r, -y * p + x * q
-        whole[0], whole[1], whole[2], whole[3] = a, b, c, x * a + y * b + z * c
-        whole[4], whole[5], whole[6] = -z * b + y * c, z * a + -x * c, -y * a + x * b
-        of[3, 0], of[3, 1], of[3, 2], of[3, 3] = x, y, z, x * x + y * y + z * z
-        of[4, 1], of[4, 2], of[5, 0], of[5, 2], of[6, 0], of[6, 1] = -z, y, z, -x, -y, x
-        of[4, 4], of[5, 5], of[6, 6] = z * z + y * y, z * z + x * x, y * y + x * x
-        of[5, 4], of[6, 4], of[6, 5] = -x * y, -z * x, -y * z
-        for i in range(free):
-            g[i] += weight * (row[i] * across + along * whole[i])
-            for j in range(i + 1):
-                H[i, j] += weight * (row[i] * row[j] + along * of[i, j])
-    for i in range(free):
-        for j in range(i):
-            H[j, i] = H[i, j]
-    return H, g
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _bits(word):  # type: ignore[no-untyped-def]
+    """How many bits of a uint64 are set (Warren, "Hacker's Delight", 2013, figure 5-2)."""
+    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

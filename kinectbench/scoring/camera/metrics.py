@@ -158,14 +158,18 @@ def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
 
 
 def _drawn(surface: Surface, most: int) -> Int64:
-    """Which samples are measured, `most` of them, drawn by a hash of all: nobody can choose them."""
+    """Which samples are measured, `most` of them, drawn by a hash of all: nobody can choose them.
+
+    A surface that is mapped has those that it had before.
+    """
     if len(surface) <= most:
         return np.arange(len(surface))
-    if most not in surface.drawn:
-        digest = blake3_of(np.ascontiguousarray(surface.points_m).tobytes())
+    before = surface.placed[0] if surface.placed else surface
+    if most not in before.drawn:
+        digest = blake3_of(np.ascontiguousarray(before.points_m).tobytes())
         rng = np.random.default_rng(int(digest.rpartition(":")[2], 16))
-        surface.drawn[most] = np.sort(rng.choice(len(surface), most, replace=False, shuffle=False))
-    return surface.drawn[most]
+        before.drawn[most] = np.sort(rng.choice(len(surface), most, replace=False, shuffle=False))
+    return before.drawn[most]
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
@@ -221,6 +225,8 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
+    from kinectbench.scoring.camera.kernels import counts_within
+
     if part not in truth.counted:
         counted = counted_cells(truth, part)
         truth.counted[part] = counted, packed_count(counted), packed_count(counted & truth.full)
@@ -229,10 +235,9 @@ def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMet
     shares = cells / FULL_CELLS**3, true / shape if shape else 1.0
     if solid is None:
         return VoxelMetrics(), *shares
-    ours = counted & solid.cells
-    both = packed_count(ours & truth.full)
+    ours, both = counts_within(counted, solid.cells, truth.full)
     # The view saw nothing of what lies outside the grid.
-    predicted = packed_count(ours) + (solid.outside if part != "visible" else 0.0)
+    predicted = ours + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0
     return (
         VoxelMetrics(

@@ -6,60 +6,42 @@ for again, and what is found is exact.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kinectbench.core.types import Bools, Float64, Int64
-
-# Of half a gap, what is trusted; and of a distance, up to which a gap is none. Rounding may not decide.
-SURE, EVEN = 1 - 1e-9, 1e-12
 
 
 class Samples:
     """Samples of a surface, among which the nearest are looked for.
 
+    Of samples that are equally near, no earlier search decides which is found.
+
     Args:
-        tree: of the samples; not empty. Of two that are equally near it decides.
+        points_m: (n, 3), at least one.
     """
 
-    def __init__(self, tree: cKDTree) -> None:
-        from kinectbench.scoring.camera.boxes import boxes_of
+    def __init__(self, points_m: Float64) -> None:
+        from kinectbench.scoring.camera.boxes import boxes_of, near_together
 
-        self._tree = tree
-        self.points: Float64 = np.ascontiguousarray(tree.data)
-        self._boxes = boxes_of(self.points, tree.indices)
+        order = near_together(points_m)
+        self.points_m, self.boxes = points_m, (order, *boxes_of(points_m, order))
+        self._places: dict[int, Int64] = {}
 
-    def nearest(
-        self, points: Float64, which: Int64, places: Int64, both: bool = True
-    ) -> tuple[Float64, Int64]:
-        """The two nearest samples of some points.
-
-        Args:
-            points: (n, 3).
-            which: (m,) indices of those that are asked.
-            places: (n, 2) where the search begins, see `two_nearest`; changed.
-            both: whether the distance of the second is asked.
-
-        Returns:
-            (m, 2) distances, and (m,) the index of the nearest sample.
-        """
-        from kinectbench.scoring.camera.boxes import two_nearest
-
-        far = two_nearest(points, which, places, both, *self._boxes)
-        found: Int64 = self._tree.indices[places[which, 0]]
-        even = np.flatnonzero((1 - EVEN) * far[:, 1] <= far[:, 0])
-        if len(even):
-            found[even] = self._tree.query(points[which[even]])[1]
-        return far, found
-
-    def nearest_of_all(self, points: Float64) -> tuple[Float64, Int64]:
+    def nearest(self, points: Float64) -> tuple[Float64, Int64]:
         """The distances of points (n, 3), (n,), and the index of the nearest sample to each, (n,)."""
-        from kinectbench.scoring.camera.boxes import near_together
+        from kinectbench.scoring.camera.boxes import near_together, two_nearest
 
-        distances, found = np.empty(len(points)), np.empty(len(points), np.int64)
-        order, places = near_together(points), np.full((len(points), 2), -1)
-        far, found[order] = self.nearest(points, order, places, both=False)
-        distances[order] = far[:, 0]
-        return distances, found
+        order, *boxes = self.boxes
+        # As many points are mostly the same ones a little farther on: the search begins where it ended.
+        places = self._places.setdefault(len(points), np.full((len(points), 2), -1))
+        which, distances = near_together(points), np.empty(len(points))
+        distances[which] = two_nearest(points, which, places, False, *boxes)[:, 0]
+        return distances, order[places[:, 0]]
+
+    def offsets(self, points: Float64, normals: Float64, radius_m: float) -> Float64:
+        """(n,) the mean offset of the samples within a radius of points (n, 3), along normals (n, 3)."""
+        from kinectbench.scoring.camera.boxes import mean_offsets
+
+        return np.asarray(mean_offsets(points, normals, radius_m, *self.boxes[1:]))
 
 
 class NearestOfMoving:
@@ -72,8 +54,8 @@ class NearestOfMoving:
 
     def __init__(self, samples: Samples, count: int) -> None:
         self._samples = samples
-        self._base, self._leeway = np.zeros((count, 3)), np.full(count, -1.0)
-        self._found, self._places = np.zeros(count, np.int64), np.full((count, 2), -1)
+        # Where each was looked for last, how far from there it may be, and what was found.
+        self._state = np.zeros((count, 3)), np.full(count, -1.0), np.full((count, 2), -1)
 
     def of(self, points: Float64, asked: Bools) -> tuple[Float64, Int64]:
         """The nearest sample of the points that are asked.
@@ -85,12 +67,8 @@ class NearestOfMoving:
         Returns:
             (m,) distances, and (m,) indices of samples, of those asked.
         """
-        from kinectbench.scoring.camera.boxes import distances_to, strayed
+        from kinectbench.scoring.camera.boxes import nearest_of_moving
 
-        again = strayed(points, asked, self._base, self._leeway)
-        if len(again):
-            far, self._found[again] = self._samples.nearest(points, again, self._places)
-            self._base[again], self._leeway[again] = points[again], SURE * (far[:, 1] - far[:, 0]) / 2
-        found = self._found[asked]
-        distances: Float64 = distances_to(points[asked], self._samples.points, found)
-        return distances, found
+        of = self._samples
+        found: tuple[Float64, Int64] = nearest_of_moving(points, asked, *self._state, of.points_m, *of.boxes)
+        return found

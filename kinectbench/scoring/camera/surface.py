@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.geometry.rigid import invert_similarity, similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera.nearest import Samples
@@ -31,7 +30,7 @@ STEPS = (0.7548776662466927, 0.5698402909980532)
 
 @dataclass(frozen=True)
 class Surface:
-    """Samples of a surface, in one frame, metres.
+    """Samples of a surface, in one frame, metres; the patches in that frame, or in the one of `placed`.
 
     Attributes:
         points_m: (n, 3).
@@ -42,7 +41,7 @@ class Surface:
         second: (m, 3) the other edge from there.
         owner: (n,) the patch of each sample.
         is_triangle: whether patches are triangles, else rectangles.
-        found_in: what it was before it was mapped, whose tree finds its samples, and the (4, 4) back.
+        placed: what it was before it was mapped, which finds its samples, and the (4, 4) from there.
     """
 
     points_m: Float64
@@ -53,25 +52,15 @@ class Surface:
     second: Float64
     owner: Int64
     is_triangle: bool
-    found_in: "tuple[Surface, Float64] | None" = None
+    placed: "tuple[Surface, Float64] | None" = None
 
     def __len__(self) -> int:
         return len(self.points_m)
 
     @cached_property
-    def tree(self) -> cKDTree:
-        """Finds the nearest sample.
-
-        Boxes of nodes are not shrunk, and leaves have 24 points: together with queries that takes 0.85 of the
-        time (measured). Faces of cells lie so evenly that halving boxes in place of counts takes 0.6 of it.
-        """
-        of_cells = bool(len(self.corner)) and not self.is_triangle
-        return cKDTree(self.points_m, leafsize=24, compact_nodes=False, balanced_tree=not of_cells)
-
-    @cached_property
     def samples(self) -> Samples:
-        """The same, to look for the nearest of many points."""
-        return Samples(self.tree)
+        """The samples, to look for the nearest of many points."""
+        return Samples(np.ascontiguousarray(self.points_m))
 
     @cached_property
     def center_m(self) -> Float64:
@@ -89,6 +78,9 @@ class Surface:
         """Some of the samples; patches stay."""
         if which.dtype == np.bool_:  # rows by number take half of the time (measured)
             which = np.flatnonzero(which)
+        if self.placed is not None:
+            before, T = self.placed
+            return before.chosen(which).transformed(T)
         normals = None if self.normals is None else self.normals[which]
         return replace(
             self,
@@ -96,7 +88,6 @@ class Surface:
             areas=self.areas[which],
             normals=normals,
             owner=self.owner[which],
-            found_in=None,
         )
 
     @cached_property
@@ -119,17 +110,14 @@ class Surface:
         """The surface mapped by a similarity (4, 4)."""
         from kinectbench.scoring.camera.kernels import mapped
 
+        before, T_before = self.placed or (self, np.eye(4))
         scale = similarity_scale(T)
-        linear = T[:3] * [1.0, 1.0, 1.0, 0.0]
         return replace(
             self,
             points_m=mapped(self.points_m, T[:3]),
             areas=self.areas * scale**2 if len(self.corner) else self.areas,
-            normals=None if self.normals is None else mapped(self.normals, linear / scale),
-            corner=mapped(self.corner, T[:3]),
-            first=mapped(self.first, linear),
-            second=mapped(self.second, linear),
-            found_in=(self, np.linalg.inv(T).astype(np.float64)),
+            normals=None if self.normals is None else mapped(self.normals, T[:3] * [*[1 / scale] * 3, 0.0]),
+            placed=(before, T @ T_before),
         )
 
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
@@ -139,16 +127,13 @@ class Surface:
         """
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
-        before, T = self.found_in or (self, np.eye(4))
-        asked = points_m if self.found_in is None else mapped(points_m, T[:3])
-        distances, found = before.samples.nearest_of_all(asked)
-        distances /= similarity_scale(T)
+        before, T = self.placed or (self, np.eye(4))
+        asked = mapped(points_m, invert_similarity(T)[:3]) if self.placed else np.ascontiguousarray(points_m)
+        distances, found = before.samples.nearest(asked)
         if len(self.corner):
             owner = self.owner[found]
-            distances = to_patches(
-                np.ascontiguousarray(points_m), owner, self.corner, self.first, self.second, self.is_triangle
-            )
-        return distances, found
+            distances = to_patches(asked, owner, self.corner, self.first, self.second, self.is_triangle)
+        return distances * similarity_scale(T), found
 
 
 def surface_of(shape: CameraShape) -> Surface:
@@ -283,7 +268,10 @@ def _squares(
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:
     """The box of what is occupied: the first cells, and those after the last; of nothing both are 0."""
-    if not cells.any():
+    columns = np.asarray(cells.any(axis=2))
+    if not columns.any():
         return np.zeros(3, np.int64), np.zeros(3, np.int64)
-    found = [np.flatnonzero(cells.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    found = [
+        np.flatnonzero(here) for here in (columns.any(axis=1), columns.any(axis=0), cells.any(axis=(0, 1)))
+    ]
     return np.array([one[0] for one in found]), np.array([one[-1] + 1 for one in found])

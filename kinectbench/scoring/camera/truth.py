@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.score_figures import ShapePart
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import read_ply
-from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, packed_count, unknown_share, unpack
 from kinectbench.release import view_images
 from kinectbench.release.contents import surface_name
@@ -113,13 +113,6 @@ class SpaceTruth:
         return found
 
 
-def cells_set(packed: Packed, cells: Int64) -> Bools:
-    """(n,) whether cells (n, 3) of a packed grid are set."""
-    x, y, z = cells.T
-    found: Bools = (packed[x, y, z >> 3] >> (7 - (z & 7))) & 1 == 1
-    return found
-
-
 @dataclass(frozen=True)
 class ViewFiles:
     """What the truth of a view is read from.
@@ -203,7 +196,9 @@ def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
     """The same from packed grids (256, 256, 32)."""
+    from kinectbench.scoring.camera.kernels import known_and_seen
+
     surface, cells = cell_surface(unpack(full), voxel_size_m)
-    is_known, is_seen = cells_set(known, cells), cells_set(seen, cells)
+    is_known, is_seen = known_and_seen(cells + 0.5, 1.0, known, seen)
     size_m = size_cells(full) * voxel_size_m
     return SpaceTruth(full, known, seen, surface, is_known, is_seen, T_grid_camera, voxel_size_m, size_m)
