@@ -107,6 +107,8 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
     """
     count = int(pieces.max()) + 1
     seen = np.zeros((len(to_camera), count), np.int64)
+    if count == 1:
+        return seen
     for turned in _turned_along(space, to_camera):
         flat = pieces.transpose(turned.order).reshape(-1)
         at = np.flatnonzero(flat)
