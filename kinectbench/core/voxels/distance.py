@@ -19,7 +19,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
     Args:
         of: (nx, ny, nz) bool.
         voxel_size_m: edge of a voxel, metres.
-        within_m: distances beyond are infinite, metres.
+        within_m: distances beyond it, cut to whole voxels, are infinite; metres.
 
     Returns:
         (nx, ny, nz) float32, metres.
