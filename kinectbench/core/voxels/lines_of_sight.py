@@ -131,7 +131,7 @@ class _Turned:
         """The voxels seen along directions (n, 3), as the function has them, with the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
-        n0, n1, n2 = seen.shape
+        n0, n1, n2 = self.state.shape
         # Numbers count steps: at most as many as there are slices, or as make a camera far enough.
         enough = 4 + min(n0, int(self.space.near_m / self.space.voxel_size_m))
         lines = np.empty((IN_CACHE, (n1 + n0) * n2 + n0), np.uint8 if enough < 256 else np.uint16)

@@ -37,7 +37,7 @@ class RayHits:
 def enclosed_shares() -> Float32:
     """The share of INSIDE in INSIDE and OUTSIDE hits by both numbers: (27, 27) float32; 0 without hits."""
     inside, outside = np.indices((27, 27), np.float32)
-    return inside / np.maximum(inside + outside, np.float32(1))
+    return np.asarray(inside / np.maximum(inside + outside, np.float32(1)), np.float32)
 
 
 def cast_26_rays(state: NDArray[np.uint8]) -> RayHits:

@@ -180,7 +180,7 @@ def _clear_m(
 
     def clear_m(depth_m: Float32) -> Float32:
         spread_m = np.sqrt(depth_sigma_m(depth_m) ** 2 + frame.vote_sigma_m**2)
-        before_m = np.where(depth_m > farthest_m, max(least_m, BEFORE_FAR_M), least_m)
+        before_m = np.where(depth_m > farthest_m, max(least_m, float(BEFORE_FAR_M)), least_m)
         return np.asarray(np.maximum(sigmas * spread_m, before_m), np.float32)
 
     return clear_m

@@ -257,7 +257,7 @@ def test_reached_voxels_are_dilated_by_a_ball(radius: float) -> None:
     obstacle = rng.random((14, 11, 9)) < 0.3
     reached = rng.choice(np.arange(4, dtype=np.uint8), obstacle.shape, p=[0.97, 0.01, 0.01, 0.01]) * ~obstacle
     grown = _grown_back(reached, obstacle, radius)
-    cells = np.stack(np.indices((7, 7, 7))) - 3
+    cells = np.indices((7, 7, 7)) - 3
     ball = (cells**2).sum(axis=0) <= radius**2
     for bit in (FROM_ABOVE, FROM_BELOW):
         dilated = ndimage.binary_dilation(reached & bit > 0, ball) & ~obstacle
