@@ -15,12 +15,12 @@ NO_MESH = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 def evidence_of(shape: tuple[int, int, int], **given: Any) -> VoxelEvidence:
     """Nothing is said of any voxel but what is given; there is no plane."""
     no = np.zeros(shape, bool)
-    masks = ("observed", "free", "near_surface", "excluded", "unseen", "closed", "underside", "surface")
+    masks = ("observed", "free", "near_surface", "excluded", "unseen", "closed", "underside")
     fields: dict[str, Any] = {
         "signed_m": np.zeros(shape, np.float32),
         "sight": np.zeros(shape, np.uint8),
         "contact": slice(0, 0),
-        "heights_m": None,
+        **dict.fromkeys(("space", "lower")),
         **dict.fromkeys(masks, no),
     }
     return VoxelEvidence(**{**fields, **given})

@@ -19,15 +19,16 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
     Args:
         of: (nx, ny, nz) bool.
         voxel_size_m: edge of a voxel, metres.
-        within_m: distances beyond are infinite, metres.
+        within_m: distances beyond it, cut to whole voxels, are infinite; metres.
 
     Returns:
         (nx, ny, nz) float32, metres.
     """
     # No two voxels are farther apart than the grid's diagonal.
     reach = min(math.floor(within_m / voxel_size_m + 1e-6), math.ceil(math.hypot(*of.shape)))
-    cells = np.ascontiguousarray(of)
-    squared = _along_last(cells, reach)
+    kind = np.uint16 if 2 * reach * reach < np.iinfo(np.uint16).max else np.int32
+    squared = np.empty(of.shape, kind)
+    _along_last(np.ascontiguousarray(of), reach, squared)
     squared = _across(_across(squared, reach, 1), reach, 0)
     roots = voxel_size_m * np.sqrt(np.arange(reach * reach + 2, dtype=np.float64))
     roots[-1] = np.inf
@@ -35,11 +36,10 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def _along_last(cells, reach):  # type: ignore[no-untyped-def]
-    """Squared distance, in voxels, to the nearest set voxel of the row; reach^2 + 1 beyond the reach."""
+def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
+    """Set squared distances, in voxels, to the nearest set voxel of the row; reach^2 + 1 beyond the reach."""
     nx, ny, nz = cells.shape
-    beyond = np.int32(reach * reach + 1)
-    squared = np.empty(cells.shape, np.int32)
+    beyond = reach * reach + 1
     for i in range(nx):
         for j in range(ny):
             since = reach + 1
@@ -50,8 +50,7 @@ def _along_last(cells, reach):  # type: ignore[no-untyped-def]
             for k in range(nz - 1, -1, -1):
                 since = 0 if cells[i, j, k] else since + 1
                 if since <= reach:
-                    squared[i, j, k] = min(squared[i, j, k], np.int32(since * since))
-    return squared
+                    squared[i, j, k] = min(squared[i, j, k], squared.dtype.type(since * since))
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -59,18 +58,19 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
     """Minimum over one of the first two axes of value plus distance, row by row."""
     nx, ny, nz = squared.shape
     least = np.empty_like(squared)
-    for i in range(nx):
-        for j in range(ny):
-            own = least[i, j]
-            own[:] = squared[i, j]
-            at, count = (i, nx) if axis == 0 else (j, ny)
-            for step in range(1, reach + 1):
-                way = np.int32(step * step)
-                for neighbour in (at - step, at + step):
-                    if 0 <= neighbour < count:
-                        other = squared[neighbour, j] if axis == 0 else squared[i, neighbour]
-                        for k in range(nz):
-                            own[k] = min(own[k], other[k] + way)
+    kind, count = squared.dtype.type, squared.shape[axis]
+    for n in range(nx * ny):
+        # Along the axis, so that rows that are looked at several times lie in the cache.
+        i, j = (n % nx, n // nx) if axis == 0 else (n // ny, n % ny)
+        own, at = least[i, j], i if axis == 0 else j
+        own[:] = squared[i, j]
+        for step in range(1, reach + 1):
+            way = step * step
+            for neighbour in (at - step, at + step):
+                if 0 <= neighbour < count:
+                    other = squared[neighbour, j] if axis == 0 else squared[i, neighbour]
+                    for k in range(nz):
+                        own[k] = min(own[k], kind(other[k] + way))
     return least
 
 

@@ -6,6 +6,7 @@ the distance of the farthest camera behind it that nothing hides. So a direction
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Final
 
 import numba
@@ -27,6 +28,8 @@ _NONE, _FAR = np.float32(-1e9), np.float32(1e9)
 _LEVEL = 1e-9
 # One thread marks the voxels of so many directions: to join the marks then takes no 1 % of the time.
 AT_ONCE = 32
+# The lines of so many directions through a slice of a chair's grid lie in a core's cache.
+IN_CACHE = 8
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,8 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
         groups = np.split(turned.ways, range(AT_ONCE, len(turned.ways), AT_ONCE))
-        for marked in ahead(turned.seen_along, (to_camera[ways] for ways in groups)):
-            seen |= marked.transpose(np.argsort(turned.order))
+        marks = ahead(turned.seen_along, (to_camera[ways] for ways in groups))
+        seen |= reduce(np.bitwise_or, marks).transpose(np.argsort(turned.order))
     return seen
 
 
@@ -104,6 +107,8 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
     """
     count = int(pieces.max()) + 1
     seen = np.zeros((len(to_camera), count), np.int64)
+    if count == 1:
+        return seen
     for turned in _turned_along(space, to_camera):
         flat = pieces.transpose(turned.order).reshape(-1)
         at = np.flatnonzero(flat)
@@ -125,10 +130,14 @@ class _Turned:
     def seen_along(self, to_camera: Float64) -> NDArray[np.uint8]:
         """The voxels seen along directions (n, 3), as the function has them, with the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
-        flat = self.state.reshape(-1), seen.reshape(-1), seen.shape
-        up_axis = self.order.index(2)
-        for way in to_camera[:, list(self.order)]:
-            _sweep(*flat, way, up_axis, self.space.heights_m, *self.space.lengths_m)
+        flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
+        n0, n1, n2 = self.state.shape
+        # Numbers count steps: at most as many as there are slices, or as make a camera far enough.
+        enough = 4 + min(n0, int(self.space.near_m / self.space.voxel_size_m))
+        lines = np.empty((IN_CACHE, (n1 + n0) * n2 + n0), np.uint8 if enough < 256 else np.uint16)
+        for first in range(0, len(to_camera), IN_CACHE):
+            ways = to_camera[first : first + IN_CACHE, list(self.order)]
+            _sweep(*flat, ways, up_axis, self.space.heights_m, lines, *self.space.lengths_m)
         return seen
 
 
@@ -154,55 +163,78 @@ def _beyond(height, up, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(state, seen, shape, direction, up_axis, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Mark the voxels seen along one direction whose main axis comes first; arrays are flat."""
+def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Mark the voxels seen along directions (n, 3) whose main axis comes first; `state` and `seen` are flat.
+
+    `lines` (n, room) has a number for each line, as the voxels of the slice have it: 0 without a camera
+    behind it, 2 at a camera, and one more with each step, up to the number that is enough.
+    """
     n0, n1, n2 = shape
-    along, up = abs(direction[0]), direction[up_axis]
-    bit = np.uint8(FROM_BELOW if up < -_LEVEL else FROM_ABOVE)
-    step = np.float32(voxel_m / along)
-    # From slice to slice a line moves away from the camera.
-    slope1, slope2 = -direction[1] / along, -direction[2] / along
-    # Distance of the farthest camera from each voxel of the slice before, and of this slice.
-    before, now = np.empty(n1 * n2, np.float32), np.empty(n1 * n2, np.float32)
-    at1 = at2 = 0
+    entering, enough = np.empty((len(ways), len(heights_m)), lines.dtype), np.empty(len(ways), lines.dtype)
+    slopes, at = np.empty((len(ways), 2)), np.zeros((len(ways), 2), np.int64)
+    for n in range(len(ways)):
+        along = abs(ways[n, 0])
+        step_m = np.float32(voxel_m / along)
+        enough[n] = _set_entering(entering[n], ways[n, up_axis], step_m, n0, heights_m, near_m, least_m)
+        # From slice to slice a line moves away from the camera.
+        slopes[n] = -ways[n, 1] / along, -ways[n, 2] / along
     for count in range(n0):
-        i = n0 - 1 - count if direction[0] > 0 else count
-        next1, next2 = int(np.rint(slope1 * count)), int(np.rint(slope2 * count))
-        move1, move2 = next1 - at1, next2 - at2
-        at1, at2 = next1, next2
-        for j in range(n1):
-            low, high = n2, n2
-            if count > 0 and 0 <= j - move1 < n1:
-                low, high = max(0, move2), min(n2, n2 + move2)
-                _carry(before, (j - move1) * n2 + low - move2, now, j * n2 + low, high - low, step)
-            # Lines that come in through the grid's side.
-            for k in range(low):
-                now[j * n2 + k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
-            for k in range(high, n2):
-                now[j * n2 + k] = _beyond(heights_m[i if up_axis == 0 else k], up, least_m)
-            _look(state, seen, (i * n1 + j) * n2, now, j * n2, n2, near_m, bit)
-        before, now = now, before
-
-
-# Both loops run on several voxels at once, if their indices cannot be negative.
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _carry(before, begin, now, to, count, step):  # type: ignore[no-untyped-def]
-    """Distances of a row of the slice before, a step farther."""
-    source, target = np.uintp(begin), np.uintp(to)
-    for k in range(count):
-        now[target + np.uintp(k)] = before[source + np.uintp(k)] + step
+        # All directions look at a slice while it lies in the cache.
+        for n in range(len(ways)):
+            i = n0 - 1 - count if ways[n, 0] > 0 else count
+            bit = np.uint8(FROM_BELOW if ways[n, up_axis] < -_LEVEL else FROM_ABOVE)
+            # A line keeps its place: the slice moves over them, from the first or from the last place.
+            end = np.maximum(np.rint(slopes[n] * (n0 - 1)), 0)
+            moved = np.rint(slopes[n] * count)
+            move1, move2 = int(moved[0]) - at[n, 0], int(moved[1]) - at[n, 1]
+            at[n] = moved
+            begin = int((end[0] - moved[0]) * n2 + end[1] - moved[1])
+            for j in range(n1):
+                low, high = n2, n2
+                if count > 0 and 0 <= j - move1 < n1:
+                    low, high = max(0, move2), min(n2, n2 + move2)
+                # Lines that come in through the grid's side.
+                for k in range(low):
+                    lines[n, begin + j * n2 + k] = entering[n, i if up_axis == 0 else k]
+                for k in range(high, n2):
+                    lines[n, begin + j * n2 + k] = entering[n, i if up_axis == 0 else k]
+            _look(state, seen, i * n1 * n2, lines[n], begin, n1 * n2, enough[n], bit)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _look(state, seen, begin, far_m, to, count, near_m, bit):  # type: ignore[no-untyped-def]
-    """Carry the lines of a row past its obstacles and mark its visible voxels."""
-    own, row = np.uintp(begin), np.uintp(to)
-    for k in range(count):
-        at, kept = own + np.uintp(k), row + np.uintp(k)
-        far = max(far_m[kept], np.float32(0)) if state[at] == PLACE else far_m[kept]
-        far = _NONE if state[at] == BLOCKED else far
-        far_m[kept] = far
-        seen[at] |= bit if far >= near_m else np.uint8(0)
+def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Set the numbers of lines a step before they come in, by layer; returns the number that is enough."""
+    enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
+    for layer in range(len(heights_m)):
+        far_m = _beyond(heights_m[layer], up, least_m)
+        steps = _steps(far_m, step_m, near_m, slices)
+        entering[layer] = 0 if far_m < 0 else enough if steps == 0 else max(1, enough - steps - 1)
+    return enough
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
+    """The number of steps after which a camera is far enough, at most `most`."""
+    steps = 0
+    while far_m < near_m and steps < most:
+        far_m += step_m
+        steps += 1
+    return steps
+
+
+# Runs on 32 voxels at once, if indices cannot be negative and no number is wider than in `lines`.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no-untyped-def]
+    """Carry the lines of a slice a step farther, past its obstacles, and mark its visible voxels."""
+    own, first, kind = np.uintp(begin), np.uintp(to), lines.dtype.type
+    for n in range(count):
+        at, line = own + np.uintp(n), first + np.uintp(n)
+        number = lines[line]
+        number = kind(number + ((number != 0) & (number != enough)))
+        number = max(number, kind(2)) if state[at] == PLACE else number
+        number = kind(0) if state[at] == BLOCKED else number
+        lines[line] = number
+        seen[at] |= bit if number == enough else np.uint8(0)
 
 
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:

@@ -153,6 +153,20 @@ def broad(mask: Bools, cells: int) -> Bools:
     return reached
 
 
+def from_beyond(cells: Bools) -> Bools:
+    """The set cells (nx, ny, nz) that are connected (6 neighbours) to the space beyond the grid."""
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(cells)
+    reached = np.zeros(count + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            reached[np.unique(np.take(pieces, end, axis))] = True
+    reached[0] = False
+    result: Bools = reached[pieces]
+    return result
+
+
 def _runs(mask: Bools, axis: int, length: int) -> Bools:
     """Cells at which a run of `length` set cells along an axis begins."""
     runs, done = np.moveaxis(mask, axis, 0), 1

@@ -31,10 +31,13 @@ class RayHits:
     @property
     def enclosed(self) -> Float32:
         """INSIDE hits as a share of INSIDE and OUTSIDE hits; 0 without hits."""
-        share = np.zeros(self.inside.shape, np.float32)
-        counted = self.inside + self.outside
-        np.divide(self.inside, counted, out=share, where=self.inside > 0, dtype=np.float32)
-        return share
+        return enclosed_shares()[self.inside, self.outside]
+
+
+def enclosed_shares() -> Float32:
+    """The share of INSIDE in INSIDE and OUTSIDE hits by both numbers: (27, 27) float32; 0 without hits."""
+    inside, outside = np.indices((27, 27), np.float32)
+    return np.asarray(inside / np.maximum(inside + outside, np.float32(1)), np.float32)
 
 
 def cast_26_rays(state: NDArray[np.uint8]) -> RayHits:

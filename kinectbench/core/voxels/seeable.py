@@ -28,6 +28,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     seen_along,
     seen_around_corners,
 )
+from kinectbench.core.voxels.morphology import from_beyond
 
 # Directions of the sweeps over all voxels, and of those asked at the edge of what these found: 2.5 degrees
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
@@ -87,10 +88,14 @@ class Sight:
         any_way: uint8 of `core.voxels.lines_of_sight`, 0 if none does.
         from_above: bool, by a level line or one that looks down, from a camera that did not rise through
             unseen space below an object.
+        space: where lines pass and cameras can be.
+        lower: the same without those cameras.
     """
 
     any_way: NDArray[np.uint8]
     from_above: Bools
+    space: Space
+    lower: Space
 
     @property
     def only_from_below(self) -> Bools:
@@ -121,9 +126,9 @@ def swept_from_outside(
     any_way = _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
     lower = without_rising(space, empty)
     if lower is space:
-        return Sight(any_way, any_way & FROM_ABOVE > 0)
+        return Sight(any_way, any_way & FROM_ABOVE > 0, space, lower)
     level_or_down = seen_along(lower, to_camera[to_camera[:, 2] >= -LEVEL])
-    return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0)
+    return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0, space, lower)
 
 
 def without_rising(space: Space, empty: Bools) -> Space:
@@ -229,7 +234,7 @@ def line_space(
     half_m = limits.line_width_m / 2
     farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
     gap_m = distance_within_m(obstacle, voxel_size_m, farthest_m) - np.float32(voxel_size_m / 2)
-    place = _from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
+    place = from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
     blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
     return Space(state, heights, voxel_size_m, limits.near_m, limits.camera_height_m)
@@ -248,40 +253,21 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
     """Voxels of `reached`, dilated by a ball around each, without the obstacle."""
     nx, ny, nz = reached.shape
     most = int(radius)
-    balls = [
-        (a, b, c)
-        for a in range(-most, most + 1)
-        for b in range(-most, most + 1)
-        for c in range(-most, most + 1)
-        if a * a + b * b + c * c <= radius * radius
-    ]
     grown = reached.copy()
     for i in range(nx):
         for j in range(ny):
+            own = grown[i, j]
+            for a in range(max(-most, -i), min(most + 1, nx - i)):
+                for b in range(max(-most, -j), min(most + 1, ny - j)):
+                    for c in range(-most, most + 1):
+                        if a * a + b * b + c * c <= radius * radius and abs(c) < nz:
+                            source = reached[i + a, j + b, max(c, 0) : nz + min(c, 0)]
+                            target = own[max(-c, 0) : nz - max(c, 0)]
+                            for k in range(len(target)):
+                                target[k] |= source[k]
             for k in range(nz):
-                if obstacle[i, j, k] or reached[i, j, k] & FROM_ABOVE:
-                    continue
-                for a, b, c in balls:
-                    inside = 0 <= i + a < nx and 0 <= j + b < ny and 0 <= k + c < nz
-                    if inside and reached[i + a, j + b, k + c]:
-                        grown[i, j, k] |= reached[i + a, j + b, k + c]
-                        if grown[i, j, k] & FROM_ABOVE:
-                            break
+                own[k] = reached[i, j, k] if obstacle[i, j, k] else own[k]
     return grown
-
-
-def _from_beyond(roomy: Bools) -> Bools:
-    """Camera positions that are connected to the space beyond the grid (6 neighbours)."""
-    from scipy import ndimage
-
-    pieces, count = ndimage.label(roomy)
-    reached = np.zeros(count + 1, bool)
-    for axis in range(3):
-        for end in (0, -1):
-            reached[np.unique(np.take(pieces, end, axis))] = True
-    reached[0] = False
-    result: Bools = reached[pieces]
-    return result
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,25 @@
 """The fusion kernel: depth frames, each pixel with its weight, into the blocks of a volume."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.geometry.depth import (
+    SIGMA_GROWTH_PER_M,
+    SIGMA_NEAR_DEPTH_M,
+    SIGMA_NEAR_M,
+    depth_sigma_m,
+)
 from kinectbench.core.threads import ahead, in_parts
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
-from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, visible_blocks
+from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, CLEAR, visible_blocks
 
 # So many frames pass through each block while it lies in the cache.
 BATCH_FRAMES = 8
@@ -107,7 +113,7 @@ def integrate(
     slope = np.array([camera.fx, camera.fy], np.float32) / np.float32(2 * SLANT_REACH_PX)
     while batch := list(islice(remaining, BATCH_FRAMES)):
         _fill_pixels(pixels, batch, slope, volume.voxel_size_m, farthest_m)
-        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m)
+        _integrate_batch(volume, batch, pixels[: len(batch)], camera, truncation_m, farthest_m)
 
 
 def _fill_pixels(
@@ -128,11 +134,16 @@ def _integrate_batch(
     pixels: Float32,
     camera: Camera,
     truncation_m: float,
+    farthest_m: float,
 ) -> None:
     T_camera_grid = [invert_rigid(frame.T_world_camera) @ volume.T_world_grid for frame in batch]
-    posed = list(zip(batch, T_camera_grid, strict=True))
-    visible = ahead(lambda at: visible_blocks(volume, at[0].depth_m, camera, at[1], truncation_m), posed)
-    seen = np.stack(list(visible))
+
+    def visible(posed: tuple[DepthFrame, Float64]) -> NDArray[np.uint8]:
+        frame, T = posed
+        clear_m = _clear_m(frame, volume.voxel_size_m, truncation_m, farthest_m)
+        return visible_blocks(volume, frame.depth_m, camera, T, truncation_m, clear_m)
+
+    seen = np.stack(list(ahead(visible, zip(batch, T_camera_grid, strict=True))))
     # Pixel coordinates times z, except for the principal point; its half a pixel more, and cutting off the
     # fraction, round to the nearest pixel.
     to_pixels = np.stack([np.diag([camera.fx, camera.fy, 1.0]) @ T[:3] for T in T_camera_grid])
@@ -158,6 +169,21 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
     fading_per_m = 1 / (FADING_VOXELS * voxel_size_m)
     window = (WINDOW_SIGMAS, CLEAR_SIGMAS) if frame.closely else (SURFACE_SIGMAS, 0.0)
     return np.array([*depth, *poses, HALF_DIAGONAL * voxel_size_m, fading_per_m, *window], np.float32)
+
+
+def _clear_m(
+    frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
+) -> Callable[[Float32], Float32]:
+    """How far in front of a depth `_add` comes to what `_add_clear` does, however slanted the surface is."""
+    least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
+    sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
+
+    def clear_m(depth_m: Float32) -> Float32:
+        spread_m = np.sqrt(depth_sigma_m(depth_m) ** 2 + frame.vote_sigma_m**2)
+        before_m = np.where(depth_m > farthest_m, max(least_m, float(BEFORE_FAR_M)), least_m)
+        return np.asarray(np.maximum(sigmas * spread_m, before_m), np.float32)
+
+    return clear_m
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
@@ -191,7 +217,10 @@ def _integrate(  # type: ignore[no-untyped-def]
                 _project(index, z, corner, inside[f], middle, width, height)
                 for n in range(BLOCK_CELLS):
                     fetched[n] = of_pixel[f, index[n]]
-                any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
+                if seen[f, b] == CLEAR:
+                    any_new |= _add_clear(new_total, new_weight, new_votes, fetched, truncation)
+                else:
+                    any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
         if any_new:
             _merge(tsdf[b], weight[b], new_total, new_weight)
             _count(votes[b], new_votes)
@@ -252,6 +281,19 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
         share = max(min(f32(1) - outside * fading_per_m, f32(1)), HIDDEN)
         added *= share if along <= clear * spread else f32(1)
         new_total[n] += added * max(min(distance, truncation), -truncation)
+        new_weight[n] += added
+    return any_added > 0
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
+def _add_clear(new_total, new_weight, new_votes, fetched, truncation):  # type: ignore[no-untyped-def]
+    """What `_add` does where all voxels lie far in front of what was measured: all votes are `free`."""
+    any_added = np.float32(0)
+    for n in range(BLOCK_CELLS):
+        added = abs(np.uint32(fetched[n] >> HALF_BITS).view(np.float32))
+        any_added += added
+        new_votes[n] += FREE_VOTE if added > 0 else NO_VOTE
+        new_total[n] += added * truncation
         new_weight[n] += added
     return any_added > 0
 

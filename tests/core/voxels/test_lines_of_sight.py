@@ -88,6 +88,14 @@ def test_sweeps_see_what_walks_see(seed: int) -> None:
     assert {0, FROM_ABOVE, FROM_ABOVE | FROM_BELOW} <= {*np.unique(seen).tolist()}
 
 
+def test_a_camera_may_have_to_be_more_steps_away_than_fit_in_eight_bits() -> None:
+    state = np.full((400, 1, 1), PASSABLE, np.uint8)
+    state[-2:, 0, 0] = PLACE, BLOCKED
+    space = Space(state, np.ones(1, np.float32), VOXEL_M, 25.25, LEAST_M)  # from 253 voxels on
+    seen = seen_along(space, np.array([[1.0, 0.0, 0.0]]))
+    assert np.flatnonzero(seen[:, 0, 0]).tolist() == list(range(398 - 253 + 1))
+
+
 def test_pieces_are_counted_direction_by_direction() -> None:
     state, heights_m = scene(7)
     space = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M)

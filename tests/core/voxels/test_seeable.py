@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from manifold3d import Manifold as Solid
 from raising import raises
+from scipy import ndimage
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import (
@@ -17,9 +18,17 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.lines_of_sight import BLOCKED, FROM_ABOVE, PASSABLE, PLACE, directions
+from kinectbench.core.voxels.lines_of_sight import (
+    BLOCKED,
+    FROM_ABOVE,
+    FROM_BELOW,
+    PASSABLE,
+    PLACE,
+    directions,
+)
 from kinectbench.core.voxels.seeable import (
     SeeableSolid,
+    _grown_back,
     _level_ways_out,
     _reached_without_rising,
     seeable_solid,
@@ -240,6 +249,19 @@ def test_a_camera_that_came_in_through_a_door_may_rise(door: int) -> None:
     assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9
     # Some is only seen by lines that look up: they come in through the door, too.
     assert sight.only_from_below[inner].mean() < 0.1
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0, 1.5, 2.0, 3.2])
+def test_reached_voxels_are_dilated_by_a_ball(radius: float) -> None:
+    rng = np.random.default_rng(2)
+    obstacle = rng.random((14, 11, 9)) < 0.3
+    reached = rng.choice(np.arange(4, dtype=np.uint8), obstacle.shape, p=[0.97, 0.01, 0.01, 0.01]) * ~obstacle
+    grown = _grown_back(reached, obstacle, radius)
+    cells = np.indices((7, 7, 7)) - 3
+    ball = (cells**2).sum(axis=0) <= radius**2
+    for bit in (FROM_ABOVE, FROM_BELOW):
+        dilated = ndimage.binary_dilation(reached & bit > 0, ball) & ~obstacle
+        np.testing.assert_array_equal(grown & bit > 0, dilated)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -18,6 +18,15 @@ def test_as_without_a_limit_up_to_it(shape: tuple[int, int, int], share: float, 
     np.testing.assert_allclose(distance_within_m(of, VOXEL_M, within_m), expected, rtol=2e-7)
 
 
+def test_limits_whose_squares_take_more_than_sixteen_bits() -> None:
+    of = np.zeros((300, 260, 2), bool)
+    of[20, 30, 1] = True
+    expected = ndimage.distance_transform_edt(~of, sampling=VOXEL_M)
+    expected[expected > 1] = np.inf  # 200 voxels
+    assert np.isinf(expected).any()
+    np.testing.assert_allclose(distance_within_m(of, VOXEL_M, 1.0), expected, rtol=2e-7)
+
+
 def test_from_corner_to_corner() -> None:
     of = np.zeros((5, 6, 7), bool)
     of[0, 0, 0] = True

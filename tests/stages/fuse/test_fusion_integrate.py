@@ -1,5 +1,7 @@
 """The fusion kernel against plain numpy and against Open3D's VoxelBlockGrid."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from analytic_scenes import CAMERA, box, depth_of, plane, sphere
@@ -17,6 +19,7 @@ from kinectbench.core.geometry import (
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HIDDEN_SHARE
 from kinectbench.lab.simulate.path import look_at
+from kinectbench.stages.fuse import integrate as integration
 from kinectbench.stages.fuse.blocks import (
     BLOCK_VOXELS,
     BlockVolume,
@@ -35,7 +38,7 @@ from kinectbench.stages.fuse.integrate import (
     DepthFrame,
     integrate,
 )
-from kinectbench.stages.fuse.visible_blocks import blocks_near_surface, visible_blocks
+from kinectbench.stages.fuse.visible_blocks import CLEAR, SEEN, blocks_near_surface, visible_blocks
 
 SMALL = Camera(48, 36, 40.0, 41.0, 23.2, 17.6)
 VOXEL_M, TRUNCATION_M, POSE_SIGMA_M = 0.012, 0.06, 0.005
@@ -144,6 +147,26 @@ def test_kernel_against_numpy(count: int, farthest_m: float, closely: bool) -> N
     np.testing.assert_array_equal(volume.surface[sure], surface[sure])
     np.testing.assert_allclose(volume.weight[sure], weight[sure], rtol=3e-4, atol=1e-8)
     np.testing.assert_allclose(volume.tsdf[sure], tsdf[sure], atol=5e-6)
+
+
+@pytest.mark.parametrize(("farthest_m", "closely"), [(np.inf, True), (2.9, True), (2.9, False)])
+def test_blocks_that_are_wholly_clear_get_the_same_bytes(
+    farthest_m: float, closely: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = [(depth_m * np.float32(2), T_world_camera) for depth_m, T_world_camera in random_frames(20)]
+    kinds: list[int] = []
+
+    def none_clear(*args: Any) -> NDArray[np.uint8]:
+        seen = visible_blocks(*args)
+        kinds.extend(seen.tolist())
+        return np.minimum(seen, np.uint8(SEEN))
+
+    volume = fused(frames, farthest_m, closely)
+    monkeypatch.setattr(integration, "visible_blocks", none_clear)
+    one_by_one = fused(frames, farthest_m, closely)
+    assert kinds.count(CLEAR) > 100 and kinds.count(SEEN) > 100
+    for name in ("tsdf", "weight", "votes"):
+        assert getattr(volume, name).tobytes() == getattr(one_by_one, name).tobytes(), name
 
 
 def test_camera_inside_the_volume_fuses_nothing_behind_it() -> None:
@@ -288,7 +311,7 @@ def test_blocks_behind_the_surface_are_left_out_and_no_others() -> None:
     depth_m = np.full((SMALL.height, SMALL.width), 1.5, np.float32)
     depth_m[:, :20] = 0.7
     volume = empty_volume(blocks_of_grid(Grid((96, 96, 96), VOXEL_M, T_WORLD_GRID)), VOXEL_M, T_WORLD_GRID)
-    seen = np.flatnonzero(visible_blocks(volume, depth_m, SMALL, T_WORLD_GRID, TRUNCATION_M))
+    seen = np.flatnonzero(visible_blocks(volume, depth_m, SMALL, T_WORLD_GRID, TRUNCATION_M, np.zeros_like))
     _, weight, _, _, tie = reference(volume, [(depth_m, np.eye(4))])
     told_about = np.flatnonzero(((weight > 0) & ~tie).any(axis=(1, 2, 3)))
     assert set(told_about) <= set(seen)

@@ -25,6 +25,7 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.observation import Observation
+from kinectbench.core.voxels.seeable import line_space, without_rising
 from kinectbench.stages.segment.judge.frontiers import (
     LEAST_AREA_M2,
     LEAST_PROBABILITY,
@@ -33,7 +34,7 @@ from kinectbench.stages.segment.judge.frontiers import (
     find_frontiers,
     where_to_stand,
 )
-from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
+from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels, narrow
 from kinectbench.stages.segment.solid.solid import make_solid
 
 CELLS, CELL_M = (40, 40, 40), 0.01
@@ -57,13 +58,16 @@ def found_of(
     T_floor_grid: np.ndarray = FLAT,
     labels: np.ndarray | None = None,
     solid: np.ndarray | None = None,
+    surface: np.ndarray | None = None,
     **evidence: Any,
 ) -> tuple[Frontier, ...]:
     """Frontiers of unknown voxels, which are walled in but for where they border on free space."""
     solid = mask(SOLID) if solid is None else solid
     shape = shape_of(solid, np.where(unknown, probability, 0.0), labels, voxel_m=CELL_M)
     walls = ndimage.binary_dilation(unknown, np.ones((3, 3, 3))) & ~unknown & ~free
-    said = evidence_of(CELLS, **{"unseen": unknown, "free": free, "surface": walls, **evidence})
+    space = line_space(walls if surface is None else surface, None, CELL_M, narrow(LIMITS))
+    lines = {"space": space, "lower": without_rising(space, free)}
+    said = evidence_of(CELLS, unseen=unknown, free=free, **lines, **evidence)
     return find_frontiers(shape, said, LIMITS, T_floor_grid)
 
 

@@ -11,11 +11,11 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.lines_of_sight import directions
+from kinectbench.core.voxels.lines_of_sight import count_seen, directions
 from kinectbench.core.voxels.morphology import broad, opened
 from kinectbench.stages.segment.find.select import triple
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY
-from kinectbench.stages.segment.solid.evidence import VoxelEvidence, seen_from
+from kinectbench.stages.segment.solid.evidence import VoxelEvidence
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 Direction = Literal["up", "side", "down"]
@@ -137,8 +137,8 @@ def find_frontiers(
         return ()
     ways = directions(VIEW_DIRECTIONS)
     # A camera that would rise through an underside is no advice.
-    shown_aside = seen_from(evidence, voxel_m, limits, pieces, ways)
-    shown_below = seen_from(evidence, voxel_m, limits, below, ways, rising=False)
+    shown_aside = count_seen(evidence.space, ways, pieces)
+    shown_below = count_seen(evidence.lower, ways, below)
     shown = np.concatenate([shown_aside, shown_below[:, 1:]], axis=1)
     pieces[below > 0] = below[below > 0] + aside
     # Below an underside all may be unseen down to the floor: a camera looks through that.

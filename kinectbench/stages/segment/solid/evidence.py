@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
-from kinectbench.core.types import Bools, Float32, Float64, Int64, Underside
+from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.lines_of_sight import count_seen, directions
+from kinectbench.core.voxels.lines_of_sight import Space, directions
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.core.voxels.seeable import line_space, swept_from_outside, without_rising
+from kinectbench.core.voxels.seeable import swept_from_outside
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
@@ -101,8 +101,8 @@ class VoxelEvidence:
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`),
             whatever a person says.
         contact: the layers right above the floor.
-        surface: bool, what ends a line of sight.
-        heights_m: (nz,) float32, heights of the layers' middles above the plane it stands on; None: no plane.
+        space: where lines of sight pass and cameras can be.
+        lower: the same without cameras that rose through unseen space below an object.
     """
 
     signed_m: Float32
@@ -115,8 +115,8 @@ class VoxelEvidence:
     closed: Bools
     underside: Bools
     contact: slice
-    surface: Bools
-    heights_m: Float32 | None
+    space: Space
+    lower: Space
 
     @property
     def unknown(self) -> Bools:
@@ -180,8 +180,8 @@ def classify_voxels(
         closed=closed,
         underside=underside,
         contact=contact,
-        surface=surface,
-        heights_m=heights_m,
+        space=sight.space,
+        lower=sight.lower,
     )
 
 
@@ -254,27 +254,3 @@ def narrow(limits: SensorLimits) -> SensorLimits:
 def rim_voxels(limits: SensorLimits, voxel_m: float) -> int:
     """Half the width of a line of sight, in voxels, at least one."""
     return max(1, round(narrow(limits).line_width_m / 2 / voxel_m))
-
-
-def seen_from(
-    evidence: VoxelEvidence,
-    voxel_m: float,
-    limits: SensorLimits,
-    pieces: NDArray[np.int32],
-    to_camera: Float64,
-    rising: bool = True,
-) -> Int64:
-    """The number of visible voxels of each of k pieces along each direction: (n, k + 1).
-
-    Args:
-        evidence: the class of each voxel.
-        voxel_m: edge of a voxel, metres.
-        limits: of the sensor.
-        pieces: int32 of the grid's shape, the number of each voxel's piece, from 1 on, or 0.
-        to_camera: (n, 3) unit vectors of the upright frame, from a point to a camera.
-        rising: whether cameras may rise through unseen space below an object.
-    """
-    if not pieces.any():
-        return np.zeros((len(to_camera), 1), np.int64)
-    space = line_space(evidence.surface, evidence.heights_m, voxel_m, narrow(limits))
-    return count_seen(space if rising else without_rising(space, evidence.free), to_camera, pieces)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.types import Float32
-from kinectbench.core.voxels.ray_hits import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, cast_26_rays
+from kinectbench.core.voxels.ray_hits import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, cast_26_rays, enclosed_shares
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, rim_voxels
 
 # Counted on one object of each of 23 families that may be looked at (seed 41, true poses with 1 mm of noise),
@@ -51,10 +51,10 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
     # No camera sees the floor below the object: a ray down counts for nothing there.
     state[:, :, : evidence.contact.start] = NEUTRAL
     hits = cast_26_rays(state)
-    enclosed, to_sky = hits.enclosed[evidence.unseen], hits.sky[evidence.unseen] > 0
-    roofed, sky = (np.interp(enclosed, ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE))
+    shares = [np.interp(enclosed_shares(), ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE)]
+    met = (each[evidence.unseen] for each in (hits.sky, hits.inside, hits.outside))
     probability = np.zeros(state.shape, np.float32)
-    probability[evidence.unseen] = np.where(to_sky, sky, roofed)
+    probability[evidence.unseen] = np.array(shares, np.float32)[*met]
     object_above = evidence.near_surface | evidence.closed | evidence.underside
     rim = np.zeros_like(object_above)
     for layers in range(1, rim_voxels(rules.limits, voxel_m) + 1):

@@ -10,6 +10,7 @@ from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.types import Bools, Float32
+from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
@@ -104,8 +105,6 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     Raises:
         ShapeError: nothing is left.
     """
-    from scipy import ndimage
-
     excluded, contact, below = evidence.excluded, evidence.contact, rules.layers.below
     voxel_m = observation.grid.voxel_size_m
     guess = inside_probability(evidence, rules, voxel_m)
@@ -117,7 +116,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     empty = excluded.copy()
     empty[:, :, :below] = True
     # A void without a 6-connected way out is filled: no camera can have looked into it.
-    solid = ndimage.binary_fill_holes(_without_specks((field < 0) & ~empty)) & ~empty
+    solid = ~from_beyond(~_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
     labels = _label(observation, evidence, solid, below)
@@ -156,7 +155,8 @@ def _without_specks(solid: Bools) -> Bools:
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
     """The occupancy probability: by the signed distance, or the guess if nothing was measured."""
-    probability = np.where(evidence.unseen, guess, measured_probability(evidence.signed_m, voxel_m))
+    probability, measured = guess.copy(), ~evidence.unseen
+    probability[measured] = measured_probability(evidence.signed_m[measured], voxel_m)
     # Decisions of the rules above (floor contact, specks, neighbours) stay.
     decided = np.where(solid, probability <= 0.5, probability >= 0.5)
     return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)
