@@ -76,7 +76,7 @@ class Run(Generic[Task, Result]):
         if self.memory_gb is not None and largest_gb:
             asked_gb = min(self.memory_gb(task) * (2 if alone else 1), largest_gb)
         self.asked_gb[number] = asked_gb
-        packed = pickle.dumps((self.function, task))  # unpacked only by a worker, as unpacking may kill the process
+        packed = pickle.dumps((self.function, task))  # a worker unpacks it, as that may kill it
         how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
         key = f"{self.topic}-{number}-{time.monotonic_ns()}"
         try:
