@@ -216,7 +216,7 @@ def _heard_of(host: str) -> None:
 def _given_up_for(
     place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
 ) -> StorageError:
-    """The error after failing too long: `StorageError` if the store answers other calls."""
+    """The error after failing for too long; `StoreGoneError` if the store answers no other call either."""
     kind, since_s = StorageError, since
     if host in _given_up or not _has_answer(place, answers):
         kind, since_s = StoreGoneError, min(since, _given_up.setdefault(host, since))
