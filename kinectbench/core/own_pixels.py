@@ -46,8 +46,8 @@ class OwnPixels:
 def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
     """The recording with depth inside the masks only, so that the object is its world.
 
-    Surfaces outside the masks may move relative to the object. Yet at that moment nothing, so also not the
-    object, was in front of them: `Sequence.beside_m` gives their depth as free space.
+    Surfaces outside the masks may move relative to the object. But the space in front of them was free at
+    that moment: `Sequence.beside_m` gives their depth.
 
     Args:
         sequence: the unmasked recording.

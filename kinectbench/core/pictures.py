@@ -194,8 +194,7 @@ def new_figure(
         width_in: width, inches.
         height_in: height, inches.
         paper: background colour.
-        margins: of the plots, as shares of the picture; None: as labels need, which doubles the drawing
-            time.
+        margins: of the plots, as shares of the picture; None: as labels need, which doubles the drawing time.
     """
     # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure

@@ -1,7 +1,7 @@
 """Limits of a depth camera and of its positions: the lengths that define which space is air.
 
-`core.voxels.seeable` has the definition. The settings take their defaults from here; this file loads no heavy
-library.
+`core.voxels.seeable` has the definition. The settings take their defaults from here; this file imports no
+heavy library.
 """
 
 from dataclasses import astuple, dataclass

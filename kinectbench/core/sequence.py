@@ -60,8 +60,8 @@ class Sequence:
     Attributes:
         camera: intrinsics of the depth image, and of registered colour.
         depth_scale: native units per metre: `metres = native / depth_scale`.
-        stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts
-            its frames in seconds (index * 10**9).
+        stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts its frames
+            in seconds (index * 10**9).
         color_registered: colour pixels lie on depth pixels.
         given_trajectory: the trajectory that came with the recording, or None.
         frames: access to depth and colour.

@@ -273,7 +273,7 @@ def printable(text: str, most: int = QUOTED) -> str:
     """
     half = most // 2
     short = text if len(text) <= most else f"{text[: half - 1]}…{text[-half:]}"
-    if short.isprintable():  # which none of them is
+    if short.isprintable():  # false for a text with any such character
         return short
     return "".join("?" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in short)
 

@@ -37,8 +37,8 @@ MOST_FILE_BYTES = 64 << 20
 # Seconds: between two requests for the workers; until the scheduler must answer; without any worker until
 # giving up; until Dask's page must answer.
 LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
-# Seconds of silence after which a scheduler that had answered is given up: a busy one may be silent for a
-# minute.
+# Seconds of silence after which a scheduler that had answered is given up: a busy one is silent for
+# up to a minute.
 SILENT_S = 300.0
 # A nanny restarts a killed worker within seconds; after this time the worker is gone.
 RESTART_S = 60.0

@@ -351,7 +351,7 @@ def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
 
 
 def check_mask_numbers(job: Job) -> None:
-    """Refuse masks of frames that a recording, whose sequence is current, does not have.
+    """Refuse masks of frames that a recording with a current sequence does not have.
 
     Raises:
         SettingsError: there are such masks.
@@ -362,7 +362,7 @@ def check_mask_numbers(job: Job) -> None:
 
 
 def carry_masks(job: Job) -> Carried:
-    """Rename the masks of a recording, whose sequence is current, to the frames they were drawn on."""
+    """Rename the masks of a recording with a current sequence to the frames they were drawn on."""
     with locked(job.build):
         drawn = DrawnMasks.of(job)
         return Carried((), ()) if drawn is None else drawn.carry(read_sequence(job.build / "sequence"))

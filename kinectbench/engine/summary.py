@@ -107,8 +107,7 @@ def _to_do_first(
     """The warning to deal with first; None without warnings.
 
     Causes precede effects: lengths, poses, the floor and the choice of the object, unseen parts, and then all
-        other
-    warnings by stage.
+    other warnings by stage.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)

@@ -34,8 +34,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
     A column has the name of its key in benchmark.yaml, with dots for nested keys, such as `camera.fx`. A cell
     has the value as written after the key: a text (without quotes), a number, true or false, or a list of
-        numbers such
-    as `[0, 0, 1, 0]`.
+    numbers such as `[0, 0, 1, 0]`.
 
     Args:
         content: bytes of the file.

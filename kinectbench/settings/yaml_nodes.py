@@ -308,8 +308,7 @@ def find(
 
     Returns:
         The node whose line to show (the key's, or the list entry's; the nearest existing one), and the
-        value's
-            node, or None if the path does not exist.
+        value's node, or None if the path does not exist.
     """
     known = {} if known is None else known
     anchor, value = node, node

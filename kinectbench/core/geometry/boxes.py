@@ -75,7 +75,7 @@ class OrientedBox:
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid; cell i has its centre at `(i + 0.5) * voxel_size_m` in frame `grid`; C order x, y, z.
+    """A regular grid: the centre of cell i is `(i + 0.5) * voxel_size_m` in frame `grid`; x, y, z in C order.
 
     Attributes:
         shape: number of cells along x, y and z.

@@ -32,8 +32,7 @@ def is_closed(faces: Int32) -> bool:
 def outwards(vertices: Float64, faces: Int32) -> Int32:
     """The faces (m, 3) of a closed mesh with each connected piece turned outwards.
 
-    A void inside a piece is a piece of its own. Its faces are turned outwards too, so the void counts as
-    solid.
+    A void inside a piece is a piece of its own. Its faces turn outwards too, so it counts as solid.
     """
     from kinectbench.core.geometry.pieces import pieces_of
 

@@ -8,8 +8,7 @@ from kinectbench.core.geometry.mesh import TriangleMesh, raycaster
 from kinectbench.core.types import Float32, Float64
 
 # 0 keeps the shape best, 10 is fastest. With real cabinets and simulated tables of 200,000 triangles, 4
-# reduces to 60,000 within a tenth of the error of 3; and 3 stops at 8,000 triangles where 1,000 are the
-# target.
+# reduces to 60,000 within a tenth of the error of 3; and 3 stops at 8,000 triangles instead of 1,000.
 AGGRESSIVENESS = 4
 # The library keeps the mesh that it works on in a global variable.
 _ONE_AT_A_TIME = threading.Lock()
@@ -31,8 +30,7 @@ def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
 
     if len(mesh.faces) <= most_triangles:
         return mesh
-    # The library's thresholds are lengths: scaled to a box of side 1, large and small objects keep equal
-    # detail.
+    # The library's thresholds are lengths: in a box of side 1, large and small objects keep equal detail.
     lowest = mesh.vertices.min(axis=0)
     side_m = float(np.ptp(mesh.vertices, axis=0).max()) or 1.0
     unit = (mesh.vertices - lowest) / side_m

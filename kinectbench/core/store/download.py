@@ -317,7 +317,7 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         elif isinstance(cause, socket.gaierror) and not has_answered(request.full_url):
             kind = _UnknownError
         raise kind(_why(cause)) from None
-    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # a host or a port that is none
+    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # an invalid host or port
         raise _RefusedError(printable(str(error), 80)) from None
     except (OSError, http.client.HTTPException) as error:
         raise _BrokenError(_why(error)) from None

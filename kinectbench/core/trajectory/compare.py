@@ -99,10 +99,9 @@ def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
     """Absolute and relative errors of matched poses.
 
     ATE: the distances |p_i - S q_i| of the positions, with the rigid least-squares S (Sturm et al., "A
-        benchmark
-    for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991 without scale). RPE: translation
-    and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1), for j = i + 1, and for the pose j whose path from i
-    along the reference is closest to 1 m (0.9 to 1.1 m).
+    benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991 without scale). RPE:
+    translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1), for j = i + 1, and for the pose j whose
+    path from i along the reference is closest to 1 m (0.9 to 1.1 m).
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n >= 3, in the order of time.

@@ -116,8 +116,7 @@ def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
 
     Returns:
         Indices into `stamps_ns` with strictly increasing stamps (the first of equal stamps), and the number
-        of
-            dropped stamps.
+        of dropped stamps.
     """
     _, first = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_index=True)
     return first.tolist(), len(stamps_ns) - len(first)

@@ -1,9 +1,8 @@
 """Read the names of images: order of frames, frame numbers, and stamps in s, ms, us or ns.
 
 A number in a name is a time only if it cannot be a frame number: it has decimals, counts from 1970, or has
-    steps
-of thousands, as micro- and nanoseconds have. Whole milliseconds from 0 look like frame numbers, and are read
-as such.
+steps of thousands, as micro- and nanoseconds have. Whole milliseconds from 0 look like frame numbers, and are
+read as such.
 """
 
 import re
@@ -62,8 +61,7 @@ def frame_numbers(stems: Sequence[str]) -> list[int] | None:
     """The frame number in each name: the last number that differs between names.
 
     None if there is no such number, or if it does not rise from name to name: a number that starts again, as
-        in each
-    second or scene, is no frame number.
+    in each second or scene, is no frame number.
 
     Args:
         stems: names of one stream without suffix, such as depth_0001, depth_0002.

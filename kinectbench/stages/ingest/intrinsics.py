@@ -135,8 +135,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
-        Instead of
-    fx ... cy a matrix: `intrinsic_matrix` (nine numbers by columns, as Open3D writes it), `cam_K`,
+    Instead of fx ... cy a matrix: `intrinsic_matrix` (nine numbers by columns, as Open3D writes it), `cam_K`,
     `camera_matrix`, `K` or `k` (by rows; or an object with these as `data`). A depth_scale beside `cam_K` is
     BOP's, mm per unit; one below 1 is in metres per unit, as in librealsense, because no unit of depth images
     is longer.
@@ -316,8 +315,7 @@ def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str
     """Read one frame's camera from a JSON object: its `keys`, and the file's name as "file"; None if missing.
 
     Each value is a number, None, a text, or an array of numbers: nested lists would take many times the
-        memory of
-    their text, and the values of all frames are kept.
+    memory of their text, and the values of all frames are kept.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.

@@ -44,8 +44,7 @@ class ColorRegistration:
 
         Returns:
             (height, width, 3); black if the colour camera does not see the point, because it is outside the
-            image or
-                occluded.
+            image or occluded.
         """
         import cv2
 

@@ -38,8 +38,7 @@ def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float,
     """Pixels whose depth agrees, within max(5 sigma, tolerance), with the rendered object at or near them.
 
     The tolerance is wide on purpose: a tight mask would remove the sensor's noise from the input and so leak
-        the
-    truth into it.
+    the truth into it.
 
     Args:
         measured_m: (height, width) metres, 0 = none.

@@ -163,8 +163,7 @@ def distant_constraints(
 
     Returns:
         The accepted registrations, as loop constraints; the displacement (m,) of b's points from the given
-        pose by
-            each, metres; and the ratio of pairs that should overlap but do not fit, NaN for few pairs.
+        pose by each, metres; and the ratio of pairs that should overlap but do not fit, NaN for few pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])

@@ -1,8 +1,7 @@
 """Figures of health.json about constraints and frames.
 
 For constraints: their disagreement with the final poses, from which the uncertainty of poses follows. For
-    frames:
-state, residual, motion and blur; and where the camera was lost.
+frames: state, residual, motion and blur; and where the camera was lost.
 """
 
 from collections import Counter

@@ -1,7 +1,6 @@
 """Connect keyframes by constraints between covisible keyframes, loop closures, and lost segments.
 
-A constraint is a registration that is accepted in both directions. The number of tries per keyframe is
-limited.
+A constraint is a registration that is accepted in both directions. Tries per keyframe are limited.
 """
 
 from collections import defaultdict
@@ -204,7 +203,7 @@ class _Builder:
         return best
 
     def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
-        """Whether a registration is accepted in the other direction, too."""
+        """Whether a registration is accepted in both directions."""
         source, target = self.maps[frames[0]], self.maps[frames[1]]
         back = measure(source, [target], [invert_rigid(registration.T_target_source)], point_stride(source))
         return _convinces(registration) and _convinces(back)

@@ -159,10 +159,9 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: gain, offset, twist, residual).
 
     If requested, also sums over inliers: the twist's part divided by the noise of normals (6, 6), and
-        positions
-    (4, 4). Further results: the numbers of inliers, violations and compared intensities, and the inliers'
-    sums of squared residuals and of variances. Rows are gathered in blocks that stay in the cache; a block is
-    stored row by row, so that its products are vectorised.
+    positions (4, 4). Further results: the numbers of inliers, violations and compared intensities, and the
+    inliers' sums of squared residuals and of variances. Rows are gathered in blocks that stay in the cache; a
+    block is stored row by row, so that its products are vectorised.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

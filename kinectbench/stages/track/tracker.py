@@ -1,13 +1,11 @@
 """Camera tracking: the pose of every frame is estimated in four steps.
 
-1. Odometry (`odometry.follow`) registers each frame to a previous keyframe. A frame that fits none starts a
-new
-   segment with its own world.
+1. Odometry (`odometry.follow`) registers each frame to a previous keyframe. A frame that fits none
+   starts a new segment with its own world.
 2. The keyframe graph (`keyframe_graph.build_graph`) registers keyframes that see the same places, joins
    segments, and optimises the keyframes' poses (`pose_graph.optimise`).
-3. The placer (`_Placer.place`) registers each frame to several optimised keyframes at once. A frame that does
-not
-   agree with them gets a reason instead of a pose.
+3. The placer (`_Placer.place`) registers each frame to several optimised keyframes at once. A frame that
+   does not agree with them gets a reason instead of a pose.
 4. The smoother (`smoothing.smoothed`) moves each pose within the uncertainty of its registration.
 """
 

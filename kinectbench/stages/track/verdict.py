@@ -2,8 +2,7 @@
 
 Without ground truth the error of the poses is unknown; each figure only indicates it. A grade promises no
 accuracy in millimetres: recordings whose frames agree within 5 mm were off by 10 mm and more along their
-    path. All limits
-were chosen by hand.
+path. All limits were chosen by hand.
 """
 
 import math

@@ -207,9 +207,8 @@ def choose_camera_info(
     """Choose the CameraInfo of images: with their frame_id, beside them, or under a name of their kind.
 
     The order of preference is: with the images' size, beside the images (as image_transport puts it), with
-        their
-    frame_id, nearest by name. If the images lie on the pixels of other images by name, the CameraInfo of
-    those images takes precedence.
+    their frame_id, nearest by name. If the images lie on the pixels of other images by name, the CameraInfo
+    of those images takes precedence.
 
     Args:
         image: the topic of the images.

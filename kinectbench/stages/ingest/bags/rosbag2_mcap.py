@@ -1,8 +1,7 @@
 """Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
 Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap is not used: it unpacks
-    lz4
-chunks of any size, and gives no place from which to read a message again.
+lz4 chunks of any size, and gives no place from which to read a message again.
 """
 
 import struct

@@ -3,10 +3,8 @@
 By nerfstudio's page on data conventions: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are given for all
 frames or for each; `transform_matrix` is camera to world in OpenGL's axes; the centre of the first pixel is
 (0.5, 0.5). Depth is in mm, or in metres per unit of `depth_unit_scale_factor` (instant-ngp's
-`integer_depth_scale`). `mask_path` is
-ignored: it marks pixels to leave out of training, not an object. That page says that z is up, but poses by
-    COLMAP
-are not, and the file does not say which: gravity is unknown.
+`integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. That
+page says that z is up, but poses by COLMAP are not, and the file does not say which: gravity is unknown.
 """
 
 from dataclasses import dataclass, field

@@ -214,7 +214,7 @@ def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> t
 def _trajectory(
     path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world in optical axes; None if the camera never moved, as the face camera; and warnings."""
+    """Camera to world in optical axes; None if the camera never moved (face camera); and warnings."""
     poses = metadata.get("poses")
     if poses is None:
         return None, []

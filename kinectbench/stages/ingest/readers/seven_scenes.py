@@ -80,8 +80,7 @@ class SevenScenesRecording(FileRecording):
     """One sequence of Microsoft 7-Scenes, or in its layout.
 
     The layout has no stamps: a frame's number counts seconds. Poses are 4x4, camera to world, and are
-        projected onto
-    the rigid transforms.
+    projected onto the rigid transforms.
     """
 
     format: ClassVar[str] = "7scenes"
