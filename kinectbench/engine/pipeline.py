@@ -80,8 +80,7 @@ def build_recording(
         progress: called with (stage, done, total); while waiting for another run, with that as the stage.
         wait: whether to wait for another run that builds this recording; otherwise the outcome is an error.
         limit_s: time limit, seconds, without the waiting; None: no limit.
-        hung: called with the reason, on another thread, if the build neither ends nor continues long after
-            the limit.
+        hung: called with the reason, on another thread, if the build still hangs long after the limit.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()

@@ -8,8 +8,7 @@ from numba import njit
 def sorted_edges(faces):  # type: ignore[no-untyped-def]
     """The edges of faces (m, 3) as sorted numbers: (3 m,) int64.
 
-    A number is `lower vertex << 32 | higher vertex << 1`, plus 1 if the edge runs from the higher to the lower
-    vertex.
+    A number is `lower vertex << 32 | higher vertex << 1`, plus 1 if the edge starts at the higher vertex.
     """
     vertices, edges = 1 + np.int64(faces.max()), np.empty(faces.size, np.int64)
     for f in range(len(faces)):
