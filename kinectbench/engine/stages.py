@@ -73,7 +73,7 @@ class Job:
 
     @property
     def reference(self) -> Path | None:
-        """The mesh that serves as ground truth; None: the fused object does."""
+        """The mesh that serves as ground truth; None: the fused object is the ground truth."""
         return None if self.recording.reference is None else self.root / self.recording.reference
 
     @property

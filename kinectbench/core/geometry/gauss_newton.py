@@ -33,7 +33,7 @@ class NormalEquations:
 
     @classmethod
     def of_products(cls, products: Float64) -> "NormalEquations":
-        """Equations from `weighted_products` (n + 1, n + 1), whose last row is the residual's."""
+        """The normal equations contained in `weighted_products` (n + 1, n + 1), the residual last."""
         return cls(products[:-1, :-1], products[:-1, -1])
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":

@@ -54,7 +54,10 @@ def frame_order(
 
 
 def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
-    """The sector (0 to 11 from the floor's x axis) and the height (-6 to 5) of a camera about the object."""
+    """A camera's 30-degree sector (0 to 11) and 15-degree height band (-6 to 5) around the object.
+
+    Sectors count from the floor's x axis.
+    """
     x, y, z = transform_points(model.floor.T_floor_world, T_world_camera[:3, 3]) - model.box.center_m
     azimuth_rad, height_rad = np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
     return int(azimuth_rad / SECTOR_RAD) % 12, min(5, int(np.floor(height_rad / BAND_RAD)))
