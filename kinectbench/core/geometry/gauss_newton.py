@@ -86,8 +86,8 @@ def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int
 def eliminated(products: Float64, first: int, information: Float64) -> tuple[Float64, Float64]:
     """Eliminate the first unknowns from `weighted_products` (n, n), residual last, by the Schur complement.
 
-    The eliminated unknowns have a prior with information (first, first). The second result (first, n - first)
-    gives them from the remaining ones: a linear part, to be subtracted, and in the last column a constant.
+    The eliminated unknowns have a prior with information (first, first). With the second result F, of shape
+    (first, n - first), they follow from the remaining unknowns x: F[:, -1] - F[:, :-1] x.
     """
     own = products[:first, :first] + information
     follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)

@@ -138,7 +138,7 @@ def _advanced(
     every: int,
     moving: Moving,
 ) -> tuple[Moving, float]:
-    """One step at a level, and the largest component of the step."""
+    """Advance a registration by one step at a level; also return the step's largest component."""
     motion, exposures, _ = moving
     linear_terms = _linearised(source, targets, [start @ motion for start in starts], exposures, level, every)
     known = NormalEquations.of_prior(prior, twist_from_rigid(motion))

@@ -160,7 +160,7 @@ class _Placer:
     def first_try(self, index: int) -> _Placed | _FirstTry:
         """Register a frame to the keyframes with the largest shared view, from its predicted pose.
 
-        The result is independent of other frames; if the frame cannot be registered, it is final.
+        The result is independent of other frames. If the frame cannot be registered, it is the reason.
         """
         frame = self.odometry.frames[index]
         if frame is None:

@@ -149,7 +149,7 @@ class SevenScenesRecording(FileRecording):
 
 
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of files in the folder above that may belong to one with these names; empty if no sequence."""
+    """Files in the parent folder that may belong to a folder with these names; empty if it is no sequence."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 
