@@ -1,4 +1,4 @@
-"""Pictures of boxes in a recording: all from above, and each in the frame that shows it best."""
+"""Pictures of boxes in a recording: all boxes from above, and each box in the frame that shows it best."""
 
 from collections.abc import Sequence as Listed
 from dataclasses import dataclass
@@ -18,28 +18,28 @@ COLORS_RGB = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 1
 JUDGED_FRAMES = 60
 JUDGED_POINTS = 1500
 SEEN_M = 0.05
-# An object is occluded in frames that see less than this share of the best frame's view.
+# A frame counts as occluded if it sees less than this share of what the best frame sees of the object.
 MIN_SEEN = 0.5
-# Among the other frames, the whole box in the image counts more than a few more points seen.
+# A box that is entirely in the image counts more than a few more visible points.
 WHOLE_WEIGHT = 2.0
-# Of two frames that show as much, the nearer one is taken: there the thing is larger.
+# Of two frames that show equally much, the nearer one wins: the object is larger in it.
 NEARER_BONUS_M = 0.1
-# Frames whose scores differ by less show a thing equally well: the sharpest one is taken.
+# Frames whose scores differ by less than this show an object equally well: the sharpest one wins.
 SIMILAR = 0.05
-# Of a frame without a figure: blur is stated relative to the median frame (`relative_blur`).
+# Used for a frame of unknown blur; blur is relative to the median frame (`relative_blur`).
 TYPICAL_BLUR = 1.0
 NEAR_M = 0.05
-# Pairs of corners, in the order of `OrientedBox.corners_floor`, that share an edge.
+# Edges of a box: pairs of corner indices in the order of `OrientedBox.corners_floor`.
 EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
 @dataclass(frozen=True)
 class ShownBox:
-    """An upright box in the frame `floor`, and the surface in it.
+    """An upright box, and the surface inside it, in the frame `floor`.
 
     Attributes:
-        box: in that frame.
-        points_floor: (n, 3) points of its surface, metres.
+        box: the box, in the frame `floor`.
+        points_floor: (n, 3) points of the surface, metres.
         T_world_floor: (4, 4).
     """
 
@@ -55,12 +55,12 @@ def plan_picture(
     T_floor_world: Float64,
     trajectory: Trajectory,
 ) -> bytes:
-    """Heights, numbered boxes and the camera's path from above, in the floor frame: a PNG file.
+    """Draw heights, numbered boxes and the camera's path from above, in the floor frame; return a PNG file.
 
     Args:
-        boxes: numbered from 1.
-        points_floor: (n, 3) of the scene's surface, metres.
-        focus_floor: (3,) where the cameras look.
+        boxes: the boxes to draw, numbered from 1.
+        points_floor: (n, 3) points of the scene's surface, metres.
+        focus_floor: (3,) the point that the cameras look at.
         T_floor_world: (4, 4).
         trajectory: poses of the frames.
     """
@@ -87,9 +87,9 @@ def plan_picture(
 
 
 def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> bytes:
-    """The frame that shows a box best, with its edges, number and dots on its surface: a PNG file.
+    """Draw a box's edges, number and surface points into the frame that shows it best; return a PNG file.
 
-    In colour where the recording has colour of the depth image's size, else in depth.
+    The frame is in colour if its colour has the depth image's size; otherwise it shows depth.
     """
     import cv2
 
@@ -109,10 +109,10 @@ def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Tr
 
 
 def best_frame(shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> int:
-    """The one of 60 frames that shows a candidate best.
+    """Return the index of the frame, out of 60 evenly spread ones, that shows a box best.
 
-    It counts how much of the box lies in the image, how much of the surface is seen and not hidden, and how
-    near the thing is. Of frames that are about equal, the sharpest one is taken.
+    The score counts how much of the box is in the image, how many surface points are visible, and how near
+    the box is. Of frames with similar scores, the sharpest one wins.
     """
     good = trajectory.good_frames
     judged = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), JUDGED_FRAMES)).astype(int))]
@@ -139,7 +139,7 @@ def _sampled_world(shown: ShownBox) -> Float64:
 def _seen(
     points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
 ) -> tuple[Int64, float]:
-    """Pixels (k, 2) of the points that the frame measured in place, and their mean distance, metres."""
+    """Pixels (k, 2) of the points that agree with the frame's depth, and their mean distance, metres."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
     pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
@@ -188,7 +188,7 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """The surface's greatest height in each ground cell, NaN without a surface; its extent."""
+    """The greatest height of the surface in each ground cell, NaN without surface; and the cells' extent."""
     cells = np.floor(points_floor[:, :2] / PLAN_CELL_M).astype(int)
     first = cells.min(axis=0)
     shape = cells.max(axis=0) - first + 1

@@ -1,7 +1,7 @@
-"""Untrusted encoded images: the head of a PNG or JPEG gives its decoding cost, which is bounded.
+"""Read and check the headers of untrusted PNG and JPEG images, so that decoding them has bounded cost.
 
-OpenCV decodes whatever it is given: a PNG of a few kilobytes may claim a billion pixels, and each scan of a
-progressive JPEG goes over the whole image once more. So heads are read here first, by every room.
+OpenCV decodes anything: a PNG of a few kilobytes may claim a billion pixels, and each scan of a progressive
+JPEG goes over the whole image again. So every room reads the header here first.
 """
 
 import struct
@@ -18,11 +18,11 @@ JPEG_MAGIC = b"\xff\xd8\xff"
 JPEG_SCAN = 0xDA
 # SOF0-SOF15 hold the size; C4, C8 and CC in that range are other segments.
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# Chunks of a PNG, segments of a JPEG: in parts of 8 KB the largest has 16,000.
+# Chunks of a PNG or segments of a JPEG: the largest image, in parts of 8 KB, has 16,000.
 MOST_PARTS = 50_000
-# Markers that no length follows: TEM, RST0-RST7.
+# Markers of a JPEG that no length follows: TEM, RST0-RST7.
 JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
-# Each scan of a progressive JPEG goes over the whole image once more; encoders make ten.
+# Each scan of a progressive JPEG goes over the whole image again; encoders make ten scans.
 MOST_SCANS = 32
 
 
@@ -30,11 +30,11 @@ class ImageHead(NamedTuple):
     """The header of an encoded image.
 
     Attributes:
-        suffix: of its kind.
+        suffix: the file suffix of its format.
         width: pixels.
         height: pixels.
-        bits: of a sample.
-        color_type: as a PNG says it: 0 is grey, 3 a palette, 2 colour; 2 for every JPEG.
+        bits: bits of a sample.
+        color_type: as in a PNG: 0 is grey, 3 a palette, 2 colour; every JPEG has 2.
     """
 
     suffix: Literal[".png", ".jpg"]
@@ -45,16 +45,16 @@ class ImageHead(NamedTuple):
 
     @property
     def is_gray16(self) -> bool:
-        """Whether it is a PNG of one channel with 16 bits, as depth is stored."""
+        """Whether the image is a PNG of one channel with 16 bits, as depth is stored."""
         return self.suffix == ".png" and self.bits == 16 and self.color_type == 0
 
 
 def image_head(data: bytes) -> ImageHead:
-    """Read the header of a PNG or JPEG; check that it is complete and its decoding bounded.
+    """Read the header of a PNG or JPEG; check that the file is complete and its decoding bounded.
 
     Raises:
-        ValueError: it is neither, is cut off, is larger than an image can be, takes too many scans, or (PNG)
-            a checksum is wrong; the message says which.
+        ValueError: the data is neither PNG nor JPEG, is cut off, is too large, has too many scans, or a PNG's
+            checksum is wrong; the message says which.
     """
     if len(data) > IMAGE_BYTES:
         raise ValueError(f"{len(data)} bytes are more than an image may have ({IMAGE_BYTES})")
@@ -66,10 +66,10 @@ def image_head(data: bytes) -> ImageHead:
 
 
 def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
-    """The pixels of an image whose head was read, in a mode of `cv2.imdecode`.
+    """Decode an image whose header was checked, in a mode of `cv2.imdecode`.
 
     Raises:
-        ValueError: it is damaged.
+        ValueError: the image is damaged.
     """
     import cv2
 
@@ -84,7 +84,7 @@ def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
 
 
 def _png_head(data: bytes) -> ImageHead:
-    """The header of a complete PNG."""
+    """The header of a PNG; checks that the PNG is complete."""
     position, view = len(PNG_MAGIC), memoryview(data)
     for _ in range(MOST_PARTS):
         if position + 12 > len(data):
@@ -116,7 +116,7 @@ def _check_size(width: int, height: int) -> None:
 
 
 def _jpeg_head(data: bytes) -> ImageHead:
-    """The header of a JPEG with its end marker and bounded decoding."""
+    """The header of a JPEG; checks the end marker and the number of scans."""
     position, size = 2, None
     for _ in range(MOST_PARTS):
         if position + 4 > len(data) or data[position] != 0xFF:
@@ -132,7 +132,7 @@ def _jpeg_head(data: bytes) -> ImageHead:
         if marker == JPEG_SCAN:
             break
         position += 2 + int(struct.unpack_from(">H", data, position + 2)[0])
-    # Inside the scan 0xFF is stuffed, so the end marker cannot occur by chance, nor that of a scan.
+    # In the data of a scan 0xFF is escaped, so no marker occurs there by chance.
     if size is None or data.find(b"\xff\xd9", position) < 0:
         raise ValueError(f"the JPEG is cut off after {len(data)} bytes or damaged")
     scans = data.count(bytes((0xFF, JPEG_SCAN)), position)

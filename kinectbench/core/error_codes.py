@@ -1,7 +1,7 @@
 """The codes of all errors: what went wrong and what to do, one sentence each.
 
-A code is `<kind>.<what>` (`kinectbench.core.errors.KinectBenchError.code`). The line of an error may be
-reworded; its code is a contract, for programs. Two errors share one where a program would do the same.
+A code is `<kind>.<what>` (`kinectbench.core.errors.KinectBenchError.code`). The text of an error may change;
+its code is a contract for programs. Two errors share a code if a program would react to both in the same way.
 `scripts/docs_errors.py` makes docs/errors.md of this list.
 """
 

@@ -1,4 +1,4 @@
-"""Every error a user can meet. Only `kinectbench.cli.main` turns one into a line and an exit status.
+"""All errors that a user can meet. Only `kinectbench.cli.main` turns an error into a line and an exit status.
 
 `kinectbench.core.error_codes` lists the codes of all errors.
 """
@@ -9,11 +9,11 @@ from collections.abc import Mapping
 class KinectBenchError(Exception):
     """Base of all errors with a one-line message: what, where, what to do.
 
-    Several arguments are as many lines.
+    Several arguments become several lines.
 
     Attributes:
-        kind: of the class, the first half of its errors' codes.
-        what: went wrong, the second half; a class has one for the errors that give none of their own.
+        kind: first half of the code; each class has one.
+        what: second half of the code; the class's own value unless an error gives another.
     """
 
     exit_status = 1
@@ -27,7 +27,7 @@ class KinectBenchError(Exception):
 
     @property
     def code(self) -> str:
-        """`<kind>.<what>`, which stays the same if messages are reworded."""
+        """The error's code `<kind>.<what>`, which stays the same if messages are reworded."""
         return f"{self.kind}.{self.what}"
 
     def __str__(self) -> str:
@@ -121,14 +121,14 @@ KILLED = "run.process-killed"
 
 
 def error_code(error: BaseException) -> str:
-    """The code of an error, or of its cause if it is no `KinectBenchError`."""
+    """The code of an error; `run.no-memory` or `run.internal-error` if it is no `KinectBenchError`."""
     if isinstance(error, KinectBenchError):
         return error.code
     return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"
 
 
 def internal_error(error: BaseException) -> str:
-    """One line about an unforeseen error, for some with advice."""
+    """One line about an unforeseen error, with advice for errors of encoding."""
     text = " ".join(str(error).split())
     if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
         return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"
@@ -141,5 +141,5 @@ def internal_error(error: BaseException) -> str:
 
 
 def pydantic_message(error: Mapping[str, object]) -> str:
-    """The message of one of pydantic's errors; of what a check of this project said, its words alone."""
+    """The message of a pydantic error, without pydantic's prefix if a check of this project wrote it."""
     return str(error["msg"]).removeprefix("Value error, ")

@@ -22,7 +22,7 @@ EXTRA_OF: Mapping[str, str] = {
     "record3d": "record-iphone",
     "torch": "methods",
 }
-# A package -> another distribution of the same modules (pyproject.toml installs one or the other).
+# A package -> another distribution with the same modules (pyproject.toml installs one of the two).
 SAME_MODULES: Mapping[str, str] = {"open3d": "open3d-cpu"}
 
 

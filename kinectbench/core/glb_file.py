@@ -1,8 +1,8 @@
 """Read the triangles of an untrusted .glb: glTF 2.0 in its binary form, in the frame of its scene.
 
-Only the shape is read: nodes with their transforms, and triangles of meshes with float32 positions
-and plain indices. Nothing is trusted before it is known to be there. Written after the glTF 2.0
-specification (Khronos), sections 3.5 to 3.7 and 4.4.
+Only the shape is read: nodes with their transforms, and triangles of meshes with float32 positions and
+plain indices. Each size is checked against the file before use. Source: the glTF 2.0 specification
+(Khronos), sections 3.5 to 3.7 and 4.4.
 """
 
 import json
@@ -19,26 +19,26 @@ from kinectbench.core.types import Float64
 from kinectbench.core.untrusted_text import strict_json
 
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
-# Values of the JSON part; a generator's file has some hundred (chosen here).
+# Limit of values in the JSON part; the files of generators have some hundred (chosen here).
 MOST_VALUES = 100_000
-# Nodes below each other, and nodes in all (chosen here).
+# Limits of the depth of nested nodes, and of the number of nodes (chosen here).
 DEEPEST, MOST_NODES = 32, 1000
 TRIANGLES_MODE, STRIP_AND_FAN_MODES = 4, (5, 6)
 Types = dict[int, np.dtype[np.generic]]
-# glTF's component types of indices.
+# glTF's component types for indices.
 INDICES: Types = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 POSITIONS: Types = {5126: np.dtype("<f4")}
 
 
 def read_glb(content: bytes) -> Triangles:
-    """The vertices (n, 3) and triangles (m, 3) of all meshes of the default scene, y up.
+    """Read the vertices (n, 3) and triangles (m, 3) of all meshes of the default scene, y up.
 
     Raises:
         ValueError: the file is damaged, claims more than it holds, is compressed, or holds too much.
     """
     try:
         gltf, binary = _chunks(content)
-        with np.errstate(all="ignore"):  # who reads the points looks whether they are finite
+        with np.errstate(all="ignore"):  # callers check that points are finite
             parts = list(_parts(gltf, binary))
     except (KeyError, IndexError, TypeError, AttributeError, RecursionError, json.JSONDecodeError) as error:
         raise ValueError("its JSON part is not that of a glTF 2.0 scene") from error
@@ -50,7 +50,7 @@ def read_glb(content: bytes) -> Triangles:
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
-    """The JSON part and the binary part."""
+    """Split a file into the JSON part and the binary part."""
     if len(content) < 20 or content[:4] != b"glTF" or struct.unpack_from("<I", content, 4)[0] != 2:
         raise ValueError("not a binary glTF 2.0 file")
     chunks, position = dict[int, bytes](), 12
@@ -67,7 +67,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
-    """Vertices in the scene and triangles of each primitive."""
+    """Yield the vertices, in the scene's frame, and the triangles of each primitive."""
     vertices_left, triangles_left = MAX_VERTICES, MAX_TRIANGLES
     for mesh, T_scene_node in _placed(gltf):
         for primitive in gltf["meshes"][_index(mesh)]["primitives"]:
@@ -93,7 +93,7 @@ def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
 
 
 def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
-    """Each mesh of the default scene with its node's transform; without a scene each mesh as it is."""
+    """Yield each mesh of the default scene with its node's transform; without a scene, with the identity."""
     if not gltf.get("scenes"):
         yield from ((number, np.eye(4)) for number in range(len(gltf.get("meshes", ()))))
         return
@@ -112,7 +112,7 @@ def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
 
 
 def _T_parent_node(facts: dict[str, Any]) -> Float64:
-    """A node's transform: a matrix column by column, or scale, then rotation, then translation."""
+    """A node's transform: a matrix stored by columns, or scale, then rotation, then translation."""
     if "matrix" in facts:
         return np.array(facts["matrix"], dtype=np.float64).reshape(4, 4).T
     rotation = rotation_from_quaternion_xyzw(np.array(facts.get("rotation", (0, 0, 0, 1)), float).reshape(4))
@@ -124,7 +124,7 @@ def _T_parent_node(facts: dict[str, Any]) -> Float64:
 def _array(
     gltf: dict[str, Any], binary: bytes, number: object, types: Types, kind: str, width: int
 ) -> NDArray[Any]:
-    """The values of an accessor, (count, width), which lie in the binary part."""
+    """Read the values of an accessor, (count, width), from the binary part."""
     accessor = gltf["accessors"][_index(number)]
     if accessor["componentType"] not in types or accessor["type"] != kind or "sparse" in accessor:
         raise ValueError("positions or indices of an uncommon type; write float32 and plain indices")
@@ -139,14 +139,14 @@ def _array(
         raise ValueError("its JSON part claims more than the file holds; write it again")
     if not count:
         return np.zeros((0, width), dtype)
-    # Rows may have other values between them.
+    # Other values may lie between the rows.
     values = np.frombuffer(binary, np.uint8, end - start, start)
     rows = np.lib.stride_tricks.as_strided(values, (count, row), (stride, 1), writeable=False)
     return np.ascontiguousarray(rows).view(dtype)
 
 
 def _index(value: object) -> int:
-    """A whole number that is not negative."""
+    """Check that a value is a whole number >= 0, and return it."""
     if type(value) is not int or value < 0:
         raise TypeError("not an index")
     return value

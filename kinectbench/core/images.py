@@ -1,4 +1,4 @@
-"""Depth, colour and masks of a view as pictures, their encoding into the page, and how sharp they are."""
+"""Pictures of a view's depth, colour and masks; their encoding; and the sharpness of images."""
 
 import base64
 from pathlib import Path
@@ -16,7 +16,7 @@ CONTOUR_RGB = (255, 120, 20)
 
 
 def depth_picture(depth_mm: NDArray[np.uint16]) -> Rgb:
-    """Colour a depth image (height, width) by distance, near is bright; no measurement is dark grey."""
+    """Colour a depth image (height, width) by distance: near is bright, no measurement is dark grey."""
     import cv2
 
     valid = depth_mm > 0
@@ -31,7 +31,7 @@ def depth_picture(depth_mm: NDArray[np.uint16]) -> Rgb:
 
 
 def overlay_mask(picture: Rgb, mask: Bools) -> Rgb:
-    """Dim pixels outside a mask (height, width) and draw its contour; the picture has the mask's size."""
+    """Dim a picture outside a mask (height, width) of its size, and draw the mask's contour."""
     import cv2
 
     result = np.ascontiguousarray(np.where(mask[..., None], picture, picture * 0.55), dtype=np.uint8)
@@ -41,7 +41,7 @@ def overlay_mask(picture: Rgb, mask: Bools) -> Rgb:
 
 
 def shrunk(picture: Rgb, size_px: int) -> Rgb:
-    """Reduce a picture if a side is longer than `size_px`."""
+    """Shrink a picture if a side is longer than `size_px`."""
     import cv2
 
     height, width = picture.shape[:2]
@@ -66,7 +66,7 @@ def jpeg(picture: Rgb, quality: int = 82) -> bytes:
 
 
 def png(image: NDArray[np.generic]) -> bytes:
-    """Encode depth or a mask (height, width), uint16 or uint8, or BGR (height, width, 3) as a PNG file."""
+    """Encode depth or a mask (height, width), uint16 or uint8, or BGR (height, width, 3), as a PNG file."""
     import cv2
 
     return bytes(cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
@@ -110,21 +110,21 @@ def _unreadable(path: Path) -> StorageError:
     return StorageError(f"{path}: not a readable image of its kind; build this recording's views again")
 
 
-# Detail finer than this, in pixels of the halved image, is what motion takes first.
+# Motion first removes detail finer than this, in pixels of the halved image.
 COARSE_SIGMA_PX = 2.0
-# Below this the coarse detail of an image is rounding: there is nothing to see in it.
+# Below this variance the coarse detail of an image is rounding error: the image shows nothing.
 MIN_COARSE_VARIANCE = 0.01
 
 
 def image_sharpness(gray: NDArray[np.uint8]) -> float:
-    """Ratio of fine to coarse detail of an image; NaN without any detail.
+    """Ratio of fine to coarse detail of an image; NaN for an image without detail.
 
     The variance of the Laplacian (Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR
-    2000) over that of the smoothed image's: so it depends little on what is shown, and not on exposure
-    (chosen here).
+    2000), divided by that of the smoothed image, so that the ratio depends little on the scene and not on
+    exposure (chosen here).
 
     Args:
-        gray: (height, width) uint8, about 320 wide, where less of its detail is the sensor's noise.
+        gray: (height, width) uint8, about 320 wide: at this size the sensor's noise adds little detail.
     """
     import cv2
 

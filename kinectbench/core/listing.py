@@ -1,4 +1,4 @@
-"""A long table on a page: static first rows, and a script that shows, searches and filters all."""
+"""A long table on a page: the first rows are static; a script shows, searches and filters all rows."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,24 +11,24 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 T = TypeVar("T")
-# Recordings that a page shows with all there is of them, and of more so many: two to four MB.
+# A page shows up to this many recordings in full; of more recordings, this many: two to four MB.
 SHOWN = 24
-# Rows at a time: a screen or three, which a browser lays out at once.
+# Rows shown at a time: one to three screens, which a browser lays out at once.
 PAGE_ROWS = 100
-# Values that a column may have to be offered as a choice: more are searched for.
+# A column with more values than this is searched by text instead of by a choice.
 MOST_CHOICES = 200
 
 
 @dataclass(frozen=True)
 class Listing:
-    """A table as `core/listing.html` shows it.
+    """The content of a table that `core/listing.html` shows.
 
     Attributes:
-        columns: their headings.
-        filters: indices of the columns of which one value may be chosen.
+        columns: headings of the columns.
+        filters: indices of the columns that offer a choice of their values.
         rows: texts of all rows, a cell for each column.
-        links: first cell of a row → where it leads; most lead nowhere.
-        elsewhere: where all rows can be read without scripts, in a few words.
+        links: first cell of a row → target of its link, for the rows that have a link.
+        elsewhere: a few words on where all rows can be read without scripts.
     """
 
     columns: Sequence[str]
@@ -39,7 +39,7 @@ class Listing:
 
     @property
     def first(self) -> Sequence[Sequence[str]]:
-        """The rows that are shown without the script."""
+        """The rows that are visible without the script."""
         return self.rows[:PAGE_ROWS]
 
     @property
@@ -50,7 +50,7 @@ class Listing:
 
     @property
     def data(self) -> "Markup":
-        """All rows for the script; untrusted text cannot end its element."""
+        """All rows as JSON for the script; untrusted text cannot end the script element."""
         rows = [[STEERING.sub("?", cell) for cell in row] for row in self.rows]
         return inert_json({"size": PAGE_ROWS, "links": dict(self.links), "rows": rows})
 
@@ -62,7 +62,7 @@ def spread(items: Sequence[T], most: int) -> list[T]:
 
 
 def inert_json(content: object) -> "Markup":
-    """JSON without characters that could end its element of a page.
+    """JSON for an HTML page, escaped so that it cannot end its element.
 
     Raises:
         ValueError: a number is not finite.

@@ -1,9 +1,9 @@
-"""Read untrusted .obj and .ply meshes in time and memory that grow with the file, and no faster.
+"""Read untrusted .obj and .ply meshes in time and memory proportional to the file's size.
 
-Of an .obj only the lines of vertices and faces are looked at, of a .ply only `x`, `y`, `z` and the list of a
-face's corners: materials, groups, textures and colours do not determine a shape, and libraries that read them
-need time that grows with their square. Written after the formats' descriptions: Wavefront, "Advanced
-Visualizer", appendix B1; G. Turk, "The PLY Polygon File Format", 1994.
+Only the lines of vertices and faces of an .obj are read, and only `x`, `y`, `z` and the corner lists of faces
+of a .ply. Materials, groups, textures and colours do not determine a shape, and libraries that read them need
+quadratic time. Sources: Wavefront, "Advanced Visualizer", appendix B1; G. Turk, "The PLY Polygon File
+Format", 1994.
 """
 
 import re
@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 
 from kinectbench.core.untrusted import printable
 
-# The surface of the largest grid has some 400,000 cells (6 sides of 256^2), with two triangles to each.
+# The surface of the largest grid has some 400,000 cell faces (6 sides of 256^2), with two triangles each.
 MAX_VERTICES = MAX_TRIANGLES = 1 << 20
-# A cloud as RaySt3R writes it, of `MAX_POINTS`, is 113 MB.
+# A cloud of `MAX_POINTS`, as RaySt3R writes it, has 113 MB.
 MAX_FILE_BYTES = 128 << 20
-# Of a cloud: 22 views that RaySt3R predicts of an object with 190,000 pixels; 113 MB as it writes them.
+# Points of a cloud: 22 views that RaySt3R predicts of an object with 190,000 pixels.
 MAX_POINTS = 1 << 22
-# The end of a finely cut cylinder is a polygon of so many corners.
+# Corners of a polygon: enough for the end of a finely divided cylinder.
 MAX_CORNERS = 1024
-# Of a .ply as text: a closed surface of so many triangles has 9.4 million with normals and colours.
+# Numbers in a text .ply: a closed surface of `MAX_TRIANGLES` has 9.4 million with normals and colours.
 MAX_NUMBERS = 12 << 20
 PIECE_BYTES = 1 << 20
 MAX_HEADER_BYTES = 64 << 10
 MAX_PROPERTIES = 100
-# Of a face: corners and texture coordinates, and some numbers. Rows of unlike lists are read one by one, and
-# a million of them take 2 s for each list (measured).
+# Lists and properties of a face: corners, texture coordinates and some numbers. Rows with lists of different
+# lengths are read one by one: a million rows take 2 s for each list (measured).
 MAX_LISTS, MAX_OF_FACE = 2, 16
-# Rows of a ply file that are looked at together: some 10 MB.
+# Rows of a .ply that are processed together: some 10 MB.
 ROWS = 1 << 16
 
 _SHORT = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -49,14 +49,14 @@ Normals = NDArray[np.float64] | None
 
 
 def read_obj(content: bytes) -> Triangles:
-    """The vertices (n, 3) and triangles (m, 3) of an .obj; a polygon is cut into a fan.
+    """Read the vertices (n, 3) and triangles (m, 3) of an .obj; polygons become fans of triangles.
 
     Raises:
-        ValueError: a line of a vertex or of a face is malformed, a face has a corner that is no vertex, or
-            there are too many.
+        ValueError: a line of a vertex or face is malformed, a face names a missing vertex, or there are too
+            many vertices or triangles.
     """
     coordinates, corners = array("d"), array("q")
-    # A line that ends in a backslash continues in the next.
+    # A backslash at the end of a line continues it in the next line.
     text = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     for number, line in enumerate(OBJ_LINES.finditer(text)):
         words = line[0].split(None, MAX_CORNERS + 1)
@@ -79,17 +79,17 @@ def read_obj(content: bytes) -> Triangles:
 
 
 def _corner(word: bytes, vertices: int) -> int:
-    """The index of a corner such as `7`, `7/2/1` or, counted backwards from the last vertex so far, `-1`."""
+    """The vertex index of a corner such as `7`, `7/2/1`, or `-1`: the last vertex so far."""
     index = int(word.partition(b"/")[0])
     return index - 1 if index > 0 else vertices + index if index < 0 else -1
 
 
 def read_ply(content: bytes) -> Triangles:
-    """The vertices (n, 3) and triangles (m, 3) of a .ply in any of its three forms; polygons become fans.
+    """Read the vertices (n, 3) and triangles (m, 3) of a .ply, text or binary; polygons become fans.
 
     Raises:
-        ValueError: the header is malformed or claims more than the file holds, an element that is not
-            needed stands before the faces, a face has a corner that is no vertex, or there are too many.
+        ValueError: the header is malformed or claims more than the file holds, an element other than vertices
+            stands before the faces, a face names a missing vertex, or there are too many.
     """
     vertices, triangles, _ = _read_ply(content, MAX_VERTICES)
     if triangles is None:
@@ -98,12 +98,12 @@ def read_ply(content: bytes) -> Triangles:
 
 
 def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], Normals]:
-    """The vertices (n, 3) of a .ply, its triangles (m, 3), and the normals (n, 3) of vertices that have them.
+    """Read vertices (n, 3), triangles (m, 3) and, if stored, vertex normals (n, 3) of a .ply.
 
-    Of a cloud of points there are no triangles.
+    A point cloud has no triangles.
 
     Raises:
-        ValueError: as `read_ply`, or there is no vertex.
+        ValueError: as `read_ply`, or the file has no vertex.
     """
     vertices, triangles, normals = _read_ply(content, MAX_POINTS)
     if triangles is None or not len(triangles):
@@ -114,7 +114,7 @@ def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.in
 def _read_ply(
     content: bytes, most_vertices: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64] | None, Normals]:
-    """Vertices; triangles, or None without faces; and normals if vertices have them."""
+    """Read vertices, triangles (None without faces), and normals (None without normals)."""
     order, elements, offset = _header(content, most_vertices)
     data = numbers_of(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
     position, vertices, normals = 0, None, None
@@ -140,9 +140,9 @@ def _read_ply(
 
 @dataclass(frozen=True)
 class _Property:
-    """A property of an element: its name, its type, and the type of its count if it is a list.
+    """A property of an element: name, type, and for a list the type of its count.
 
-    A type is None in a text: each number takes one place there, and as many as it has bytes in a binary file.
+    A value takes one place in a text file, and as many places as it has bytes in a binary file.
     """
 
     name: str
@@ -152,18 +152,18 @@ class _Property:
 
     @property
     def width(self) -> int:
-        """Places of one number."""
+        """Places that one value takes."""
         return 1 if self.text else self.kind.itemsize
 
     @property
     def count_width(self) -> int:
-        """Places of a list's count; 0 if it is no list."""
+        """Places that a list's count takes; 0 if the property is no list."""
         return 0 if self.count is None else 1 if self.text else self.count.itemsize
 
 
 @dataclass(frozen=True)
 class _Element:
-    """An element of the header: name, count and properties."""
+    """An element of the header: name, number of rows, and properties."""
 
     name: str
     rows: int
@@ -171,12 +171,12 @@ class _Element:
 
     @property
     def width(self) -> int:
-        """Places of a row whose lists are all empty."""
+        """Least number of places of a row: that of a row with empty lists."""
         return sum(one.width if one.count is None else one.count_width for one in self.properties)
 
 
 def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
-    """Byte order ("" for text), elements, and the data's offset; checks that the claimed data exists."""
+    """Parse the header: byte order ("" for text), elements, offset of the data. Checks that the data fits."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
@@ -202,7 +202,7 @@ def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], in
         raise malformed
     parsed = [_Element(*facts, tuple(of)) for facts, of in zip(elements, properties, strict=True)]
     least = [element.rows * max(element.width, 1) for element in parsed]
-    # A number of a text takes two bytes at least, with what parts it from the next.
+    # In a text each number takes at least two bytes: a digit and a separator.
     if any(rows < 0 for _, rows in elements) or sum(least) > (len(content) - line_end) / (1 + (order == "")):
         raise ValueError("its header claims more than the file holds; write it again")
     for element in parsed:
@@ -216,14 +216,14 @@ def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], in
 
 
 def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
-    """The numbers of a text, from a byte on; a piece at a time is split.
+    """Parse the numbers of a text from byte `start` on, one piece at a time.
 
     Raises:
-        ValueError: a word is no number, or there are more than `MAX_NUMBERS`.
+        ValueError: a word is no number, or there are more than `MAX_NUMBERS` numbers.
     """
     numbers, count = np.empty(min(MAX_NUMBERS, (len(content) - start) // 2 + 1)), 0
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # a word that is no number
+        warnings.simplefilter("error")  # raised for a word that is no number
         while start < len(content):
             space = SPACE.search(content, start + PIECE_BYTES)
             end = space.end() if space else len(content)
@@ -240,7 +240,7 @@ def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
 
 
 def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[np.float64]:
-    """A scalar property of all rows."""
+    """The values of a scalar property in all rows."""
     place = 0
     for one in element.properties:
         if one.name == name:
@@ -251,7 +251,7 @@ def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[
 
 
 def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArray[np.int64]:
-    """The triangles of the element of faces, which begins at a position."""
+    """Read the triangles of the face element, which begins at `position`."""
     made, done, triangles = list[NDArray[np.int64]](), 0, 0
     while done < element.rows:
         rows = min(ROWS, element.rows - done)
@@ -260,7 +260,7 @@ def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArr
         of = next(one for one in element.properties if one.count is not None and one.name in CORNER_LISTS)
         for size in np.unique(sizes[sizes > 2]):
             polygons = _gathered(data, starts[sizes == size], int(size), of.kind, of.text)
-            # A corner in a text may be any number, or none: no vertex.
+            # In a text any number, or NaN, may stand for a corner: such corners become -1, no vertex.
             polygons = np.where(np.abs(polygons) <= MAX_VERTICES, polygons, -1).astype(np.int64)
             firsts = np.repeat(polygons[:, :1], size - 2, axis=1)
             made.append(np.stack([firsts, polygons[:, 1:-1], polygons[:, 2:]], axis=2).reshape(-1, 3))
@@ -272,7 +272,7 @@ def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArr
 def _lists(
     data: NDArray[np.generic], position: int, element: _Element, rows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Offsets and lengths of the rows' corner lists, and the end of the last row."""
+    """Offsets and lengths of the corner lists of the next rows, and the end of the last row."""
     if not any(one.count and one.name in CORNER_LISTS for one in element.properties):
         raise ValueError("faces without a list vertex_indices")
     start, size, end = _row(data, position, element)
@@ -303,7 +303,7 @@ def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[i
 
 
 def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
-    """The length of a list."""
+    """The length of the list at `position`."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"
@@ -318,7 +318,7 @@ def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
 def _equal_lengths(
     data: NDArray[np.generic], position: int, element: _Element, steps: NDArray[np.int64]
 ) -> bool:
-    """Whether all rows have lists as long as the first."""
+    """Whether all rows have lists of the same lengths as the first row."""
     for one in element.properties:
         if one.count is None:
             position += one.width
@@ -337,14 +337,14 @@ def _gathered(
     kind: np.dtype[np.generic],
     text: bool,
 ) -> NDArray[np.generic]:
-    """(n, count) numbers, `count` from each position on."""
+    """Gather numbers (n, count): `count` numbers from each position on."""
     places = 1 if text else kind.itemsize
     values: NDArray[np.generic] = data[positions[:, None] + np.arange(count * places)]
     return values if text else values.view(kind)
 
 
 def _checked(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Triangles:
-    """The mesh, once each corner of a face is a vertex."""
+    """Check that each corner of a face is a vertex, and return the mesh."""
     if not len(triangles):
         raise ValueError("a mesh without faces; an empty prediction is a grid of zeros")
     if triangles.min() < 0 or triangles.max() >= len(vertices):

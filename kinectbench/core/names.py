@@ -1,6 +1,6 @@
 """The names of recordings, objects and categories: valid forms, and conflicts.
 
-They name folders beside files of ours, and are keys of averages: all that reads or makes them asks here.
+Names become folders beside files of this package, and keys of averages; all code checks them here.
 """
 
 from collections.abc import Callable, Iterable
@@ -10,12 +10,12 @@ from pydantic import AfterValidator
 
 from kinectbench.core.storage import name_problem
 
-# What tables, scores.json and `compare` call the mean over the categories.
+# The mean over all categories has these names in tables, scores.json and `compare`.
 RESERVED = ("overall", "all")
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why averages could not name this category, in a few words; None if they can."""
+    """Why a category of this name would conflict with the mean over categories; None if it would not."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None
@@ -28,7 +28,7 @@ def category_problem(category: str) -> str | None:
 
 def _checked(problem: Callable[[str], str | None]) -> AfterValidator:
     def check(value: str) -> str:
-        """The name itself; ValueError if it is none."""
+        """Return a valid name; raise ValueError for another."""
         if fault := problem(value):
             raise ValueError(fault)
         return value
@@ -36,15 +36,15 @@ def _checked(problem: Callable[[str], str | None]) -> AfterValidator:
     return AfterValidator(check)
 
 
-# What a person names a recording, an object or a benchmark; and a category.
+# A name that a person gives to a recording, an object or a benchmark; and to a category.
 Name = Annotated[str, _checked(name_problem)]
 Category = Annotated[str, _checked(category_problem)]
-# A category of an untrusted file: our files never lie beside it.
+# A category from an untrusted file; it never becomes a folder beside files of this package.
 StoredCategory = Annotated[str, _checked(reserved_problem)]
 
 
 class Named(NamedTuple):
-    """The names of a recording."""
+    """The names of one recording."""
 
     recording: str
     object: str
@@ -58,9 +58,9 @@ class Clash(NamedTuple):
     """Two conflicting names.
 
     Attributes:
-        problem: in words.
-        row: index of the one that has the second name.
-        earlier: index of the first row that has the other.
+        problem: a sentence.
+        row: index of the row with the second name.
+        earlier: index of the row with the first name.
     """
 
     problem: str
@@ -69,18 +69,18 @@ class Clash(NamedTuple):
 
 
 def unlike(kind: str, name: str, other: str) -> str:
-    """The problem that two names of a kind, such as "objects", differ only by case, as text."""
+    """A sentence: two names of a kind, such as "objects", differ only by case."""
     return f"the {kind} '{other}' and '{name}' differ by case only: rename one of them"
 
 
 def first_clash(rows: Iterable[Named]) -> Clash | None:
-    """The first row whose names contradict an earlier row; None if there is none.
+    """Find the first row whose names conflict with those of an earlier row; None without conflict.
 
-    Recordings, objects and categories that differ by case only are one folder on some disks and one thing to
-    whoever reads a table; and an object of two categories would count in both averages.
+    Names that differ only by case are one folder on some disks, and look like one thing in a table. An object
+    in two categories would count in both averages.
 
     Args:
-        rows: in their order; the same names may come again.
+        rows: names in their order; names may repeat.
     """
     spelled: dict[tuple[str, str], tuple[str, int]] = {}
     category_of: dict[str, tuple[str, int]] = {}

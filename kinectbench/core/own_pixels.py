@@ -1,4 +1,4 @@
-"""A masked recording: pixels inside masks are the object; pixels certainly outside show free space."""
+"""Masked recordings: depth inside the masks is the object's; depth well outside shows free space."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import FrameStore, Sequence
 from kinectbench.core.types import Bools, Float32
 
-# Along an outline a sensor's depth mixes both sides, and a drawn mask is a pixel off: so much
-# less of the mask is the object, and so much more of it may be.
+# At an outline a sensor's depth mixes object and background, and a drawn mask is a pixel off. So masks are
+# eroded by the first number for the object, and dilated by the second for free space.
 INSIDE_PX, OUTSIDE_PX = 1, 3
 
 Masks = Callable[[int], Bools | None]
@@ -18,11 +18,11 @@ Masks = Callable[[int], Bools | None]
 
 @dataclass(frozen=True)
 class OwnPixels:
-    """The frames of a recording, their depth within the masks only.
+    """The frames of a recording, with depth inside the masks only.
 
     Attributes:
-        frames: where the recording's frames lie.
-        masks: index -> (height, width) bool, or None for a frame without one, which is left out.
+        frames: the unmasked frames.
+        masks: index -> (height, width) bool, or None for a frame without mask, whose depth is dropped.
     """
 
     frames: FrameStore
@@ -39,23 +39,23 @@ class OwnPixels:
         return np.where(inside > 0, native, np.uint16(0))
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Encoded colour of one frame, unmasked."""
+        """Encoded colour of one frame, not masked."""
         return self.frames.color_encoded(index)
 
 
 def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
-    """The same recording, its depth within the masks only, so that its world is the object's.
+    """The recording with depth inside the masks only, so that the object is its world.
 
-    What was measured beside the masks may move against the object. But at that moment nothing stood before
-    it, the object neither: `Sequence.beside_m` has it.
+    Surfaces outside the masks may move relative to the object. But the space in front of them was free at
+    that moment: `Sequence.beside_m` gives their depth.
 
     Args:
-        sequence: the recording, whole.
-        masks: index -> (height, width) bool, the object, or None for a frame without one.
+        sequence: the unmasked recording.
+        masks: index -> (height, width) bool, the object; None for a frame without mask.
     """
 
     def beside_m(index: int) -> Float32:
-        """Depth of a frame (height, width) in metres, 0 on the mask and around it."""
+        """Depth of a frame outside its mask (height, width), metres; 0 on the mask and near it."""
         import cv2
 
         mask = masks(index)
@@ -68,13 +68,13 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
 
 
 def whole(sequence: Sequence) -> Sequence:
-    """The original recording of `by_own_pixels`, or the same if it is unmasked."""
+    """The unmasked recording behind a result of `by_own_pixels`; other recordings are returned unchanged."""
     own = sequence.frames
     return replace(sequence, frames=own.frames, beside_m=None) if isinstance(own, OwnPixels) else sequence
 
 
 def frames_with_masks(sequence: Sequence, masks: Masks) -> Bools:
-    """Frames with a mask that is not empty: (n,) bool."""
+    """Whether each frame has a mask that is not empty: (n,) bool."""
     frame_masks = (masks(index) for index in range(len(sequence)))
     return np.array([mask is not None and bool(mask.any()) for mask in frame_masks], dtype=bool)
 

@@ -1,4 +1,4 @@
-"""HTML pages that are one file and open from disk: one head and style sheet, and a template for each page."""
+"""Self-contained HTML pages that open from disk: a shared head and style sheet, and a template per page."""
 
 import base64
 from collections.abc import Mapping
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 
 def render_page(template: str, shown: Mapping[str, object]) -> str:
-    """Lay out a page: HTML text, the same for the same input.
+    """Render a page from a template: HTML text, the same for the same input.
 
-    Names and reasons are untrusted: all text is escaped, and control characters show as `?`, except in
-    the package's own files, which a template names by `packaged("core/page.css")`.
+    All text is escaped and control characters become `?`, because names and reasons are untrusted. Files of
+    the package, which templates include by `packaged("core/page.css")`, are inserted unchanged.
 
     Args:
         template: path of the page's template below the package, such as "doctor/page.html".
-        shown: what the template shows, by the names it uses; a name that is missing is an error.
+        shown: the template's variables; a missing variable is an error.
     """
     return environment().get_template(template).render(shown)
 
@@ -33,7 +33,7 @@ def png_uri(png: bytes) -> str:
 
 @cache
 def environment() -> "Environment":
-    """The template environment: where templates are, and how values are escaped."""
+    """The template environment: location of the templates, and escaping of values."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -49,12 +49,12 @@ def environment() -> "Environment":
 
 
 def _shown(value: object) -> object:
-    """A value as a template shows it, without control characters."""
+    """A value for a template, without control characters."""
     return value if type(value) is not str else STEERING.sub("?", value)
 
 
 def _packaged(name: str) -> "Markup":
-    """A file of the package, unchanged, by its path below the package."""
+    """The unescaped content of a file of the package, by its path below the package."""
     from markupsafe import Markup
 
     return Markup(resources.files("kinectbench").joinpath(name).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Rendering pictures of meshes and voxel grids, in parallel projection; and plots as PNG files.
+"""Render meshes and voxel grids in parallel projection; make plots as PNG files.
 
 A viewpoint's axes are optical: right, down, forward.
 """
@@ -24,12 +24,12 @@ Color = tuple[int, int, int]
 PAPER: Color = (243, 242, 238)
 CLAY: Color = (205, 186, 160)
 BLUE: Color = (118, 160, 205)
-# Towards the light, in the viewpoint's axes: from above, the left and behind the viewer.
+# Direction to the light in the viewpoint's axes: above, left, and behind the viewer.
 LIGHT = np.array([-0.45, -0.7, -0.55]) / np.linalg.norm([-0.45, -0.7, -0.55])
 SUPERSAMPLING = 1.5
-# Left, bottom, right, top.
+# Left, bottom, right and top.
 Margins = tuple[float, float, float, float]
-# Of plots: dots per inch, the colours of their lines and of their paper.
+# For plots: dots per inch, colours of lines, and colour of the paper.
 DPI = 110
 INK, SOFT, PLOT_PAPER = "#1f2328", "#8a8f98", "#fdfcf9"
 
@@ -42,7 +42,7 @@ class Viewpoint:
         R_frame_view: (3, 3), columns are the picture's right, down and forward in the mesh's frame.
         center_m: (3,) the point in the middle of the picture, in the mesh's frame.
         half_m: half the edge of the picture, metres.
-        depth_m: the viewer stands this far before the centre; everything to draw lies beyond.
+        depth_m: distance of the viewer from the centre; everything to draw lies beyond the viewer.
     """
 
     R_frame_view: Float64
@@ -52,7 +52,7 @@ class Viewpoint:
 
 
 def look_along(forward: Float64, up: Float64) -> Float64:
-    """Rotation (3, 3), columns right, down, forward, of a viewer along `forward` (not parallel to `up`)."""
+    """Rotation (3, 3), columns right, down, forward, of a view along `forward` (not parallel to `up`)."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -60,7 +60,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of that orientation whose square just fits the points (n, 3), n > 0, with a margin."""
+    """The viewpoint of this orientation that just shows all points (n, 3), n > 0, with a margin."""
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)
     size = high - low
@@ -69,7 +69,7 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
 
 
 def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
-    """Viewpoints that just fit the points (n, 3), z up, each from an azimuth and an elevation in degrees."""
+    """Viewpoints that just show all points (n, 3), z up, for pairs of azimuth and elevation in degrees."""
     viewpoints = []
     for azimuth, elevation in np.radians(looks_deg):
         level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
@@ -80,7 +80,7 @@ def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]
 
 
 def ray_starts(viewpoint: Viewpoint, size_px: int) -> Float64:
-    """Origins of the rays through the pixels' centres: (size_px, size_px, 3), the mesh's frame."""
+    """Origins of the rays through the pixel centres: (size_px, size_px, 3), in the mesh's frame."""
     right, down, forward = viewpoint.R_frame_view.T
     offset_m = ((np.arange(size_px) + 0.5) / size_px * 2 - 1) * viewpoint.half_m
     start = viewpoint.center_m - viewpoint.depth_m * forward
@@ -88,11 +88,11 @@ def ray_starts(viewpoint: Viewpoint, size_px: int) -> Float64:
 
 
 def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float64, Float64]:
-    """Cast one ray through each pixel's centre.
+    """Cast a ray through each pixel centre.
 
     Returns:
-        Distances (size_px, size_px) in metres, inf where nothing is hit, and the normals
-        (size_px, size_px, 3) of what is hit, in the viewpoint's axes, turned towards the viewer.
+        Distances (size_px, size_px) in metres, inf without a hit, and the normals at the hits
+        (size_px, size_px, 3), in the viewpoint's axes, turned towards the viewer.
     """
     if not len(mesh.faces):
         return np.full((size_px, size_px), np.inf), np.zeros((size_px, size_px, 3))
@@ -102,7 +102,7 @@ def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float6
 def cast_pieces(
     pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
-    """`cast` for several meshes, and the index of the mesh hit: (size_px, size_px); their number for none."""
+    """`cast` for several meshes; also the index of the mesh hit, (size_px, size_px), len(pieces) without."""
     scene, tensor = raycaster(*pieces)
     rays = np.empty((size_px, size_px, 6), np.float32)
     rays[..., :3] = ray_starts(viewpoint, size_px)
@@ -116,20 +116,20 @@ def cast_pieces(
 
 
 def render(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int, color: Color = CLAY) -> Rgb:
-    """Draw a mesh, shaded, on paper: (size_px, size_px, 3) uint8 RGB."""
+    """Render a shaded mesh on plain paper: (size_px, size_px, 3) uint8 RGB."""
     return render_pieces([(mesh, color)], viewpoint, size_px)
 
 
 def render_pieces(
     pieces: Sequence[tuple[TriangleMesh, Color]], viewpoint: Viewpoint, size_px: int, contrast: float = 1.0
 ) -> Rgb:
-    """Draw meshes, each in its colour, shaded, on paper: (size_px, size_px, 3) uint8 RGB.
+    """Render shaded meshes, each in its colour, on plain paper: (size_px, size_px, 3) uint8 RGB.
 
     Args:
         pieces: meshes and their colours.
-        viewpoint: of the picture.
-        size_px: its edge.
-        contrast: of the shading, 0 to 1: less tells colours in the shade apart.
+        viewpoint: the projection.
+        size_px: edge of the picture.
+        contrast: of the shading, 0 to 1; with less contrast, colours in the shade differ more clearly.
     """
     shown = [piece for piece in pieces if len(piece[0].faces)]
     if not shown:
@@ -138,7 +138,7 @@ def render_pieces(
     distance_m, normals_view, which = cast_pieces(meshes, viewpoint, round(size_px * SUPERSAMPLING))
     colors = np.array([*(color for _, color in shown), PAPER])[which]
     lit = 0.52 + 0.6 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
-    # What lies farther back is a little darker, so that a leg stands out from the leg behind it.
+    # Farther surfaces are a little darker, so that a leg stands out from the leg behind it.
     far = np.clip((distance_m - viewpoint.depth_m) / (2 * viewpoint.depth_m) + 0.5, 0.0, 1.0)
     shade = 1 - contrast * (1 - (lit * (1.08 - 0.3 * far))[..., None])
     picture = np.where(np.isfinite(distance_m)[..., None], shade * colors, np.array(PAPER))
@@ -146,7 +146,7 @@ def render_pieces(
 
 
 def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
-    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of its centre."""
+    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre."""
     import cv2
 
     hit = np.isfinite(cast(mesh, viewpoint, size_px)[0]).astype(np.uint8)
@@ -158,7 +158,7 @@ def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> lis
 
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
     """The surface where a grid of densities (nx, ny, nz) crosses `level`, in metres of its frame."""
-    # A density is larger inside: the faces look inward, which no picture shows.
+    # Density is larger inside, so faces look inward; pictures do not depend on this.
     surface = isosurface(np.pad(density, 1), level=level)
     return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)
 
@@ -167,14 +167,14 @@ def block_density(packed: NDArray[np.uint8]) -> Float32:
     """Share of set cells in each 4x4x4 block of a packed grid: (n, n, n / 8) uint8 to (n / 4,) * 3."""
     n = packed.shape[0] // 4
     half_bytes = np.stack([np.bitwise_count(packed >> 4), np.bitwise_count(packed & 15)], axis=-1)
-    # A sum of 16 counts is at most 64. Along one axis after the other numpy adds whole rows.
+    # A sum of 16 counts is at most 64, so uint8 suffices. Sums along one axis at a time add whole rows.
     rows = np.add.reduce(half_bytes.reshape(n, 4, n, 4, n), axis=1, dtype=np.uint8)
     counts: NDArray[np.uint8] = np.add.reduce(rows, axis=2, dtype=np.uint8)
     return counts.astype(np.float32) * np.float32(1 / 64)
 
 
 def blurred_density(density: Float32) -> Float32:
-    """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its surface has no steps."""
+    """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its isosurface is smooth."""
     result = np.pad(density, 1)
     for axis in range(3):
         moved = np.moveaxis(result, axis, 0)
@@ -188,16 +188,15 @@ def blurred_density(density: Float32) -> Float32:
 def new_figure(
     width_in: float, height_in: float, paper: str = PLOT_PAPER, margins: Margins | None = None
 ) -> "Figure":
-    """An empty figure for a plot, in inches.
+    """An empty figure for a plot.
 
     Args:
-        width_in: of the picture.
-        height_in: of the picture.
-        paper: its colour.
-        margins: of the plots, as shares of the picture; None: what their labels need, which the library finds
-            in as much time as it then takes to draw.
+        width_in: width, inches.
+        height_in: height, inches.
+        paper: background colour.
+        margins: of the plots, as shares of the picture; None: as labels need, which doubles the drawing time.
     """
-    # Without pyplot: no global state, no display.
+    # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure
 
     if margins is None:
@@ -209,7 +208,7 @@ def new_figure(
 
 
 def figure_png(figure: "Figure", version: bool = False) -> bytes:
-    """A plot as a PNG file; `version` keeps the plotting library's version in it."""
+    """Encode a plot as a PNG file; with `version`, the file names the plotting library's version."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata=None if version else {"Software": None})
     return buffer.getvalue()

@@ -1,12 +1,12 @@
-"""Limits of a depth camera and of its positions: the lengths that define air.
+"""Limits of a depth camera and of its positions: the lengths that define which space is air.
 
-`core.voxels.seeable` has the definition. The settings have their defaults from here, so that this file loads
-no heavy library.
+`core.voxels.seeable` has the definition. The settings take their defaults from here; this file imports no
+heavy library.
 """
 
 from dataclasses import astuple, dataclass
 
-# Things so small stand on a table and are recorded from 0.5 to 1 m, where ten pixels are 10 to 20 mm.
+# Objects this small stand on a table, recorded from 0.5 to 1 m, where ten pixels are 10 to 20 mm.
 SMALL_M, NEAR_LINE_M = 0.4, 0.02
 
 
@@ -15,11 +15,11 @@ class SensorLimits:
     """Limits of a sensor and of its positions; all lengths in metres.
 
     Attributes:
-        line_width_m: a line of sight is as wide. Through less no depth camera measures: 30 mm are ten pixels
-            of a Kinect at 1.6 m, and as many as its matching window has.
-        near_m: minimum range: that of a Kinect v1 in near mode.
-        camera_size_m: diameter of the ball that is moved without crossing the object: a camera in a hand.
-        camera_height_m: its centre is at least so high above the plane that the object stands on.
+        line_width_m: width of a line of sight. No depth camera measures through narrower gaps: 30 mm are ten
+            pixels of a Kinect at 1.6 m, the width of its matching window.
+        near_m: minimum range; 0.4 m is that of a Kinect v1 in near mode.
+        camera_size_m: diameter of the ball that stands for a hand-held camera; it must not cross the object.
+        camera_height_m: least height of the ball's centre above the plane that the object stands on.
     """
 
     line_width_m: float = 0.03
@@ -29,11 +29,11 @@ class SensorLimits:
 
     @classmethod
     def of_size(cls, longest_m: float) -> "SensorLimits":
-        """Lines of 30 mm; 20 mm for things shorter than 0.4 m, which are recorded from close by."""
+        """Limits for an object: lines 30 mm wide, or 20 mm for one below 0.4 m, recorded from nearby."""
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
     def enlarged(self, scale: float) -> "SensorLimits":
-        """The same limits in a world scaled by 1 / scale."""
+        """The same limits for a world that is scaled by 1 / scale."""
         return SensorLimits(*(length_m / scale for length_m in astuple(self)))
 
 

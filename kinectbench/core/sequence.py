@@ -1,4 +1,4 @@
-"""The normalised recording: frames by index, one pinhole camera, an optional given trajectory."""
+"""The normalised recording: indexed frames, one pinhole camera, and optionally a given trajectory."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from kinectbench.core.types import Bools, Float32, Float64, Int64
 
 @dataclass(frozen=True)
 class GivenTrajectory:
-    """The trajectory of a recording, as given.
+    """The trajectory that came with a recording.
 
     Attributes:
-        stamps_ns: (m,) int64, nanoseconds, strictly increasing, same clock as the frames.
+        stamps_ns: (m,) int64, nanoseconds, strictly increasing, on the clock of the frames.
         T_world_camera: (m, 4, 4) float64, optical camera axes; rotations on SO(3).
     """
 
@@ -27,7 +27,7 @@ class GivenTrajectory:
     def equals(self, other: "GivenTrajectory", tolerance_m: float) -> bool:
         """Whether both have the same poses at the same stamps, up to rounding.
 
-        Rotations, whose entries have no unit, may differ by the number that `tolerance_m` is in metres.
+        Entries of a rotation have no unit; they may differ by the value of `tolerance_m`.
         """
         return np.array_equal(self.stamps_ns, other.stamps_ns) and np.allclose(
             self.T_world_camera, other.T_world_camera, rtol=0, atol=tolerance_m
@@ -47,7 +47,7 @@ class FrameStore(Protocol):
 
 
 class UpSample(NamedTuple):
-    """Up as an accelerometer measured it at a frame: its stamp, and a unit vector in its camera's axes."""
+    """The up direction that an accelerometer measured: a stamp, and a unit vector in the camera's axes."""
 
     stamp_ns: int
     up_camera: tuple[float, float, float]
@@ -58,23 +58,23 @@ class Sequence:
     """A recording that every later stage can use without knowing its format.
 
     Attributes:
-        camera: intrinsics of the depth image (and of colour, where that is registered).
+        camera: intrinsics of the depth image, and of registered colour.
         depth_scale: native units per metre: `metres = native / depth_scale`.
-        stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts
-            its frames in seconds (index * 10**9).
+        stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts its frames
+            in seconds (index * 10**9).
         color_registered: colour pixels lie on depth pixels.
         given_trajectory: the trajectory that came with the recording, or None.
-        frames: where depth and colour lie.
+        frames: access to depth and colour.
         depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
-        masks: the masks that came with the recording, or None: index -> (height, width) bool, the object, or
-            None for a frame without one.
-        trajectory_error: why a trajectory that came with the recording cannot be used, or "".
-        up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: the recording does not
-            say.
-        up_cameras: up in some frames' own axes, by an accelerometer.
-        recorded: number of each frame in the recording, where damaged frames count; None: its index.
-        beside_m: of a recording whose depth is the object's only (`own_pixels`): index -> (height, width)
-            float32 metres, depth that certainly is not the object's, 0 = nothing; else None.
+        masks: the masks that came with the recording, or None: index -> (height, width) bool, the object;
+            None for a frame without mask.
+        trajectory_error: why the trajectory that came with the recording cannot be used, or "".
+        up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: unknown.
+        up_cameras: up in the axes of some frames' cameras, by an accelerometer.
+        recorded: number of each frame in the recording, which counts damaged frames; None: equal to its
+            index.
+        beside_m: for a recording masked by `own_pixels`: index -> (height, width) float32 metres, the depth
+            well outside the mask, 0 = nothing; else None.
     """
 
     camera: Camera
@@ -102,7 +102,7 @@ class Sequence:
         return corrected_depth_m(depth_m, self.depth_correction_per_m)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":
-        """The same recording with calibrated depth in metres."""
+        """The same recording with corrected depth."""
         if calibration.is_none:
             return replace(self, depth_correction_per_m=None)
         correction = calibration.correction_per_m(self.camera.width, self.camera.height)
@@ -120,15 +120,15 @@ class Sequence:
 
 
 def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:
-    """Depth of any shape in native units as metres, float32; 0 stays 0.
+    """Convert depth of any shape from native units to metres, float32; 0 stays 0.
 
     Args:
-        native: as recorded.
+        native: depth as recorded.
         depth_scale: native units per metre.
     """
     return native.astype(np.float32) / np.float32(depth_scale)
 
 
 def counts_frames(stamps_ns: Int64) -> bool:
-    """Whether stamps (n,) only count frames, in whole seconds, as for recordings without times."""
+    """Whether stamps (n,) only count frames in whole seconds, as in recordings without times."""
     return bool(len(stamps_ns)) and not (stamps_ns % 10**9).any()

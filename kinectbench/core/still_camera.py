@@ -11,27 +11,27 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.types import Bools, Float32
 
-# Number of frames that are compared, and the least number.
+# Number of frames to compare, and the least number.
 FRAMES, MIN_FRAMES = 24, 6
-# Width of the compared images: enough for objects of 4 % of the width.
+# Width of the compared images: enough to find objects of 4 % of the width.
 COLUMNS = 160
-# A pixel needs depth in this ratio of the frames to be judged.
+# A pixel is judged if it has depth in this ratio of the frames.
 SEEN_SHARE = 0.6
 # With noise alone, four fifths of a pixel's values lie within 2.6 standard deviations.
 STILL_SIGMAS, MOVED_SIGMAS = 4.0, 6.0
 # Least depth change of a moving object; the quantisation of depth is smaller at 2 m.
 MOVED_M = 0.012
-# Grey levels, after exposure is removed; measured on real recordings.
+# Grey levels, after correction for exposure; measured on real recordings.
 STILL_GRAY = 8.0
-# Without surroundings, this ratio of the image has depth in fewer than RARELY of the frames.
+# An object has no surroundings if this ratio of the image has depth in fewer than RARELY of the frames.
 EMPTY_SHARE, RARELY = 0.3, 0.15
-# The camera stands still if these ratios of the static pixels are constant in depth and, with colour, in grey
-# (the pattern of a turntable's plate may turn), and if they fill this ratio of the image. Something moves if
-# it fills the last ratio of the image.
+# The camera stands still if these ratios of the static pixels have constant depth and, with colour, constant
+# grey (the pattern of a turntable's plate may turn), and if static pixels fill the third ratio of the image.
+# Something moves if moving pixels fill the last ratio of the image.
 STILL_SHARE, STILL_GRAY_SHARE, AROUND_SHARE, MOVING_SHARE = 0.9, 0.5, 0.1, 0.004
-# Unstable depth along edges is thinner than this, pixels.
+# Unstable depth along edges forms strips thinner than this, pixels.
 OPENED_PX = 3
-# Between quarters of the frames, noise alone changes the ratio of valid depth by less than this.
+# Noise alone changes the ratio of valid depth between quarters of the recording by less than OFTEN.
 QUARTERS, OFTEN = 4, 0.7
 # Pixels this close to a moving object are not used to judge the camera. Chosen by hand.
 NEAR_PX = 4
@@ -49,7 +49,7 @@ class Watched:
         moving_share: ratio of the image that moves and also differs between quarters of the recording, which
             excludes unstable edges.
         still_share: ratio of pixels with constant depth, away from moving pixels.
-        still_gray_share: ratio of these that are constant in grey as well; None without colour.
+        still_gray_share: ratio of the static pixels whose grey is constant too; None without colour.
         around_share: ratio of the image with constant depth.
         empty_share: ratio of the image that hardly ever has depth.
     """
@@ -71,26 +71,26 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the object has no surroundings: a moving object and a moving camera then look the same."""
+        """Whether the object has no surroundings: then a moving object and a moving camera look the same."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property
     def something_moves(self) -> bool:
-        """Whether something moves, given that the camera does not."""
+        """Whether something moves, if the camera stands still."""
         return self.moving_share >= MOVING_SHARE
 
 
 def some_of(count: int) -> list[int]:
-    """At most 24 of `count` frames, evenly spread."""
+    """Indices of at most 24 of `count` frames, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist() if count else []
 
 
 def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]) -> Watched | None:
-    """Compare frames pixel by pixel.
+    """Compare the frames of a recording pixel by pixel.
 
     Args:
-        depths_m: k frames, (height, width) metres each, 0 = none, from all over the recording.
-        grays: for each frame a grey image of about the same view, of any size; None: without colour.
+        depths_m: k frames from the whole recording, (height, width) metres each, 0 = none.
+        grays: for each frame a grey image of about the same view, of any size; None without colour.
 
     Returns:
         None if there are fewer than six frames.
@@ -121,10 +121,10 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
 
 
 def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
-    """`np.nanquantile(values, shares, axis=0)` as float32: 24 frames of 160x120 in 4 ms, not in 1.2 s.
+    """`np.nanquantile(values, shares, axis=0)` as float32; 24 frames of 160x120 take 4 ms, not 1.2 s.
 
     Args:
-        values: (k, height, width), NaN = none; every pixel has one value at least.
+        values: (k, height, width), NaN = none; every pixel has at least one value.
         shares: each in [0, 1].
     """
     ordered = np.sort(values, axis=0)  # NaN comes last
@@ -142,7 +142,7 @@ def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
 
 
 class SomeWatched(NamedTuple):
-    """Frames of a sequence that were compared: their depth, the pixel stride, and the result."""
+    """The compared frames of a sequence: their depth, the pixel stride, and the result."""
 
     depths_m: list[Float32]
     step_px: int
@@ -166,11 +166,11 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
 
     Args:
         values: (k, height, width) metres, NaN without depth, 0 where too little is known.
-        seen: (k, height, width) bool, whether there is depth.
-        sigma_m: (height, width) metres, of the depth.
+        seen: (k, height, width) bool, whether the pixel has depth.
+        sigma_m: (height, width) standard deviation of the depth, metres.
     """
     parts = np.array_split(np.arange(len(values)), QUARTERS)
-    # A quarter without depth takes the median of all frames.
+    # A quarter without depth gets the median of all frames.
     whole = np.nanmedian(values, axis=0)
     medians = [np.nanmedian(np.concatenate([values[part], whole[None]]), axis=0) for part in parts]
     often = [seen[part].mean(axis=0) for part in parts]
@@ -180,7 +180,7 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
 
 
 def _comes_and_goes(seen: Bools) -> Bools:
-    """Pixels with depth in some frames only, as when an object passes in front of empty space."""
+    """Pixels with depth in only some frames, as when an object passes in front of empty space."""
     share = seen.mean(axis=0)
     between: Bools = (share > RARELY) & (share < SEEN_SHARE)
     return between
@@ -196,14 +196,14 @@ def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> f
     size = (still.shape[1], still.shape[0])
     small = np.stack([cv2.resize(gray, size, interpolation=cv2.INTER_AREA)[still] for gray in recorded])
     values = small.astype(np.float32)
-    # Exposure that adapts changes all pixels by a factor.
+    # Automatic exposure changes all pixels by one factor, which is removed here.
     values *= np.median(values) / np.maximum(np.median(values, axis=1, keepdims=True), 1)
     low, high = np.quantile(values, [0.1, 0.9], axis=0)
     return float((high - low <= 2 * STILL_GRAY).mean())
 
 
 def _opened(mask: Bools) -> Bools:
-    """Morphological opening by three pixels, which removes unstable depth along edges."""
+    """Morphological opening by three pixels: removes unstable depth along edges."""
     import cv2
 
     kernel = np.ones((OPENED_PX, OPENED_PX), np.uint8)

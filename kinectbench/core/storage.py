@@ -1,4 +1,4 @@
-"""Storage of artefacts, their fingerprints, and atomic writes."""
+"""Atomic writing of artefacts, fingerprints (SHA-256), and valid names."""
 
 import contextlib
 import errno
@@ -16,24 +16,24 @@ from typing import IO
 from kinectbench.core.errors import StorageError
 from kinectbench.core.untrusted import open_plain
 
-# Names that are safe as those of files, and as paths of a release.
+# Names that are safe as names of files, and in paths of a release.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
-# Recordings and methods name folders that lie beside files and folders of ours: publish.json in build/,
-# scores.json, index.html and baselines/ in a folder of scores. No recording and no method may have
-# that folder's name, or one that ends as those files do.
+# Recordings and methods name folders beside files and folders of this package: publish.json in build/,
+# scores.json, index.html and baselines/ in a folder of scores. So no recording and no method may have the
+# name of such a folder, or the suffix of such a file.
 OUR_FOLDERS = ("baselines",)
 OUR_ENDINGS = (".json", ".jsonl", ".csv", ".npz", ".glb", ".html", ".lock", ".part", ".old")
 
-# The temporary folders and files that this process fills at present.
+# Temporary folders and files that this process is filling.
 _half_filled: set[Path] = set()
 
 
 def name_problem(name: str, also: str = "") -> str | None:
-    """Why a recording, an object or a method cannot have this name, in a few words; None if it can.
+    """Why a recording, object or method cannot have this name, in a few words; None if it can.
 
     Args:
-        name: as somebody wrote it.
-        also: signs that are accepted besides those of `NAME`, but not at the beginning.
+        name: the name as somebody wrote it.
+        also: characters that are accepted besides those of `NAME`, but not as the first.
     """
     plain = "".join("-" if sign in also and place else sign for place, sign in enumerate(name))
     if not NAME.fullmatch(plain):
@@ -60,23 +60,23 @@ def sha256_text(text: str) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """SHA-256 of a plain file's bytes, as hex, in streaming."""
+    """SHA-256 of a plain file's bytes, as hex, read in pieces."""
     with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_below(path: Path, content: bytes) -> None:
-    """Write a file; create missing folders."""
+    """Write a file; create its folder if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content)
 
 
 def open_to_add(path: Path) -> IO[str]:
-    """Open a plain file, or create it, to read and append, without blocking.
+    """Open a plain file to read and append, without blocking; create it if missing.
 
     Raises:
-        StorageError: a link, a folder, a pipe or a device is there.
-        OSError: it cannot be made or opened.
+        StorageError: the path is a link, a folder, a pipe or a device.
+        OSError: the file cannot be created or opened.
     """
     refused = StorageError(f"{path}: is no file that could be added to; remove it", what="no-plain-file")
     how = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -93,10 +93,10 @@ def open_to_add(path: Path) -> IO[str]:
 
 
 def append_plain(path: Path, text: str) -> None:
-    """Write a text, as UTF-8, to the end of a file that `open_to_add` opens; its folder is made.
+    """Append a text, as UTF-8, to a file that `open_to_add` opens; create the file's folder.
 
     Raises:
-        StorageError: as `open_to_add`, or the disk is full or read-only.
+        StorageError: as for `open_to_add`, or the disk is full or read-only.
     """
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -104,18 +104,18 @@ def append_plain(path: Path, text: str) -> None:
             file.write(text)
 
 
-# How every line about a disk that cannot be written ends.
+# The end of every message about a disk that cannot be written.
 UNTOUCHED = "; what was there before is untouched"
 
 
 @contextlib.contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn the operating system's complaints about what cannot be written into one clear line."""
+    """Turn errors of the operating system about writing into a `StorageError` with advice."""
     try:
         yield
     except OSError as error:
         if error.errno == errno.EFBIG and error.filename and not error.filename2:
-            raise  # a file was too large to be read; of a write the system names none, of a copy two
+            raise  # of reading a large file: an error of writing names no file, one of copying two
         advice = {
             errno.ENOSPC: "the disk is full: free some space and run the command again",
             errno.EDQUOT: "the disk quota is used up: free some space and run the command again",
@@ -132,7 +132,7 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reachable(path: Path) -> Iterator[None]:
-    """Turn a way to a place that leads nowhere into one clear line."""
+    """Turn errors about a path whose parent is no folder into a `StorageError`."""
     try:
         yield
     except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:
@@ -145,7 +145,7 @@ def reachable(path: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary sibling folder that replaces `folder` if the block succeeds."""
-    # The name comes first: an interrupt right after the folder is made must find it to take away.
+    # Register the name first: an interrupt right after the folder is made must still remove it.
     temporary = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.part")
     _half_filled.add(temporary)
     try:
@@ -172,21 +172,21 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 
 def remove_half_filled() -> None:
-    """Remove unfinished temporary folders and files when the process ends before their blocks."""
+    """Remove temporary folders and files that are still unfinished when the process ends."""
     for temporary in tuple(_half_filled):
-        with contextlib.suppress(OSError):  # there is none, or it is a folder
+        with contextlib.suppress(OSError):  # the file is gone, or it is a folder
             temporary.unlink()
         shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling, an empty file to write; it replaces `path` if the block succeeds.
+    """Yield a temporary sibling, an empty file; it replaces `path` if the block succeeds.
 
     Raises:
-        StorageError: a folder, a pipe or a device is there, or no file can be made or written there.
+        StorageError: `path` is a folder, a pipe or a device, or no file can be created or written there.
     """
-    # Not the process id: containers that share a disk have the same ones.
+    # A random name, because processes of containers that share a disk may have the same id.
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     if path.exists() and not path.is_file():
         raise StorageError(f"{path}: is no file that could be replaced; name another", what="no-plain-file")
@@ -195,10 +195,10 @@ def replaced_file(path: Path) -> Iterator[Path]:
         with storage_errors(path):
             with reachable(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                temporary.touch()  # whether it can be made
+                temporary.touch()  # fails here if it cannot be created
             yield temporary
             temporary.replace(path)
     finally:
-        with contextlib.suppress(OSError):  # there is none, or the disk is read-only
+        with contextlib.suppress(OSError):  # the file is gone, or the disk is read-only
             temporary.unlink()
         _half_filled.discard(temporary)

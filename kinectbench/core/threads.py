@@ -1,7 +1,7 @@
 """The threads that one recording may use; results never depend on their number.
 
-Threads, as what takes long lets them run side by side: kernels without the interpreter's lock, and the codecs
-of OpenCV and zstandard. Every item is made by a pure function, and every part of an array by one thread.
+Threads suffice, because the long computations release the interpreter's lock: numba kernels, OpenCV and
+zstandard. Each item is the result of a pure function, and each part of an array is written by one thread.
 """
 
 from collections import deque
@@ -17,16 +17,16 @@ import numpy as np
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Parts for each thread, so that none waits long for another.
+# Parts for each thread: several, so that no thread waits long for another.
 PARTS_A_THREAD = 4
 
-# A thread that is started here uses one itself.
+# One thread, if nothing else is set; new threads start with this default, too.
 _threads: ContextVar[int] = ContextVar("threads", default=1)
 
 
 @contextmanager
 def using_threads(count: int) -> Iterator[None]:
-    """Set the number of threads of `ahead` and `in_parts` within the block."""
+    """Set the number of threads for `ahead` and `in_parts` within the block."""
     token = _threads.set(max(count, 1))
     try:
         yield
@@ -35,14 +35,14 @@ def using_threads(count: int) -> Iterator[None]:
 
 
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """The function's results in order; threads compute the next ones ahead.
+    """Yield the function's results in order, while threads compute the next ones.
 
-    One result more than there are threads waits at a time, so that memory is bounded. An error, of the
-    function or of the items, is raised where its result would come.
+    At most one result more than threads is kept, which bounds memory. An error of the function or of the
+    iterator is raised at the place of its result.
 
     Args:
-        function: depends on nothing but the item.
-        items: one after another.
+        function: its result depends only on the item.
+        items: the arguments, one for each call.
     """
     threads = _threads.get()
     if threads == 1:
@@ -65,7 +65,7 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
 def _started(
     pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]
 ) -> Iterator[Future[Result]]:
-    """The next item's result, or the error that the iterator raised."""
+    """Submit the next item and yield its future; or a future with the error that the iterator raised."""
     try:
         item = next(items)
     except StopIteration:
@@ -79,11 +79,11 @@ def _started(
 
 
 def in_parts(function: Callable[[int, int], None], count: int) -> None:
-    """Call `function(start, stop)` for parts of `range(count)`, side by side.
+    """Call `function(start, stop)` for parts of `range(count)`, in parallel.
 
     Args:
-        function: writes what belongs to its part, and nothing else.
-        count: of what there is to do.
+        function: writes only the results of its part.
+        count: number of items.
     """
     threads = _threads.get()
     if threads == 1 or count < threads:

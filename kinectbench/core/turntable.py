@@ -1,7 +1,7 @@
-"""An object from all around: the strip of pictures that a page turns, drawn by points of its surface.
+"""Pictures of an object from all around, side by side, which a page shows as a turning object.
 
-By additions and products one by one, no library's ray casting, whose last bits differ between processors: a
-page that shows it has the same bytes everywhere.
+The surface is drawn as points by elementary arithmetic, without ray casting by a library, whose last bits
+differ between processors. So a page with the pictures has the same bytes everywhere.
 """
 
 import numpy as np
@@ -12,25 +12,26 @@ from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.pictures import CLAY, LIGHT, PAPER
 from kinectbench.core.types import Float64, Rgb
 
-# 18 degrees apart; as a JPEG 42 to 68 kB of a real cabinet and of four simulated objects.
+# Pictures are 18 degrees apart; as a JPEG they have 42 to 68 kB for a real cabinet and four simulated
+# objects.
 FRAMES, FRAME_PX, QUALITY = 20, 160, 75
-# As people look at furniture; each pixel is the mean of two by two.
+# The height from which people look at furniture; each pixel is the mean of two by two.
 ELEVATION_DEG = 20.0
 SUPERSAMPLING = 2
-# Triangles that are drawn, and the share of a frame that the object fills.
+# Most triangles to draw, and the share of a picture that the object fills.
 MOST_TRIANGLES, FILLED = 60_000, 0.94
-# Decimals: coordinates are rounded to these, so that their last bits do not matter.
+# Coordinates are rounded to this many decimals, so that their last bits do not matter.
 MICROMETRES = 6
-# A vertex farther from the scene was not measured there.
+# A vertex farther than this from the scene was not measured there.
 NEAR_M = 0.03
 
 
 def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None) -> Rgb:
-    """Pictures of a mesh side by side, from `FRAMES` azimuths: (FRAME_PX, FRAMES * FRAME_PX, 3) uint8 RGB.
+    """Draw a mesh from `FRAMES` azimuths, side by side: (FRAME_PX, FRAMES * FRAME_PX, 3) uint8 RGB.
 
     Args:
-        mesh_floor: closed surface, z up, metres; with at least one triangle.
-        scene_floor: whose vertices have colours, which the mesh then has; None: it is of clay.
+        mesh_floor: closed surface with at least one triangle, z up, metres.
+        scene_floor: a mesh that gives the vertices its colours; None: the mesh is clay-coloured.
     """
     mesh = decimated(mesh_floor, MOST_TRIANGLES)
     colors = surface_colors(mesh.vertices, scene_floor)
@@ -50,11 +51,11 @@ def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None)
 
 
 def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
-    """RGB (n, 3), 0 to 255, of vertices: from the nearest vertex of the scene, or clay if none is near.
+    """Colours (n, 3) of vertices, RGB, 0 to 255: that of the nearest scene vertex, or clay if none is near.
 
     Args:
-        vertices: (n, 3), metres, in the frame of the scene.
-        scene: whose vertices have colours; of one without, and of None, all are clay.
+        vertices: (n, 3), metres, in the scene's frame.
+        scene: a mesh with coloured vertices; without colours, or for None, all vertices are clay-coloured.
     """
     colors = np.tile(np.array(CLAY, np.float64), (len(vertices), 1))
     if scene is None or scene.colors is None:
@@ -68,7 +69,7 @@ def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
 
 
 def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
-    """Points (n, 3) of the surface at most a pixel apart; normals and colours (n, 6)."""
+    """Sample a surface at most a pixel apart: points (n, 3), and normals and colours (n, 6)."""
     corners = mesh_px.vertices[mesh_px.faces]
     bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)
@@ -77,7 +78,7 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
     samples: list[tuple[Float64, Float64]] = []
     for count in np.unique(parts):
         selected = parts == count
-        # The middles of the count * count triangles that a triangle is cut into.
+        # The centres of the count * count small triangles into which a triangle is divided.
         i, j = (each.ravel() for each in np.mgrid[:count, :count])
         up = i + j < count
         a = np.concatenate([i[up] + 1 / 3, i[i + j < count - 1] + 2 / 3]) / count
@@ -94,10 +95,10 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
 def _frame(
     points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
-    """One picture: each pixel shows its nearest point."""
+    """Draw one picture; each pixel shows its nearest point."""
 
     def seen(of: Float64) -> tuple[Float64, Float64, Float64]:
-        """Coordinates right, down and forward for a viewer at an azimuth and elevation."""
+        """Coordinates right, down and forward for a viewer at this azimuth and elevation."""
         (c, s), (level, steep) = turn, tilt
         towards = c * of[:, 0] + s * of[:, 1]
         right = c * of[:, 1] - s * of[:, 0]
@@ -106,7 +107,7 @@ def _frame(
     right, down, forward = seen(points)
     column, row = (np.floor(each + size_px / 2).astype(np.int64) for each in (right, down))
     nearest = np.full(size_px * size_px, np.iinfo(np.int64).max)
-    # Distance in 1/256 pixel above, which point below.
+    # The high bits hold the distance in 1/256 pixel, the low bits the index of the point.
     order = (np.floor((forward + 2 * size_px) * 256).astype(np.int64) << 32) + np.arange(len(points))
     np.minimum.at(nearest, row * size_px + column, order)
     hit = nearest < np.iinfo(np.int64).max
@@ -115,7 +116,7 @@ def _frame(
     length = np.maximum(np.sqrt(facing[0] ** 2 + facing[1] ** 2 + facing[2] ** 2), 1e-9)
     lit = sum(float(to) * each for to, each in zip(LIGHT, facing, strict=True)) / length
     shade = (0.52 + 0.6 * np.clip(lit, 0.0, 1.0)) * (1 - 0.2 * forward[first] / size_px)
-    # Colours as recorded are lit already: they get half of it (chosen from pictures).
+    # Recorded colours already contain shading, so they get half of it (chosen from pictures).
     shade = np.where((looks[first, 3:] == CLAY).all(axis=1), shade, (1 + shade) / 2)
     picture = np.full((size_px * size_px, 3), PAPER, np.float64)
     picture[hit] = shade[:, None] * looks[first, 3:]

@@ -1,7 +1,7 @@
-"""Parse untrusted values, JSON and CSV; their cost is bounded before parsing.
+"""Parse untrusted JSON and CSV, with cost bounded before parsing.
 
-Readers bound the text (`untrusted.py`). Here the parsed size of a short text is bounded: a list in
-JSON takes three characters and fifty bytes of memory.
+Readers limit the length of a text (`untrusted.py`). This module limits the parsed size of a short text: a
+list in JSON takes three characters of text and fifty bytes of memory.
 """
 
 import csv
@@ -14,38 +14,39 @@ from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
 
-# Values in one text: those of a quarter of a million lines of targets.csv, or of a benchmark.json of eleven
-# thousand recordings. Read as a model, a value takes 150 bytes, and an object 700: it counts as three.
+# Most values in a text: those of targets.csv with a quarter of a million lines, or of a benchmark.json with
+# eleven thousand recordings. In a model a value takes 150 bytes, and an object 700: it counts as three
+# values.
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3
-# A key takes 330 bytes where it is first seen: ids of recordings, or pairs.
+# Most different keys: ids of recordings or pairs. A new key takes 330 bytes.
 MOST_KEYS = 300_000
-# One escaped character beyond U+FFFF makes all of a string four bytes wide.
+# Limit of texts with wide characters: one escaped character beyond U+FFFF makes a string four bytes wide.
 WIDE_CHARACTERS = 16 << 20
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
 def strict_json(text: str, most_values: int = MOST_VALUES) -> Any:
-    """`parsed_json` without NaN, infinities and repeated keys."""
+    """Parse JSON, but refuse NaN, infinities and repeated keys; see `parsed_json`."""
     return parsed_json(text, constants=False, most_values=most_values)
 
 
 def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -> Any:
-    """Parse JSON.
+    """Parse JSON of bounded size.
 
     Args:
         text: JSON.
-        constants: accept NaN, Infinity and -Infinity, as many programs write them; of a key that is there
-            twice the last counts.
-        most_values: that it may have; an object counts as three.
+        constants: accept NaN, Infinity and -Infinity, which many programs write; the last of repeated keys is
+            then used.
+        most_values: most values of the text; an object counts as three.
 
     Raises:
-        ValueError: it is malformed, or has too many values or keys; RecursionError: it is nested without end.
+        ValueError: malformed, or too many values or keys. RecursionError: nested too deeply.
     """
     _check_values(text, ",[" + "{" * OBJECT_VALUES, most_values)
     if len(text) > WIDE_CHARACTERS and _FOUR_BYTES.search(text):
         raise ValueError(f"it has more than {WIDE_CHARACTERS} characters, some beyond U+FFFF")
-    if len(text) <= MOST_KEYS:  # which cannot have more keys
+    if len(text) <= MOST_KEYS:  # too short for more keys
         return (_PARSER if constants else _STRICT_PARSER).decode(text)
     counted = _counting(dict if constants else _object)
     return json.JSONDecoder(object_pairs_hook=counted, parse_constant=None if constants else _refuse).decode(
@@ -58,7 +59,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """A JSON object without repeated keys."""
+    """Make a JSON object; refuse repeated keys."""
     values = dict(pairs)
     if len(values) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -69,7 +70,7 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def _counting(
     to_object: Callable[[list[tuple[str, object]]], dict[str, object]],
 ) -> Callable[..., dict[str, object]]:
-    """The same, counting the keys of all objects of a text."""
+    """Wrap `to_object` so that it also limits the keys of all objects of a text."""
     keys = set[str]()
 
     def counted(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -82,16 +83,16 @@ def _counting(
     return counted
 
 
-# To make a parser takes as long as to parse a short text.
+# Kept, because making a parser takes as long as parsing a short text.
 _PARSER = json.JSONDecoder()
 _STRICT_PARSER = json.JSONDecoder(object_pairs_hook=_object, parse_constant=_refuse)
 
 
 def csv_rows(text: str) -> list[list[str]]:
-    """The rows of a CSV text; a line ends in LF or CR LF.
+    """Parse the rows of a CSV text; lines end in LF or CR LF.
 
     Raises:
-        ValueError: it is malformed, or has too many values; the message names the line, from 1.
+        ValueError: malformed, or too many values; the message names the line, from 1.
     """
     _check_values(text, ",\n")
     reader, rows, first_line = csv.reader(io.StringIO(text), strict=True), list[list[str]](), 0
@@ -109,6 +110,6 @@ def csv_rows(text: str) -> list[list[str]]:
 
 
 def _check_values(text: str, signs: str, most: int = MOST_VALUES) -> None:
-    """Refuse a text with too many separators of values."""
+    """Refuse a text with too many separators between values."""
     if len(text) > most and sum(text.count(sign) for sign in signs) > most:
         raise ValueError(f"it has more than {most} values")

@@ -1,4 +1,4 @@
-"""A recording with its rolling shutter undone: its images as a global shutter would take them."""
+"""A recording with its rolling shutter undone: images as a global shutter would record them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,19 +16,19 @@ from kinectbench.core.geometry.rolling_shutter import (
 from kinectbench.core.sequence import FrameStore, Sequence, depth_in_metres
 from kinectbench.core.types import Bools, Float32
 
-# Colour that was moved is encoded without loss, and quickly.
+# Corrected colour is encoded without loss, at a fast level.
 PNG_LEVEL = 1
 
 
 @dataclass(frozen=True)
 class UprightFrames:
-    """The frames of a recording, depth and registered colour moved to the middle of each frame's time.
+    """The frames of a recording, with depth and registered colour moved to the middle of each readout.
 
     Attributes:
-        frames: as they were recorded.
-        camera: of them.
+        frames: the frames as recorded.
+        camera: intrinsics of the frames.
         depth_scale: native units per metre.
-        shutter: the shutter to undo.
+        shutter: the rolling shutter to undo.
         color_registered: colour pixels lie on depth pixels; other colour stays as it is.
     """
 
@@ -46,7 +46,7 @@ class UprightFrames:
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Corrected colour of one frame, registered to its depth: (suffix, bytes), or None."""
+        """Colour of one frame, corrected if it is registered to depth: (suffix, bytes), or None."""
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter
@@ -58,7 +58,7 @@ class UprightFrames:
         return ".png", cv2.imencode(".png", moved, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])[1].tobytes()
 
     def mask(self, index: int, mask: Bools) -> Bools:
-        """A mask (height, width) of a frame as it was recorded, as one of its upright depth."""
+        """Correct a mask (height, width) of a recorded frame, to match the corrected depth."""
         shutter = self.shutter
         if not shutter.readout_s:
             return mask
@@ -70,7 +70,7 @@ class UprightFrames:
 
 
 def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
-    """The same recording with its rolling shutter undone, masks included; unchanged for None."""
+    """The recording with its rolling shutter undone, masks included; unchanged if `shutter` is None."""
     if shutter is None:
         return sequence
     frames = UprightFrames(
@@ -81,13 +81,13 @@ def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
 
 
 def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> Callable[[int], Bools | None]:
-    """Masks of recorded frames, for a sequence that may have its rolling shutter undone."""
+    """Adapt masks of recorded frames to a sequence, whose rolling shutter may have been undone."""
     frames = sequence.frames
     if not isinstance(frames, UprightFrames):
         return masks
 
     def moved(index: int) -> Bools | None:
-        """The mask of a frame: (height, width) bool, or None if it has none."""
+        """The corrected mask of a frame: (height, width) bool, or None without mask."""
         mask = masks(index)
         return None if mask is None else frames.mask(index, mask)
 

@@ -1,4 +1,4 @@
-"""Untrusted zip files: the end record bounds the content before the directory is read."""
+"""Open untrusted zip files: the end record limits the content before the directory is read."""
 
 import os
 import struct
@@ -6,17 +6,17 @@ import zipfile
 import zlib
 from typing import IO
 
-# The end record, the locator of the one for large files (zip64), and that: see APPNOTE, 4.3.14 to 16.
+# The end record, the locator of the zip64 end record, and that record: see APPNOTE, 4.3.14 to 16.
 _END, _LOCATOR, _END_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 _END_BYTES, _LOCATOR_BYTES, _END_64_BYTES = 22, 20, 56
-# The format counts its bytes in 16 bits.
+# The format stores the length of a comment in 16 bits.
 MOST_COMMENT_BYTES = 0xFFFF
-# A file's row in the directory: 46 bytes, its name and times (chosen here; ours have no long names).
+# Largest row of the directory: 46 bytes, the file's name and times (chosen here; our names are short).
 ROW_BYTES = 1 << 10
-# By how much the directory of a few files may be larger.
+# Bytes that the directory may have in addition, for zips of few files.
 SLACK_BYTES = 64 << 10
-# What zipfile raises of a damaged zip. NotImplementedError: an unknown compression; RuntimeError: encrypted;
-# ValueError and OverflowError: sizes and places that no file has. Of a file there are OSErrors besides.
+# Errors of zipfile on a damaged zip. NotImplementedError: unknown compression; RuntimeError: encrypted;
+# ValueError and OverflowError: impossible sizes and offsets. Reading may raise OSErrors as well.
 DAMAGED_ZIP = (
     zipfile.BadZipFile,
     zlib.error,
@@ -32,18 +32,18 @@ DAMAGED_ZIP = (
 def open_zip(
     file: IO[bytes], most_files: int, most_bytes: int | None = None, row_bytes: int = ROW_BYTES
 ) -> zipfile.ZipFile:
-    """Open a zip after checking its directory; the entries are not checked.
+    """Open a zip file after checking its directory; the entries are not checked.
 
     Args:
-        file: open to read; it stays open.
-        most_files: a zip of more is refused before its directory is read.
-        most_bytes: a zip whose files claim more together, unpacked, is refused; None: who reads
-            them bounds them.
-        row_bytes: of the directory, for each file that it may hold.
+        file: open for reading; it stays open.
+        most_files: a zip of more files is refused before its directory is read.
+        most_bytes: a zip with a larger unpacked total, as it states, is refused; None: the caller limits what
+            it reads.
+        row_bytes: largest size of the directory per file.
 
     Raises:
-        ValueError: it holds more; the message says what.
-        zipfile.BadZipFile: it is not a zip, or its directory is damaged.
+        ValueError: the zip exceeds a limit; the message says which.
+        zipfile.BadZipFile: the file is not a zip, or its directory is damaged.
     """
     count, directory_bytes = _listed(file)
     if count > most_files:
@@ -64,9 +64,9 @@ def open_zip(
 
 
 def _listed(file: IO[bytes]) -> tuple[int, int]:
-    """The number of files and size of the directory, from the zip's end record.
+    """The number of files and the size of the directory, from the end record.
 
-    It is found as zipfile does, where the record for large files lies right before its locator.
+    Like zipfile, it expects the zip64 record right before its locator.
     """
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - _END_BYTES - MOST_COMMENT_BYTES - 1))

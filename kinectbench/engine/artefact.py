@@ -1,4 +1,4 @@
-"""Build artefacts with a fingerprint of all their inputs, and hashes of sources.
+"""Artefacts of a build, each with a fingerprint of all its inputs; and hashes of recordings' files.
 
 An artefact is a folder that one stage makes.
 """
@@ -18,18 +18,18 @@ from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, replaced_folder, sha256_file, sha256_text
 
 FORMAT_VERSION = 1
-# A larger file of which the disk holds so much less is mostly a hole; file systems that compress make a
-# recording less than ten times smaller.
+# A file from this size on whose disk usage is less than its size by this factor is mostly a hole. Compressing
+# file systems make a recording less than ten times smaller.
 HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 
-# Versions of files that are kept on disk and reused. Artefacts of another version are made again; those
-# of the same version are kept, whatever the package's version. A change of an algorithm's output
-# raises its version here by one. A change that only reaches it by its inputs does not: their versions say so.
+# Versions of files that are kept on disk and reused. Artefacts of another version are made again; those of
+# the same version are kept, whatever the package's version. A change of an algorithm's output raises its
+# version here by one. If the output changes only through an input, that input's version is raised instead.
 # A test finds a forgotten version by one small sample (`tests/support/stage_sample.py`): a recording of one
 # format, with trusted, refined and tracked poses, with and without a box and masks; baselines and scores of
-# simple shapes. It does not see what only other formats, scenes or settings would show.
-# The stages of a build; then what stands beside them or on them: candidates of boxes, releases, synthetic
-# models, tables of scores, and the predictions of baselines.
+# simple shapes. It misses changes that need other formats, scenes or settings.
+# First the stages of a build; then candidates of boxes, releases, synthetic models, tables of scores, and the
+# predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 13,
     "track": 14,
@@ -48,20 +48,20 @@ VERSIONS: dict[str, int] = {
 def fingerprint(
     stage: str, version: int, settings: Mapping[str, JsonValue], inputs: Mapping[str, str]
 ) -> str:
-    """Fingerprint of what this version of a stage makes from these settings and inputs."""
+    """The fingerprint of a stage's output: a hash of its version, settings and inputs."""
     return sha256_text(canonical_json([FORMAT_VERSION, stage, version, settings, inputs]))
 
 
 @dataclass(frozen=True)
 class Artefact:
-    """A folder that one stage makes.
+    """A folder that one stage makes, and what identifies its content.
 
     Attributes:
-        folder: where it lies.
+        folder: path of the folder.
         stage: name of the stage.
-        version: of the stage's output.
+        version: version of the stage's output.
         settings: the settings it depends on, as plain JSON values.
-        inputs: fingerprint of each thing it is made from.
+        inputs: fingerprint of each input, by name.
     """
 
     folder: Path
@@ -72,11 +72,11 @@ class Artefact:
 
     @cached_property
     def fingerprint(self) -> str:
-        """The manifest content that identifies the artefact in a folder."""
+        """The hash that identifies this artefact; the folder's manifest holds it."""
         return fingerprint(self.stage, self.version, self.settings, self.inputs)
 
     def is_current(self) -> bool:
-        """Whether the folder holds this very artefact, with every file present at its size."""
+        """Whether the folder holds this artefact, with every file present at its size."""
         manifest = whole_manifest(self.folder)
         return manifest is not None and manifest.fingerprint == self.fingerprint
 
@@ -107,12 +107,12 @@ class Artefact:
 
 
 def whole_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder with every file at its size; None if a file is missing."""
-    if not folder.is_dir():  # as of most stages of thousands of recordings before they are built
+    """The manifest of a folder if every file is present at its size; else None."""
+    if not folder.is_dir():  # usual before a build; this test is fast
         return None
     try:
         manifest = Manifest.read(folder)
-        # By texts: to join paths takes longer than to look at the files.
+        # Strings, because joining paths takes longer than reading the sizes.
         sizes = {name: os.stat(f"{folder}{os.sep}{name}").st_size for name in manifest.files}  # noqa: PTH116
     except (OSError, StorageError):
         return None
@@ -120,14 +120,14 @@ def whole_manifest(folder: Path) -> Manifest | None:
 
 
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
-    """Hash of the names and contents of files.
+    """Hash the names and contents of files.
 
-    Contents are hashed once: a file with the size and modification time in the cache is not read again.
+    A file whose size and modification time are in the cache is not read again.
 
     Args:
         files: the files.
-        root: names are taken relative to it (so that moving the recording changes nothing).
-        cache: the folder to keep sizes, times and hashes in; None: hash every time.
+        root: names are relative to it, so that moving the recording changes nothing.
+        cache: folder that keeps sizes, times and hashes; None: no cache.
 
     Raises:
         RecordingError: a file cannot be read, or is mostly a hole.
@@ -155,18 +155,18 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
 
 def whole_hash(sources: Sources) -> str:
-    """Hash of the names and known content hashes of files."""
+    """Hash the names and the known content hashes of files."""
     return sha256_text(canonical_json(sources.sha256))
 
 
 def _relative(path: Path, root: Path) -> str:
-    """The name of a file, relative to its recording's path; "" if it is that."""
+    """The name of a file relative to its recording's path; "" for the path itself."""
     if path == root:
         return ""
     whole, above = str(path), f"{root}{os.sep}"
     if whole.startswith(above):
         return whole.removeprefix(above)
-    return Path(os.path.relpath(path, root)).as_posix()  # it lies beside, or the root is "."
+    return Path(os.path.relpath(path, root)).as_posix()  # the file is beside the root, or the root is "."
 
 
 def _refuse_holes(path: Path, stat: os.stat_result) -> None:
@@ -179,7 +179,7 @@ def _refuse_holes(path: Path, stat: os.stat_result) -> None:
 
 
 def _known(folder: Path) -> dict[str, SourceFile]:
-    """The content of the cache; empty if it is damaged."""
+    """The content of the cache; empty if the cache is damaged."""
     try:
         return Sources.read(folder).files
     except StorageError:

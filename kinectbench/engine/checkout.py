@@ -1,7 +1,7 @@
-"""Checks out a recording whose benchmark lies in a store: copies what is needed into a local folder.
+"""Check out a recording whose benchmark is in a store: copy the needed files into a local folder.
 
-Nothing is locked there. `sources/` keeps the hashes of a recording's files by the store's listing
-of them, so that current artefacts are known without fetching the recording.
+The store has no locks. `sources/` keeps the hashes of a recording's files, by a hash of the store's listing,
+so that current artefacts are recognised without downloading the recording.
 """
 
 import contextlib
@@ -26,21 +26,21 @@ from kinectbench.stages.ingest.readers.seven_scenes import names_beside
 from kinectbench.stages.ingest.sources import MOST_FILES
 
 SOURCES = "sources"
-# A failed.json, which has a line of text.
+# Largest failed.json, which holds a line of text.
 MOST_FAILED_BYTES = 1 << 20
 Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class Checkout:
-    """A recording of a store and its local folder.
+    """A recording from a store, and its local folder.
 
     Attributes:
-        store: of the benchmark's root.
-        job: the recording, below a scratch folder of this machine.
-        artefacts: of the stages in question, by their names.
-        current: names of those stages that the store holds.
-        built: names of all that the store has below `build/<recording>/`.
+        store: store of the benchmark's root.
+        job: the recording, in a local scratch folder.
+        artefacts: the artefacts of the requested stages, by stage.
+        current: names of those stages whose artefacts are in the store.
+        built: names of all files in the store below `build/<recording>/`.
         failed: whether the store holds a failed.json.
     """
 
@@ -58,13 +58,13 @@ def nobody(stage: str, done: int, total: int) -> None:
 
 @contextlib.contextmanager
 def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Iterator[Checkout]:
-    """A recording of a store, with a local folder within the block; nothing built is fetched yet.
+    """Check out a recording into a local folder for the time of the block; artefacts are not downloaded yet.
 
-    The recording itself is fetched only if the hashes of its files are not known.
+    The recording is downloaded only if the hashes of its files are not stored.
 
     Raises:
-        SettingsError: its path is none that a store can have.
-        RecordingError: it is not there, or is none.
+        SettingsError: the recording's path cannot exist in a store.
+        RecordingError: the recording is missing, or is no recording.
         StorageError: the store fails.
     """
     with scratch_folder() as root, named_as_there(store_of(job), root):
@@ -72,7 +72,7 @@ def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Itera
 
 
 def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody) -> Checkout:
-    """`checked_out` in an existing folder."""
+    """Check out a recording into an existing folder; see `checked_out`."""
     listing, job = _listing(job), replace(job, root=root)
     recording = _of_known_files(listing, job, upto)
     if recording is not None:
@@ -88,13 +88,13 @@ def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody)
 
 @dataclass(frozen=True)
 class _Listing:
-    """The store's listings of a recording.
+    """The listings of a recording in the store.
 
     Attributes:
-        store: of the benchmark's root.
-        files: its own.
-        built: names of all below `build/<recording>/`.
-        sources: where the hashes of its files lie if they are known.
+        store: store of the benchmark's root.
+        files: the recording's files.
+        built: names of all files below `build/<recording>/`.
+        sources: name of the file for the hashes of the recording's files.
     """
 
     store: Store
@@ -118,7 +118,7 @@ def _listing(job: Job) -> _Listing:
 
 
 def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
-    """The recording with the hashes kept in the store; None if nobody has hashed its files yet."""
+    """Check out a recording by its stored hashes; None if its files have not been hashed yet."""
     if listing.sources not in listing.built:
         return None
     text = listing.store.read(listing.sources)
@@ -128,7 +128,7 @@ def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
 
 
 def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
-    """The recording with its other inputs: a person's masks, a reference mesh, and its last failure."""
+    """Check out a recording with its masks, its reference mesh, and its last failure."""
     store, name = listing.store, job.recording.id
     if job.masks is not None:
         fetch_files(store, job.root, store.objects(str(job.recording.masks)))
@@ -144,9 +144,9 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The stages of a recording in its store, and why its last run failed; downloads nothing.
+    """The current stages of a recording in its store, and why its last run failed; downloads no recording.
 
-    Of a recording whose files have not been hashed none is known to be current.
+    If the recording's files have not been hashed, no stage is known to be current.
     """
     try:
         listing = _listing(job)
@@ -170,7 +170,7 @@ def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], repo
 def fetch_files(
     store: Store, root: Path, listed: Sequence[StoredObject], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files to the same names below a folder; hidden ones are skipped."""
+    """Download files to the same names below a folder; hidden files are skipped."""
     seen = [each for each in listed if not _hidden(each.name)]
     try:
         files = [(each.name, below(root, each.name), each.size) for each in seen]
@@ -181,17 +181,17 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """A recording's files in the store: the file, or all below the folder and known files beside it."""
+    """List a recording's files in the store: one file, or all below its folder and known files beside it."""
     path = PurePosixPath(job.recording.path)
     if path.is_absolute():
-        return []  # on a disk that every machine has
+        return []  # on a disk that all machines share
     if ".." in path.parts or not path.parts:
         raise SettingsError(
             f"recordings.{job.recording.id}.path: '{printable(str(path))}' leads out of {store.place()}; "
             "recordings of a benchmark in a store lie below it",
             what="outside-folder",
         )
-    clicked = str(path / PICK_FILE)  # none of its files, as in `source_files`
+    clicked = str(path / PICK_FILE)  # not part of the recording, as in `source_files`
     objects = store.objects(str(path), MOST_FILES)
     listed = [each for each in objects if not _hidden(each.name) and each.name != clicked]
     if listed:
@@ -208,9 +208,9 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """The name for the hashes of a recording's files, from the store's listing of them.
+    """The name of the stored hashes of a recording's files; it depends on the store's listing of the files.
 
-    Another version of ingest may read other files.
+    It also depends on the version of ingest, which may read other files.
     """
     rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
     listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))
@@ -223,7 +223,7 @@ def _hidden(name: str) -> bool:
 
 @contextlib.contextmanager
 def named_as_there(store: Store, root: Path) -> Iterator[None]:
-    """Within the block, errors name the store in place of the scratch folder."""
+    """Make errors within the block name the store instead of the scratch folder."""
     try:
         yield
     except KinectBenchError as error:
@@ -231,9 +231,9 @@ def named_as_there(store: Store, root: Path) -> Iterator[None]:
 
 
 def as_there(store: Store, root: Path, text: str) -> str:
-    """A message with the store's names in place of those of a local folder.
+    """Replace the names of a local folder in a message by the store's names.
 
-    A disk of this machine that cannot be written keeps its own name.
+    Only a message that the local disk cannot be written keeps the local name.
     """
     own = f"{SCRATCH_VARIABLE}={root}" if text.endswith(UNTOUCHED) else store.place()
     return text.replace(str(root), own)

@@ -1,7 +1,7 @@
-"""A cluster as an executor: Dask's scheduler assigns tasks to workers, local or remote.
+"""A cluster as an executor: Dask's scheduler assigns tasks to local or remote workers.
 
-The scheduler keeps only running tasks: results are on disk. If any part of the cluster
-dies, the same command resumes.
+The scheduler keeps only running tasks; results are on disk. If any part of the cluster dies, the same command
+continues the work.
 """
 
 import asyncio
@@ -32,18 +32,19 @@ WANTED = (
 )
 TLS_HINT = "; Dask's settings distributed.comm.tls name the files: ca-file, client.cert, client.key"
 MISSING = "--cluster needs Dask; install it by `pip install 'kinectbench[cluster]'`"
-# A scheduler's file has some hundred bytes, and some hundred more for each worker.
+# Largest scheduler file: it has some hundred bytes, and some hundred more for each worker.
 MOST_FILE_BYTES = 64 << 20
-# Seconds: between two looks at the workers; without a scheduler's answer; without any worker; until Dask's
-# page answers.
+# Seconds: between two requests for the workers; until the scheduler must answer; without any worker until
+# giving up; until Dask's page must answer.
 LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
-# Seconds without an answer of a scheduler that has answered before: a busy one may be silent for a minute.
+# Seconds of silence after which a scheduler that had answered is given up: a busy one is silent for
+# up to a minute.
 SILENT_S = 300.0
-# A worker that was killed is started again by its nanny within seconds; after this it is gone.
+# A nanny restarts a killed worker within seconds; after this time the worker is gone.
 RESTART_S = 60.0
-# Of a scheduler that is started here; docs/cluster.md says how others are given them. Three tries; a worker
-# that is silent for 20 minutes is dead: compiled code may hold the interpreter's lock for minutes. Tasks hold
-# their arrays themselves, so that Dask has nothing to spill.
+# Settings of a local scheduler; docs/cluster.md describes those of others. A task has three tries. A worker
+# is dead after 20 minutes of silence: compiled code may hold the interpreter's lock for minutes. Tasks hold
+# their arrays themselves, so Dask has nothing to spill.
 OF_LOCAL = {
     "distributed.scheduler.allowed-failures": 2,
     "distributed.scheduler.worker-ttl": "20 minutes",
@@ -61,13 +62,13 @@ def cluster(address: str) -> Iterator["Cluster"]:
         address: `tcp://HOST:PORT`, `tls://HOST:PORT`, a scheduler's file, or `local:N`.
 
     Raises:
-        SettingsError: it is something else, or Dask is not installed.
+        SettingsError: the address has another form, or Dask is not installed.
         ClusterError: no scheduler answers there.
     """
     local = re.fullmatch(r"local:([1-9][0-9]{0,3})", address)
     end = time.monotonic() + CONNECT_S
     while address.endswith(".json") and not Path(address).is_file() and time.monotonic() < end:
-        time.sleep(0.1)  # a scheduler that is just being started
+        time.sleep(0.1)  # the scheduler may be starting
     if not local and not re.fullmatch(r"(tcp|tls)://.+:[0-9]{1,5}", address):
         _check_scheduler_file(address)
     try:
@@ -78,7 +79,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
         try:
             with interrupts_held():
                 client = _connected(address, int(local[1]) if local else 0, stack)
-        except Exception as error:  # of Dask's many kinds
+        except Exception as error:  # Dask has many kinds
             first: BaseException = error
             while first.__cause__ is not None:
                 first = first.__cause__
@@ -91,7 +92,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
 
 
 def _check_scheduler_file(address: str) -> None:
-    """Refuse a value that is neither an address nor a scheduler file."""
+    """Check that the address is a scheduler file; raise an error otherwise."""
     option = f"--cluster {printable(address, 200)}"
     if not Path(address).is_file():
         missing = "no such file; " if address.endswith(".json") else ""
@@ -105,19 +106,19 @@ def _check_scheduler_file(address: str) -> None:
 
 
 def _connected(address: str, local: int, stack: ExitStack) -> "Client":
-    """A client of the scheduler at an address, or of a new local one with this many processes."""
+    """Connect to the scheduler at an address, or start a local one with `local` processes."""
     from distributed import Client, LocalCluster
 
-    _be_quiet()  # not before: the levels of its loggers are set when it is imported
+    _be_quiet()  # after the import, which sets the levels of loggers
 
     class OwnClient(Client):  # type: ignore[misc]
-        """Waits for a scheduler for a limited time; we close it.
+        """A client that waits a limited time for a scheduler; it is closed explicitly.
 
-        At its own end one that never connected waits for 40 s and prints a traceback.
+        When Dask's own client ends without a connection, it waits for 40 s and prints a traceback.
         """
 
         async def _start(self, **how: object) -> None:
-            # To connect, to be greeted and to be known; of these Dask limits only the first.
+            # Connecting, greeting and registering together; Dask limits only the first.
             try:
                 await asyncio.wait_for(super()._start(**how), 3 * CONNECT_S)
             except TimeoutError:
@@ -134,7 +135,7 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
         local_cluster = LocalCluster(
             n_workers=local,
             threads_per_worker=1,
-            memory_limit=0,  # as much as there is, like the pool's processes
+            memory_limit=0,  # no limit, like the pool's processes
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
@@ -147,7 +148,7 @@ def _connected(address: str, local: int, stack: ExitStack) -> "Client":
 
 
 def _be_quiet() -> None:
-    """Silence Dask's logs: we report errors ourselves, in one line."""
+    """Silence Dask's logs: this package reports errors itself, in one line."""
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -155,7 +156,7 @@ def _be_quiet() -> None:
 
 
 class Cluster:
-    """The workers of a Dask scheduler; one task for each of their threads at a time."""
+    """The workers of a Dask scheduler; each of their threads runs one task at a time."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client, self._address = client, address
@@ -165,20 +166,20 @@ class Cluster:
 
     @property
     def dashboard(self) -> str:
-        """Address of Dask's dashboard; "" if it does not answer.
+        """Address of Dask's dashboard; "" if the dashboard does not answer.
 
-        The scheduler names an address also where it was started with `--no-dashboard` (404), and answers
-        without `bokeh` that it needs it.
+        The scheduler gives an address even if it was started with `--no-dashboard` (the page is then 404), or
+        lacks `bokeh` (the page then asks for it).
         """
         try:
             link = str(self._client.dashboard_link)
             with build_opener(ProxyHandler({})).open(link, timeout=DASHBOARD_S) as answer:
                 return "" if b"needs bokeh" in answer.read(500) else link
-        except Exception:  # of Dask's many kinds, and of HTTP's
+        except Exception:  # Dask and HTTP have many kinds
             return ""
 
     def slots(self) -> int:
-        """The number of worker threads, at most a second old."""
+        """The number of worker threads, at most a second ago."""
         self._look()
         return self._slots
 
@@ -191,14 +192,14 @@ class Cluster:
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """See `Executor`. A task whose workers were killed is tried once more at the end, alone.
+        """Run tasks; see `Executor`. A task whose workers were killed is tried again at the end, alone.
 
         Args:
-            function: of the task.
-            tasks: to run.
+            function: computes a task's result.
+            tasks: the tasks to run.
             listener: receives the messages.
-            memory_gb: expected memory of a task, where workers have a resource `memory_gb`; alone it
-                may have twice as much.
+            memory_gb: expected memory of a task, GB; used if workers have a resource `memory_gb`. A task that
+                runs alone may use twice as much.
             slowest_twice: see `Executor`.
         """
         run = Run(self._client, self.largest_gb, self.gone, function, tasks, listener, memory_gb)
@@ -218,12 +219,12 @@ class Cluster:
             run.close()
 
     def largest_gb(self) -> float:
-        """The largest resource `memory_gb` of a worker in the last minute; 0: no worker has it."""
+        """The largest resource `memory_gb` of a worker in the last minute; 0 if no worker has one."""
         self._look()
         return self._largest_gb
 
     def gone(self) -> ClusterError:
-        """The message for a scheduler that has stopped answering."""
+        """The error for a scheduler that has stopped answering."""
         return ClusterError(
             f"--cluster {self._address}: lost the scheduler; start it again and run the same command again: "
             "what is done is kept",
@@ -236,7 +237,7 @@ class Cluster:
             return
         try:
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        except Exception as error:  # of Dask's many kinds
+        except Exception as error:  # Dask has many kinds
             raise self.gone() from error
         if self._client.status != "running":
             raise self.gone()

@@ -1,4 +1,4 @@
-"""Tasks on a cluster: submits them, receives messages, resubmits them if a worker dies."""
+"""Run tasks on a cluster: submit them, receive messages, and submit them again if a worker dies."""
 
 import pickle
 import time
@@ -20,30 +20,30 @@ KILLED_ALONE = (
     "its worker was killed although no other recording ran, perhaps for lack of memory; start workers with "
     "more memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
 )
-# Seconds: until an ended task's result comes; for which what happens is waited for at a time.
+# Seconds: until the result of a finished task must arrive; of one wait for an event.
 RESULT_S, LISTEN_S = 20.0, 1.0
 
 
 @dataclass
 class Run(Generic[Task, Result]):
-    """The tasks of one call of `Cluster.outcomes`, by their numbers.
+    """The state of one call of `Cluster.outcomes`; tasks are identified by their index.
 
     Attributes:
-        client: of the scheduler.
-        largest_gb: the largest resource `memory_gb` of a worker.
-        gone: the message for a scheduler that has stopped answering.
-        function: of a task.
-        tasks: all of them.
+        client: client of the scheduler.
+        largest_gb: returns the largest resource `memory_gb` of a worker.
+        gone: returns the error for a scheduler that has stopped answering.
+        function: computes a task's result.
+        tasks: all tasks.
         listener: receives the messages.
-        memory_gb: expected memory of a task.
-        events: what tasks and the scheduler say, and the futures that have ended.
-        running: number of a task by its future; two of one that is tried twice.
-        asked_gb: what each was submitted with.
-        submitted_s: when each was submitted first, by `time.monotonic`.
-        seconds: how long those took that have ended.
-        alone: those that may have nothing beside them.
-        killed: those that are to be tried alone.
-        orphaned: those whose worker went: when, and how.
+        memory_gb: expected memory of a task, GB.
+        events: messages of tasks and of the scheduler, and futures that have ended.
+        running: index of the task of each running future; a task that runs twice has two futures.
+        asked_gb: memory requested for each submitted task.
+        submitted_s: time of the first submission of each task, by `time.monotonic`.
+        seconds: durations of the finished tasks.
+        alone: tasks that may have no other task beside them.
+        killed: tasks to be tried again, alone.
+        orphaned: tasks whose worker has gone: when, and how.
     """
 
     client: "Client"
@@ -70,18 +70,18 @@ class Run(Generic[Task, Result]):
         self.versions = package_versions()
 
     def submit(self, number: int, *, alone: bool = False) -> None:
-        """Give a task to the scheduler."""
+        """Submit a task to the scheduler."""
         task, largest_gb = self.tasks[number], self.largest_gb()
         asked_gb = 0.0
         if self.memory_gb is not None and largest_gb:
             asked_gb = min(self.memory_gb(task) * (2 if alone else 1), largest_gb)
         self.asked_gb[number] = asked_gb
-        packed = pickle.dumps((self.function, task))  # only a worker may unpack it: it may be what kills one
+        packed = pickle.dumps((self.function, task))  # a worker unpacks it, as that may kill it
         how = {"pure": False, "resources": {"memory_gb": asked_gb} if asked_gb else None}
         key = f"{self.topic}-{number}-{time.monotonic_ns()}"
         try:
             future = self.client.submit(call, packed, self.topic, self.versions, key=key, **how)
-        except Exception as error:  # the scheduler went since it was looked at
+        except Exception as error:  # the scheduler has gone since the last request
             raise self.gone() from error
         self.running[future] = number
         self.submitted_s.setdefault(number, time.monotonic())
@@ -90,7 +90,7 @@ class Run(Generic[Task, Result]):
         future.add_done_callback(self.events.put)
 
     def ask_for_less(self) -> None:
-        """Resubmit tasks that request more memory than any remaining worker has."""
+        """Submit tasks again with less memory if they request more than any remaining worker has."""
         largest_gb = self.largest_gb()
         for future, number in list(self.running.items()):
             if self.asked_gb[number] > largest_gb:
@@ -99,7 +99,7 @@ class Run(Generic[Task, Result]):
                 self.submit(number, alone=number in self.alone)
 
     def submit_slowest(self) -> None:
-        """Give the longest running task to a second worker, if it is slower than most were."""
+        """Submit the longest running task to a second worker, if it takes twice the usual time."""
         copies = Counter(self.running.values())
         single = [number for number, count in copies.items() if count == 1 and number not in self.alone]
         slowest = min(single, key=self.submitted_s.__getitem__, default=None)
@@ -108,7 +108,7 @@ class Run(Generic[Task, Result]):
             self.submit(slowest)
 
     def ended(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
-        """Wait a moment for what happens, and yield the tasks that have ended."""
+        """Wait a moment for an event, and yield the tasks that have ended."""
         self._tell_orphaned()
         try:
             event = self.events.get(timeout=LISTEN_S)
@@ -122,10 +122,10 @@ class Run(Generic[Task, Result]):
             return
         number = self.running.pop(event, None)
         if number is None:
-            return  # the copy of a task that was faster elsewhere
+            return  # another copy of the task was faster
         try:
             outcome = self._outcome(event, number)
-        except TimeoutError:  # its worker died with the result, which is made again, or is slow to answer
+        except TimeoutError:  # its worker is slow, or died: Dask then repeats the task
             self.running[event] = number
             event.add_done_callback(self.events.put)
             return
@@ -139,7 +139,7 @@ class Run(Generic[Task, Result]):
         yield self.tasks[number], outcome
 
     def _note_orphaned(self, event: dict[str, Any]) -> None:
-        """Record the tasks of a worker that the scheduler reports as gone."""
+        """Record the tasks of a worker that the scheduler reports as removed."""
         if event.get("action") != "remove-worker":
             return
         gone = {*event.get("processing-tasks", ()), *event.get("lost-computed-tasks", ())}
@@ -149,7 +149,7 @@ class Run(Generic[Task, Result]):
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
     def _tell_orphaned(self, ended: int | None = None) -> None:
-        """Warn of workers that were lost a moment ago, and of the lost worker of the ended task."""
+        """Warn about workers that were lost a moment ago, and about the lost worker of the ended task."""
         for number, (since, why) in list(self.orphaned.items()):
             if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
@@ -157,10 +157,10 @@ class Run(Generic[Task, Result]):
                 self.listener.warn(line, self.tasks[number])
 
     def _outcome(self, future: "Future", number: int) -> Result | WorkerLost | None:
-        """The outcome of a task; None if it is retried at the end, or runs elsewhere.
+        """The outcome of a task; None if the task is tried again at the end, or runs elsewhere.
 
         Raises:
-            TimeoutError: its result does not come; the future ends again.
+            TimeoutError: the result does not arrive; the future will end again.
         """
         from distributed.scheduler import KilledWorker, NoValidWorkerError
 
@@ -195,7 +195,7 @@ class Run(Generic[Task, Result]):
             ) from error
 
     def close(self) -> None:
-        """Cancel the remaining tasks; those without a killable process end unobserved."""
+        """Cancel the remaining tasks; tasks that cannot be killed end unobserved."""
         for future in self.running:
             future.cancel()
         self.running.clear()

@@ -1,8 +1,8 @@
-"""The images of a person's masks: masks.json names them, and a mask of another image is refused.
+"""Check that a person's masks are used on the images they were drawn on, which masks.json records.
 
-A mask without an entry belongs to the images in `build/` when it is first seen, before anything is made
-again; without a build, on the frame of its number. A view's number alone says nothing: views change. Nor does
-the frame alone: its pictures among the views change with the poses and the corrections of its depth.
+A mask without an entry is first recorded as drawn on the images in `build/`, before these are made again;
+without a build, on the frame that its name gives. Neither a view's number nor a frame's identifies an image:
+views change, and the pictures of a frame change with the poses and with the corrections of its depth.
 """
 
 import contextlib
@@ -30,23 +30,23 @@ OTHERS_DRAWN = (
     "drawn on other pictures than the views of these frames are now, by other poses or another correction"
 )
 VIEWS_DRAWN = "`segment_by: masks` takes masks of frames as they were recorded, and these were drawn on views"
-# Temporary name of a mask during renaming: its old name between these.
+# Temporary name of a mask that is being renamed: its old name between these two.
 CARRIED = (".", ".carried")
 
 
 class Shown(NamedTuple):
-    """A view, and the frame that it shows."""
+    """The name of a view, and the frame that it shows."""
 
     name: str
     frame: int
 
 
 class Carried(NamedTuple):
-    """The outcome of carrying masks over.
+    """The result of renaming masks to the frames they were drawn on.
 
     Attributes:
-        moved: (old name, new name) of each that has another name now.
-        left: one line for each that could not be carried over.
+        moved: (old name, new name) of each renamed mask.
+        left: one line for each mask that could not be renamed.
     """
 
     moved: tuple[tuple[str, str], ...]
@@ -58,11 +58,11 @@ class DrawnMasks:
     """The masks that a person drew for a recording.
 
     Attributes:
-        recording: its id.
-        folder: where they lie.
-        names: what each file's name says.
-        entries: by file name, the image of each mask, if known.
-        of_recorded: they are of frames as they were recorded, not of the pictures of views.
+        recording: id of the recording.
+        folder: folder of the masks.
+        names: the parsed name of each file.
+        entries: the image that each mask was drawn on, if known, by file name.
+        of_recorded: the masks are of frames as recorded, not of pictures of views.
     """
 
     recording: str
@@ -73,11 +73,11 @@ class DrawnMasks:
 
     @classmethod
     def of(cls, job: Job) -> Self | None:
-        """The masks in the folder that benchmark.yaml names or is advised to name; or None.
+        """The masks in the folder that benchmark.yaml names, or the default folder; None without masks.
 
         Raises:
             StorageError: masks.json is damaged.
-            SettingsError: a run that renamed masks was killed, and some have no name of a mask.
+            SettingsError: a run was killed while it renamed masks, and some have no valid name.
         """
         folder = job.masks or job.unused_masks
         if folder is None or not folder.is_dir():
@@ -96,19 +96,19 @@ class DrawnMasks:
         return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on, by_frames)
 
     def bound_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
-        """Write down which images and pictures in `build/<recording>/` masks without an entry were drawn on.
+        """Record the images and pictures of `build/<recording>/` as the ones that new masks were drawn on.
 
-        It comes before anything is made again: the person saw the existing content.
+        This runs before anything is made again, because the person saw the existing pictures.
 
         Returns:
-            The masks with what was written; lines to tell: the frames that those named by views are for.
+            The masks with the new entries, and lines to print: the frames assumed for masks named by views.
         """
         new = [file for file in self.names if file not in self.entries]
         manifest = whole_manifest(build / "sequence") if new else None
         if manifest is None:
             return self, ()
         entries, seen = dict[str, DrawnOn](), list[str]()
-        with contextlib.suppress(KinectBenchError):  # a damaged build has no image of a mask
+        with contextlib.suppress(KinectBenchError):  # a damaged build has no images
             sequence = read_sequence(build / "sequence")
             shown = _shown_of(build / "views", manifest.fingerprint)
             for file in new:
@@ -130,10 +130,10 @@ class DrawnMasks:
         return None
 
     def check_known(self) -> None:
-        """Refuse masks named by views if their images are unknown.
+        """Refuse masks that are named by views and have no recorded image.
 
         Raises:
-            SettingsError: there is one; the line says what to do.
+            SettingsError: there is such a mask; the line says what to do.
         """
         for file, name in self.names.items():
             if not name.of_frame and file not in self.entries:
@@ -144,10 +144,10 @@ class DrawnMasks:
                 )
 
     def check_numbers(self, frames: int) -> None:
-        """Refuse masks that are named by frames beyond the last, as soon as their number is known.
+        """Refuse masks named by frames that the recording does not have.
 
         Raises:
-            SettingsError: there are some; the line names them.
+            SettingsError: there are such masks; the line names them.
         """
         beyond = [file for file, name in self.names.items() if name.of_frame and name.number >= frames]
         if not beyond:
@@ -160,15 +160,15 @@ class DrawnMasks:
         )
 
     def check_frames(self, sequence: Sequence) -> Self:
-        """Refuse masks of frames that are other images now, or were drawn on other pictures of them.
+        """Refuse masks of frames whose image has changed, or whose pictures have changed.
 
-        Those without an entry get one: no build was there when they were drawn.
+        Masks without an entry get one: there was no build when they were drawn.
 
         Returns:
-            The masks with what was written.
+            The masks with the new entries.
 
         Raises:
-            SettingsError: there are some; the line says what to do.
+            SettingsError: there are such masks; the line says what to do.
         """
         entries, wrong = dict[str, DrawnOn](), list[str]()
         for file, (number, of_frame, _) in self.names.items():
@@ -189,19 +189,19 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks of views that are other images, or other pictures, than they were drawn on.
+        """Refuse masks of views whose image or pictures have changed since they were drawn.
 
-        Masks without a recorded picture get this one.
+        Masks without a recorded picture get that of the view.
 
         Args:
             sequence: the recording.
-            views: the folder of its views, just made.
+            views: the folder of the recording's views, just made.
 
         Returns:
-            The masks with what was written.
+            The masks with the new entries.
 
         Raises:
-            SettingsError: there are some; the line says what to do.
+            SettingsError: there are such masks; the line says what to do.
         """
         if self.of_recorded:
             return self
@@ -216,7 +216,7 @@ class DrawnMasks:
             raise self._refusal(f"not drawn on what these views are now: {first_of(wrong)}")
         frames = dict[str, tuple[int, str]]()
         for file, name in self.names.items():
-            if view := shown.get((name.number, name.of_frame)):  # else its frame is no view
+            if view := shown.get((name.number, name.of_frame)):  # otherwise no view shows its frame
                 frames[file] = view.frame, picture_digest(read_pictures(views, view.name))
         again = f"`kinectbench sample-views {self.recording} --set recordings.{self.recording}.masks=null`"
         look = f"{again} makes the views without masks: look at each mask on its view there"
@@ -225,20 +225,20 @@ class DrawnMasks:
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks of other pictures; record these pictures for masks without a record.
+        """Refuse masks that were drawn on other pictures; record the pictures of masks without a record.
 
         Args:
             sequence: the recording.
-            frames: of each mask that is used its frame, and the picture of it that it is used on.
-            drawn: the message's words for refused masks.
-            look: how to look at them again.
+            frames: for each mask in use, its frame and the digest of the picture it is used on.
+            drawn: words of the message for refused masks.
+            look: words of the message on how to check the masks.
         """
         entries, other = dict[str, DrawnOn](), list[str]()
         for file, (frame, now) in frames.items():
             image, was = self.entries[file].image, self.entries[file].picture
             if was is None:
                 entries[file] = DrawnOn(image=image, picture=now)
-            elif was != now and not (  # the pictures of an uncorrected view show the frame as recorded
+            elif was != now and not (  # pictures of an uncorrected view equal the recorded frame
                 RECORDED in (was, now) and picture_digest(pictures_of(sequence, frame)) in (was, now)
             ):
                 other.append(file)
@@ -251,7 +251,7 @@ class DrawnMasks:
         return self._with(entries)
 
     def carry(self, sequence: Sequence) -> Carried:
-        """Name each mask by the frame of the recording that is the image it was drawn on."""
+        """Rename each mask to the frame whose image it was drawn on."""
         frames: dict[str, int] = {}
         for frame in range(len(sequence)) if self.entries else ():
             frames.setdefault(image_digest(sequence, frame), frame)
@@ -277,12 +277,12 @@ class DrawnMasks:
         return Carried(tuple(moves.items()), tuple(left))
 
     def _clashes(self, moves: Mapping[str, str]) -> list[str]:
-        """Files whose new name another file has or gets."""
+        """Files whose new name is already, or becomes, that of another file."""
         files = Counter(moves.get(file, file) for file in self.names)
         return [file for file, new in moves.items() if files[new] > 1]
 
     def _rename(self, moves: Mapping[str, str]) -> None:
-        """Rename files; a new name may still belong to another one."""
+        """Rename files; a new name may be the old name of another file."""
         for file in moves:
             (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
@@ -294,7 +294,7 @@ class DrawnMasks:
         return on is not None and on.image == image_digest(sequence, frame)
 
     def _with(self, new_entries: Mapping[str, DrawnOn]) -> Self:
-        """A copy with these entries, saved if there are any."""
+        """A copy with additional entries, which are saved if there are any."""
         if not new_entries:
             return self
         entries = {**self.entries, **new_entries}
@@ -302,7 +302,7 @@ class DrawnMasks:
         return replace(self, entries=entries)
 
     def _write(self, entries: Mapping[str, DrawnOn], renamed: Mapping[str, str] | None = None) -> None:
-        """Write masks.json, without missing masks."""
+        """Write masks.json, without entries of missing masks."""
         present = {(renamed or {}).get(file, file) for file in self.names}
         kept = MasksFile.of({file: entries[file] for file in sorted(present & entries.keys())})
         with replaced_file(self.folder / MasksFile.FILE) as temporary:
@@ -317,14 +317,14 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Record which images of the build masks belong to, before anything is made again.
+    """Record the images that masks were drawn on, before the build makes anything again.
 
     Args:
         job: the recording.
-        used: whether views are to be sampled with them.
+        used: whether views will be sampled with the masks.
 
     Returns:
-        Lines for people: which images masks were taken as drawn on, and which files are no masks by name.
+        Lines to print: images assumed for masks, and files whose names are no names of masks.
 
     Raises:
         SettingsError: masks are in use, but their images are unknown.
@@ -340,7 +340,7 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
 
 
 def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
-    """A line about PNGs beside masks whose names denote no frame or view, if any."""
+    """A line about PNGs beside the masks whose names are no frame or view; empty without such files."""
     pngs = (path.name for path in listed_paths(drawn.folder) if path.suffix.lower() == ".png")
     others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
     if not others:
@@ -351,10 +351,10 @@ def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
 
 
 def check_mask_numbers(job: Job) -> None:
-    """Refuse masks of frames that a recording, whose sequence is current, has not.
+    """Refuse masks of frames that a recording with a current sequence does not have.
 
     Raises:
-        SettingsError: there are some.
+        SettingsError: there are such masks.
     """
     drawn = DrawnMasks.of(job)
     if drawn is not None and any(name.of_frame for name in drawn.names.values()):
@@ -362,25 +362,25 @@ def check_mask_numbers(job: Job) -> None:
 
 
 def carry_masks(job: Job) -> Carried:
-    """Name the masks of a recording, whose sequence is current, by the frames that they were drawn on."""
+    """Rename the masks of a recording with a current sequence to the frames they were drawn on."""
     with locked(job.build):
         drawn = DrawnMasks.of(job)
         return Carried((), ()) if drawn is None else drawn.carry(read_sequence(job.build / "sequence"))
 
 
 def image_digest(sequence: Sequence, frame: int) -> str:
-    """SHA-256 of a frame's image: the size and every pixel of its depth, in native units, as recorded."""
+    """SHA-256 of a frame's depth image as recorded: its size and every pixel in native units."""
     depth = sequence.frames.depth_native(frame)
     return hashlib.sha256(f"{depth.shape}".encode() + depth.astype("<u2").tobytes()).hexdigest()
 
 
 def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
-    """`_shown`, if the views are of the sequence with that fingerprint."""
+    """`_shown` if the views were made from the sequence with this fingerprint; else empty."""
     manifest = whole_manifest(views)
     return {} if manifest is None or manifest.inputs.get("ingest") != sequence else _shown(views)
 
 
 def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """The views that mask names refer to: (view's number, False), or (frame, True)."""
+    """The view that a mask's name refers to, by (number of the view, False) or (frame, True)."""
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}

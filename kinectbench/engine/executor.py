@@ -1,6 +1,6 @@
 """Executors of tasks: this process, processes of this machine, or a cluster.
 
-Whoever has many tasks is written once, against `Executor`; the result does not depend on which one it is.
+Code that runs many tasks needs only `Executor`; its results do not depend on which executor runs it.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -9,24 +9,24 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-# A task's progress callback, called with texts and numbers.
+# A callback by which a task reports progress, as texts and numbers.
 SendMessage = Callable[[Any], None]
 
 
 @dataclass(frozen=True)
 class WorkerLost:
-    """In place of a result: the task's process was killed although it ran alone at last, or hangs.
+    """Returned instead of a result: the task's process was killed even when it ran alone, or hangs.
 
-    A task whose process hangs returns it itself; the process ends soon after.
+    If a task hangs, its process returns this value and ends soon after.
 
     Attributes:
-        reason: one line; `{id}` stands for the recording.
+        reason: one line, in which `{id}` stands for the recording.
     """
 
     reason: str
 
 
-# What an executor yields.
+# The iterator over results that an executor returns.
 Outcomes: TypeAlias = Generator[tuple[Task, Result | WorkerLost], None, None]
 
 
@@ -37,14 +37,14 @@ class Listener(Protocol):
         """Receive a task's message."""
 
     def warn(self, message: str, task: Any = None) -> None:
-        """Receive a warning about all tasks, or one, in one line; `{id}` in it stands for its recording."""
+        """Receive a one-line warning about all tasks or one; `{id}` in it stands for the task's recording."""
 
 
 class Executor(Protocol):
-    """Carries out tasks, several at a time."""
+    """Runs tasks, several at a time."""
 
     def slots(self) -> int:
-        """The number of tasks that can run at once now."""
+        """The number of tasks that can run at once at present."""
 
     def outcomes(
         self,
@@ -57,28 +57,28 @@ class Executor(Protocol):
     ) -> Outcomes[Task, Result]:
         """Yield each finished task with its result, in any order.
 
-        Whoever stops before the end closes the iterator: then what still runs is stopped, or left to end by
-        itself on other machines.
+        If the caller closes the iterator before the end, running tasks are stopped; on other machines they
+        may run to their end.
 
         Args:
-            function: module-level, or a partial of one; may be called several times for a task.
-            tasks: picklable.
+            function: a module-level function or a partial of one; it may be called several times for a task.
+            tasks: the tasks; must be picklable.
             listener: receives the messages of the tasks.
-            memory_gb: expected memory of a task at most, in GB, where somebody hands memory out.
-            slowest_twice: whether the last tasks may be given to idle workers once more, and the first result
-                counts: only for tasks that do not wait for each other.
+            memory_gb: largest expected memory of a task, GB, for executors that assign memory.
+            slowest_twice: whether idle workers may run the last tasks a second time, and the first result
+                counts; only for tasks that do not wait for each other.
 
         Raises:
-            Exception: that of the function.
+            Exception: raised by the function.
             ClusterError: the cluster cannot be used any more.
         """
 
 
 class SerialExecutor:
-    """Runs one task after another, in this process."""
+    """Runs tasks one after another in this process."""
 
     def slots(self) -> int:
-        """One."""
+        """Always one."""
         return 1
 
     def outcomes(
@@ -90,6 +90,6 @@ class SerialExecutor:
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """See `Executor`; nothing can be lost."""
+        """See `Executor`; no task can be lost."""
         for task in tasks:
             yield task, function(task, listener.heard)

@@ -1,4 +1,4 @@
-"""Stored failures: a failed stage is not repeated until one of its inputs changes."""
+"""Stored failures: a failed stage is not run again until one of its inputs changes."""
 
 import contextlib
 from collections.abc import Collection, Iterator
@@ -18,14 +18,14 @@ from kinectbench.core.errors import (
 from kinectbench.core.storage import replaced_file
 from kinectbench.engine.artefact import Artefact
 
-# What the recording and the settings are to blame for: the same code would fail again.
+# Errors caused by the recording or the settings: the same run would fail again.
 OF_THE_RECORDING = (RecordingError, TrackingError, SegmentationError, ShapeError)
-# Faults of the machine, whichever error reported them: the next run may succeed.
+# Errors caused by the machine, also as causes of other errors: the next run may succeed.
 OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
 def stored_failure(build: Path) -> Failed | None:
-    """Why the last run of `build/<recording>/` failed; None if it did not, or nobody can read why."""
+    """Why the last run of `build/<recording>/` failed; None if it succeeded or the reason is unreadable."""
     try:
         return Failed.read_if_there(build)
     except StorageError:
@@ -33,14 +33,14 @@ def stored_failure(build: Path) -> Failed | None:
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """Why a stage would fail again: it failed before, with the same inputs.
+    """The stored failure of a stage that would fail again, because its inputs have not changed.
 
     Args:
         build: `build/<recording>/`.
-        artefact: that is about to be made.
+        artefact: the artefact to be made.
 
     Returns:
-        The failure that was kept; None if it may be tried.
+        The stored failure; None if the stage should run.
     """
     failed, now = stored_failure(build), (artefact.stage, artefact.fingerprint, __version__)
     then = failed and (failed.stage, failed.fingerprint, failed.package_version)
@@ -58,10 +58,10 @@ def keep_failure(
 
     Args:
         build: `build/<recording>/`.
-        stage: the name of the stage that failed; None if its process was killed.
+        stage: name of the stage that failed; None if the process was killed.
         error: the reason, one line, as printed.
         failure: the exception, if known.
-        tried: the artefact in work, if any.
+        tried: the artefact that was being made, if any.
     """
     failed = Failed(stage=stage, error=error, code=error_code(failure) if failure else KILLED)
     if tried is not None and failure is not None and _would_repeat(failure):
@@ -69,7 +69,7 @@ def keep_failure(
         failed = failed.model_copy(update=again)
     path, text = build / Failed.FILE, failed.text()
     with contextlib.suppress(StorageError, OSError):
-        # Of thousands of recordings that are gone, writing the same reason again is most of the time.
+        # With thousands of missing recordings, most of the time would go into writing the same reason again.
         if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text:
             return
         with replaced_file(path) as temporary:
@@ -77,20 +77,20 @@ def keep_failure(
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:
-    """Remove failed.json of `build/<recording>/` if it is of one of these stages, which have succeeded."""
+    """Remove failed.json of `build/<recording>/` if it names one of these stages, which have succeeded."""
     failed = stored_failure(build)
     if failed is None or failed.stage is None or failed.stage in stages:
         (build / Failed.FILE).unlink(missing_ok=True)
 
 
 def _would_repeat(failure: BaseException) -> bool:
-    """Whether the recording, not the machine, caused the failure."""
+    """Whether the recording, not the machine, caused the failure, so that it would occur again."""
     behind = any(isinstance(each, OF_THE_MACHINE) for each in _chain(failure))
     return isinstance(failure, OF_THE_RECORDING) and not behind
 
 
 def _chain(failure: BaseException) -> Iterator[BaseException]:
-    """An error and those that it was raised from, or in the midst of."""
+    """Yield an error and its chain of causes and contexts."""
     each: BaseException | None = failure
     while each is not None:
         yield each

@@ -1,4 +1,4 @@
-"""Masks of every frame of a recording that is segmented by them: a person's, its own, or of what turns."""
+"""Masks for all frames of a recording: drawn by a person, recorded with it, or of a turntable's object."""
 
 import re
 from pathlib import Path
@@ -14,20 +14,20 @@ from kinectbench.stages.sample_views.masks import mask_name
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.find.turntable import plane_below, turntable_masks
 
-# The number of a frame, alone or after "frame_", and the ending of a mask.
+# File name of a mask: the number of a frame, alone or after "frame_", and ".png".
 FRAME_MASK = re.compile(r"(?:frame_)?([0-9]{1,9})\.(?i:png)")
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
-    """The masks that a recording is segmented by, index -> mask or None; None if it is not.
+    """The masks that segment a recording, index -> mask or None; None if no masks segment it.
 
     Args:
         sequence: the recording.
-        by: the source of the masks; None: only the object's place is known.
-        folder: of a person's masks of frames; None: the recording's own are meant.
+        by: the source of the masks; None: no masks.
+        folder: folder of a person's masks of frames; None: use the recording's own masks.
 
     Raises:
-        SegmentationError: it is to be, but brings no masks, a person's cannot be used, or nothing turns.
+        SegmentationError: there are no masks, a person's masks cannot be used, or nothing turns.
     """
     if by is None:
         return None
@@ -48,7 +48,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """The plane below the object: a person's, or the detected turntable; world frame."""
+    """The plane below the object, in the world frame: the given one, or that of the detected turntable."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)
@@ -59,11 +59,11 @@ def plane_given(
 
 
 def _of_folder(folder: Path, sequence: Sequence) -> Masks:
-    """A person's masks, `frame_<index>.png` or `<index>.png`: as in frames.json, numbers count from 0.
+    """Read a person's masks `frame_<index>.png` or `<index>.png`; the index counts from 0, as in frames.json.
 
     Raises:
-        SegmentationError: no file is named by a frame's number, or two by one; one only adds to a mask or
-            takes from it; later: one is damaged or of another size.
+        SegmentationError: no file is named by a frame, two files are named by one frame, or a file only adds
+            to a mask or removes from it. Raised later, on use: a mask is damaged or has another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}
@@ -90,7 +90,7 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
         )
 
     def mask(index: int) -> Bools | None:
-        """The mask of a frame: (height, width) bool; None without a mask."""
+        """The mask of a frame: (height, width) bool; None if the frame has no mask."""
         if index not in names:
             return None
         own, size = given.read(names[index]), (sequence.camera.height, sequence.camera.width)

@@ -1,7 +1,7 @@
-"""Ctrl-C and SIGTERM that cannot get lost.
+"""Handle Ctrl-C and SIGTERM so that none gets lost.
 
-An interrupt that comes while a library is being imported may be swallowed there, or come out as an
-ImportError; whoever runs for long asks here from time to time.
+If an interrupt arrives during the import of a library, the library may swallow it or turn it into an
+ImportError. So long-running code calls `check_interrupt` from time to time.
 """
 
 import os
@@ -13,29 +13,30 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# What asks for an end: people by Ctrl-C, `kill`, `timeout` and batch systems by SIGTERM.
+# Signals that ask for an end: SIGINT by Ctrl-C; SIGTERM by `kill`, `timeout` and batch systems.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-# Python answers no signal while a library computes: so many seconds after one the process is ended all the
-# same (with the time that ending takes, two seconds).
+# While a library computes, Python handles no signal. The process is ended after this many seconds (with the
+# time for ending it, two seconds).
 ANSWER_S = 1.5
-# So often the watch looks whether Python has seen a signal that it did not wait for; bytes read at once.
+# Interval at which the watching thread checks for unhandled signals; bytes to read at once.
 LOOK_EVERY_S, MANY = 0.5, 4096
 
 _asked: list[int] = []
-# Those that Python has seen, those that are held, too, in the order in which it did.
+# Signals that Python has handled, including delayed ones, in order.
 _seen: list[int] = []
 
 
 @contextmanager
 def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> Iterator[None]:
-    """Within the block an interrupt or SIGTERM raises KeyboardInterrupt, and is remembered.
+    """Make an interrupt or SIGTERM within the block raise KeyboardInterrupt, and remember it.
 
-    One that comes in a callback that cannot raise, such as the import system's, is remembered silently.
+    A signal that arrives in a callback that cannot raise, such as one of the import system, is only
+    remembered.
 
     Args:
-        unanswered: called with the signal, on another thread, where Python has not seen it after 1.5 s: a
-            library computes. It is to end the process. None: the signal waits for the library.
+        unanswered: called with the signal, on another thread, if Python has not handled it after 1.5 s
+            because a library computes; it should end the process. None: the signal waits for the library.
     """
     with _watch(unanswered):
         previous = [signal.signal(number, _remember) for number in STOP_SIGNALS]
@@ -51,11 +52,11 @@ def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> It
 
 @contextmanager
 def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
-    """Within the block a thread sees to it that signals are answered."""
+    """Run a thread within the block that makes sure that signals are handled."""
     if unanswered is None:
         yield
         return
-    # The system writes each signal's number there at once, whatever Python does.
+    # The system writes each signal's number into this pipe at once, whatever Python does.
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     seen = len(_seen)
@@ -72,9 +73,9 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
 
 
 def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
-    """Wait for signals, and pass on those that Python does not handle in time."""
+    """Wait for signals; pass on those that Python does not handle in time."""
     while True:
-        # Count before reading the pipe, as Python may answer a later signal.
+        # Count before reading the pipe, because Python may handle a later signal.
         counted = len(_seen)
         if not select.select([reading], [], [], LOOK_EVERY_S)[0]:
             before = counted
@@ -88,7 +89,7 @@ def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int
             time.sleep(min(left_s, 0.05))
         if came and len(_seen) == before:
             unanswered(came[0])
-        # One answer is for all that came while Python saw none.
+        # One call stands for all signals that arrived while Python handled none.
         counted = len(_seen)
         if select.select([reading], [], [], 0)[0] and not os.read(reading, MANY):
             return
@@ -96,7 +97,7 @@ def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int
 
 
 def ignore_interrupts() -> None:
-    """Ignore interrupts and SIGTERM from here on, for the end of the process."""
+    """Ignore interrupts and SIGTERM from now on, while the process ends."""
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -107,27 +108,27 @@ def interrupted_status() -> int:
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if one occurred, even if other code swallowed it."""
+    """Raise KeyboardInterrupt if a signal has arrived, even if other code swallowed the exception."""
     if _asked:
         raise KeyboardInterrupt
 
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Delay interrupts to the end of the block; processes started in it never receive any.
+    """Delay interrupts to the end of the block; processes that are started in the block never receive any.
 
-    Ctrl-C reaches all processes of a terminal. Workers must not answer it, each with a traceback of its own:
-    they inherit that the signal is blocked, and their parent stops them. The parent needs the handler too,
-    for threads of libraries take the signal although it is blocked here. SIGTERM ends workers silently,
-    and is how their parent stops them: they do not inherit that it is held.
+    Ctrl-C reaches all processes of a terminal. Workers inherit that SIGINT is blocked, so that they do not
+    print tracebacks; their parent stops them. The parent also needs the handler, because threads of libraries
+    receive the signal although it is blocked here. Workers do not inherit the delay of SIGTERM: it ends them
+    silently, and their parent uses it to stop them.
 
-    A signal to the whole group ends workers that start, too, and what the block does fails by that: the
-    interrupt is answered all the same, in place of the error.
+    A signal to the whole process group also ends workers that are starting, so that the block fails. The
+    interrupt then replaces that error.
     """
     asked: list[int] = []
 
     def hold(came: int, frame: object) -> None:
-        """Keep a signal for the end of the block."""
+        """Remember a signal until the end of the block."""
         _seen.append(came)
         asked.append(came)
 
@@ -152,6 +153,6 @@ def _remember(number: int, frame: object) -> None:
     again = number in _asked
     _seen.append(number)
     _asked.append(number)
-    # `timeout` sends SIGTERM to the command and then to its group: the second must not stop the clearing up.
+    # `timeout` sends SIGTERM to the command and then to its group: the second must not stop the cleaning up.
     if not (again and number == signal.SIGTERM):
         raise KeyboardInterrupt

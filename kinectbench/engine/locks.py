@@ -1,8 +1,8 @@
-"""One run at a time in a folder: its lock, and what killed runs left.
+"""Lock a folder so that one run at a time works in it, and remove what killed runs left there.
 
-The lock is the operating system's (flock): it goes with the process that holds it, however that ends, so
-there is no stale lock. The file `.lock` only names its holder. The package filelock takes a lock file in its
-place where a disk keeps no locks, which a killed run may leave behind.
+The lock is one of the operating system (flock): it disappears with the process that holds it, so no lock can
+be stale. The file `.lock` only names the holder. The package filelock would instead use lock files on a disk
+without locks, and a killed run may leave these behind.
 """
 
 import contextlib
@@ -25,9 +25,9 @@ from kinectbench.core.storage import open_to_add, storage_errors
 from kinectbench.core.untrusted import listed_paths
 
 LOCK = ".lock"
-# Seconds in which whoever has just taken a lock will have written who it is.
+# Seconds within which a run that has taken a lock writes its name.
 SIGNING_S = 0.2
-# A command line is cut here, to keep the line that quotes it readable.
+# Longest command line in a message, to keep the message readable.
 COMMAND_CHARS = 100
 
 
@@ -35,15 +35,15 @@ COMMAND_CHARS = 100
 def locked(
     folder: Path, *, wait: bool = True, waiting: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Hold the folder's lock. Once it is held, leftovers of killed runs are removed.
+    """Hold the folder's lock within the block; first remove what killed runs left.
 
     Args:
-        folder: made if it is not there.
-        wait: whether to wait for another run that holds it.
-        waiting: called once with who holds it, before waiting.
+        folder: the folder; created if missing.
+        wait: whether to wait while another run holds the lock.
+        waiting: called once before waiting, with the name of the holder.
 
     Raises:
-        StorageError: another run holds it (without `wait`), or the disk cannot be written or keeps no locks.
+        StorageError: another run holds the lock (without `wait`), or the disk is read-only or has no locks.
     """
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ def locked(
 
 
 def sweep(path: Path) -> None:
-    """Remove leftovers of killed runs beside `path`, whose name may be a pattern and must not be in use.
+    """Remove what killed runs left beside `path`, which may be a pattern and must not be in use.
 
     A file that was moved aside is moved back if its replacement is missing.
     """
@@ -87,7 +87,7 @@ def sweep(path: Path) -> None:
 
 
 def _taken(lock: IO[str], folder: Path, how: int) -> bool:
-    """Whether the lock is ours now; False only if it was not to be waited for."""
+    """Try to take the lock; false if another run holds it and `how` is not to wait."""
     try:
         fcntl.flock(lock, how)
     except BlockingIOError:
@@ -110,14 +110,14 @@ def _holder(file: Path) -> str:
 
 
 def _write(lock: IO[str], text: str) -> None:
-    # Past the file's buffer, which would be written once more when it is closed.
-    with contextlib.suppress(OSError):  # a full disk: the lock holds without a name on it
+    # Written without the file's buffer, whose content would be written again on closing.
+    with contextlib.suppress(OSError):  # on a full disk the lock works without a name
         os.ftruncate(lock.fileno(), 0)
         os.write(lock.fileno(), text.encode(errors="replace"))
 
 
 def _myself() -> str:
-    """One line: process, machine, command and time. A worker has the name of its parent."""
+    """Describe this run in a line: process, machine, command and time; a worker names its parent."""
     parent = multiprocessing.parent_process()
     command = shlex.join(["kinectbench", *sys.argv[1:]])
     if len(command) > COMMAND_CHARS:

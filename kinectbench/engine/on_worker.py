@@ -12,15 +12,15 @@ from kinectbench._version import __version__
 from kinectbench.core.errors import ClusterError
 from kinectbench.core.extras import package_version
 
-# What the bytes of a benchmark come from, beside kinectbench and Python.
+# Packages besides kinectbench that determine the bytes of results.
 PACKAGES = (
     *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "manifold3d", "trimesh"),
     *("zlib-ng", "zstandard", "lz4"),
 )
-# A task says as often at most how far its stage is: the scheduler hears all of them.
+# Least seconds between two progress messages of a task: the scheduler receives those of all tasks.
 SAY_S = 1.0
-# glibc's numbers of two settings, and the values up to which it raises them by itself on machines of 64 bits
-# (mallopt(3)).
+# glibc's numbers of two options of mallopt(3), and the values up to which glibc raises them itself on 64-bit
+# machines.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 MMAP_BYTES = 32 << 20
 
@@ -35,27 +35,28 @@ def package_versions() -> Mapping[str, str]:
 
 @cache
 def keep_freed_memory() -> None:
-    """Let this process keep freed memory for later arrays, as is the default elsewhere.
+    """Let this process keep freed memory for later arrays, as glibc does by default.
 
-    Dask starts workers with MALLOC_TRIM_THRESHOLD_=65536, by which it goes back to the system at once. Builds
-    of four simulated recordings took 141 s of CPU with that, 101 s without, and 93 s in kinectbench's pool.
+    Dask starts workers with MALLOC_TRIM_THRESHOLD_=65536, which returns freed memory to the system at once.
+    Builds of four simulated recordings took 141 s of CPU with it, 101 s without, and 93 s in kinectbench's
+    own pool.
     """
-    with contextlib.suppress(OSError, AttributeError):  # another C library
+    with contextlib.suppress(OSError, AttributeError):  # the C library is not glibc
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, MMAP_BYTES)
         mallopt(M_TRIM_THRESHOLD, 2 * MMAP_BYTES)
 
 
 def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> object:
-    """Run a task on this worker.
+    """Run a pickled task on this worker.
 
     Args:
         packed: the function and the task, pickled.
-        topic: of the task's messages to the client.
-        versions: of the client's packages.
+        topic: topic of the task's messages to the client.
+        versions: versions of the client's packages.
 
     Raises:
-        ClusterError: this worker's packages are not the client's.
+        ClusterError: this worker's packages have other versions.
     """
     from distributed import get_worker
 

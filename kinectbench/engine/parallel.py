@@ -1,4 +1,4 @@
-"""Building many recordings, several at a time: none stops the others, even if its process is killed."""
+"""Build many recordings, several at a time; a failed or killed recording does not stop the others."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
@@ -26,12 +26,12 @@ from kinectbench.engine.scratch import clear_scratch
 from kinectbench.engine.stages import Job
 from kinectbench.engine.time_limit import watched
 
-# Threads of one recording: each holds a pair of its own in memory. The peak of `pairs`, measured on 92 frames
-# of a phone: 274 MiB with one, 301 with two, 340 with 4, 415 with 8, 504 with 16. Time was measured on two
-# cores only.
+# Most threads of one recording; each thread holds a pair in memory. Peak of `pairs` on 92 frames of a phone:
+# 274 MiB with one thread, 301 with two, 340 with 4, 415 with 8, 504 with 16. Time was measured on two cores
+# only.
 MOST_THREADS = 8
-# Peaks of the stages, measured one by one (`/usr/bin/time -f %M kinectbench STAGE --jobs 1`), and this sum of
-# libraries, frames and voxels of the object:
+# Measured peak memory of the stages, one by one (`/usr/bin/time -f %M kinectbench STAGE --jobs 1`), and the
+# estimate by the sum of libraries, frames and voxels of the object:
 #   phone, 92 frames of 256 x 192, 0.3 million voxels              0.48 GB (fuse)      0.58
 #   cabinet, 58 frames of 640 x 480, 3.1 million                   0.91 GB (segment)   0.94
 #   kitchen, 150 frames of 640 x 480, a chair of 3.8 million       0.95 GB (segment)   1.11
@@ -39,13 +39,13 @@ MOST_THREADS = 8
 LIBRARIES_GB = 0.55
 BYTES_PER_PIXEL = 2.0
 BYTES_PER_VOXEL = 130.0
-# Where no box is given: 2.2 GB were measured on that kitchen with the largest thing in it as the object.
+# Assumed without a box: the kitchen above takes 2.2 GB if its largest thing is the object.
 UNKNOWN_VOXELS = 13e6
-# The frames as PNG and JPEG files, the smallest form that there is: 0.43 to 0.46 bytes a depth pixel with its
-# colour. It is an upper bound for other forms, so that at most a thousand frames of 640 x 480 are expected.
+# Frames as PNG and JPEG files, the smallest format: 0.43 to 0.46 bytes for a depth pixel with its colour.
+# Other formats give an overestimate, so at most a thousand frames of 640 x 480 are assumed.
 BYTES_OF_FILE_PER_PIXEL = 0.4
 UNKNOWN_PIXELS = 1000 * 640 * 480
-# Files of a folder that are looked at (a thousand frames have some thousands).
+# Most files of a folder to count (a thousand frames have some thousands).
 MOST_FILES = 10_000
 
 
@@ -53,10 +53,10 @@ class ProgressWatcher(Protocol):
     """Receives the progress of recordings."""
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
-        """Report the progress of a recording in a stage."""
+        """Receive the progress of a recording in a stage."""
 
     def ended(self, outcome: Outcome) -> None:
-        """A recording is up to date, or has failed."""
+        """Receive the outcome of a recording that is up to date or has failed."""
 
     def warn(self, message: str) -> None:
         """Receive a warning that concerns all recordings."""
@@ -68,7 +68,7 @@ class _Nobody:
     def warn(self, message: str) -> None: ...
 
 
-# `build_at_its_place` with all arguments but the job and the progress callback.
+# `build_at_its_place` with all arguments except the job and the progress callback.
 BuildOne = Callable[..., Outcome]
 
 
@@ -83,27 +83,27 @@ def build(
     limit_s: float | None = None,
     executor: Executor | None = None,
 ) -> list[Outcome]:
-    """Bring recordings up to date independently; a failure does not stop the others.
+    """Bring recordings up to date independently: a failure does not stop the others.
 
-    A recording whose process is killed, in the end with nothing beside it, or hangs, fails, and its
-    `failed.json` says so.
+    A recording fails if its process is killed, even when it is tried again alone, or hangs; its `failed.json`
+    says so.
 
     Args:
         jobs: the recordings.
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
-        workers: processes, or threads of a recording that is alone, at most eight; the results do not depend
-            on how many.
+        workers: number of processes; for a single recording, of its threads, at most eight. Results do not
+            depend on it.
         watcher: called in this process with the progress of each recording.
-        wait_for_others: whether to wait for another run that is at the same recording, or to let it fail.
-        limit_s: how long a recording may take, seconds; None: as long as it does.
-        executor: where they are built, in place of `workers` processes here.
+        wait_for_others: whether to wait for another run that builds the same recording, or to fail.
+        limit_s: time limit of a recording, seconds; None: no limit.
+        executor: runs the builds instead of `workers` local processes.
 
     Returns:
-        One outcome per job, in their order.
+        One outcome for each job, in the order of the jobs.
 
     Raises:
-        ClusterError: the executor cannot be used any more; what is done is kept.
+        ClusterError: the executor has become unusable; finished work is kept.
     """
     outcomes = _Outcomes(watcher or _Nobody())
     build_one = partial(
@@ -133,12 +133,12 @@ def build(
 
 
 def _build_watched(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome | WorkerLost:
-    """Build a recording in a worker process, which ends if the recording hangs."""
+    """Build a recording in a worker process, and end the process if the build hangs."""
     return watched(lambda hung: _build(partial(build_one, hung=hung), job, say))
 
 
 def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
-    """Build a recording on whichever worker runs the task."""
+    """Build a recording and report its progress to the parent."""
 
     def report(stage: str, done: int, total: int) -> None:
         say((job.recording.id, stage, done, total))
@@ -148,14 +148,14 @@ def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
 
 @dataclass(frozen=True)
 class _Outcomes:
-    """The outcomes of recordings so far."""
+    """Collects the outcomes of recordings."""
 
     watcher: ProgressWatcher
     by_id: dict[str, Outcome] = field(default_factory=dict)
 
     def heard(self, message: tuple[str, str, int, int]) -> None:
         recording, stage, done, total = message
-        if recording not in self.by_id:  # messages may come later than the outcome
+        if recording not in self.by_id:  # messages may arrive after the outcome
             self.watcher(recording, stage, done, total)
 
     def warn(self, message: str, task: Job | None = None) -> None:
@@ -173,12 +173,12 @@ def _killed(job: Job, lost: WorkerLost) -> Outcome:
 
 
 def expected_gb(job: Job) -> float:
-    """Peak resident memory of a recording's stages, GB; an estimate, not a bound."""
+    """Estimate the peak memory of a recording's stages, GB; no upper bound."""
     return LIBRARIES_GB + (BYTES_PER_PIXEL * _pixels(job) + BYTES_PER_VOXEL * _voxels(job)) / 1e9
 
 
 def _pixels(job: Job) -> float:
-    """Pixels of all depth images, as counted by ingest, or estimated from the size of the files."""
+    """Pixels of all depth images, as counted by ingest, or estimated from file sizes."""
     if url_of(job.root) is not None:
         return UNKNOWN_PIXELS
     try:
@@ -190,13 +190,13 @@ def _pixels(job: Job) -> float:
     try:
         files = job.source.rglob("*") if job.source.is_dir() else [job.source]
         size = sum(file.lstat().st_size for file in islice(files, MOST_FILES))
-    except OSError:  # whoever builds it says so
+    except OSError:  # the build reports it
         return UNKNOWN_PIXELS
     return min(size / BYTES_OF_FILE_PER_PIXEL, UNKNOWN_PIXELS)
 
 
 def _voxels(job: Job) -> float:
-    """Voxels of the grid from the floor around a person's box; without a box, a typical maximum."""
+    """Voxels of the grid that covers a person's box from the floor up; without a box, a typical maximum."""
     from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box

@@ -1,4 +1,4 @@
-"""Running the stages of one recording: current artefacts are skipped, errors are reported, not raised."""
+"""Run the stages of one recording: skip current artefacts, and report errors instead of raising them."""
 
 import os
 import time
@@ -35,12 +35,12 @@ NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one recording: stages made and stages still current, the error or None.
+    """The outcome of one recording: its made and its still current stages, and the error or None.
 
-    `repeated`: the error is that of an earlier run, as nothing has changed; nothing was tried.
-    `row`: its figures, of a recording in a store; None: they are read in its folder.
-    `code`: of the error.
-    `warnings`: of the run itself, one line each; those of stages are in their artefacts.
+    `repeated`: the error is that of an earlier run; nothing was tried because no input has changed.
+    `row`: figures of a recording in a store; None: read them from its local folder.
+    `code`: code of the error.
+    `warnings`: of the run, one line each; stages keep their own warnings in their artefacts.
     """
 
     recording: str
@@ -68,19 +68,19 @@ def build_recording(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Bring one recording up to date as far as a stage. Errors are reported, not raised.
+    """Bring one recording up to date, up to a stage. Errors are reported, not raised.
 
-    A stage that failed is tried again once something that it depends on has changed, or if it is forced.
-    Not even an unforeseen error may stop the other recordings (but does with KINECTBENCH_DEBUG set).
+    A failed stage is tried again if one of its inputs has changed, or if it is forced. Unforeseen errors are
+    reported too, so that they do not stop other recordings (raised if KINECTBENCH_DEBUG is set).
 
     Args:
         job: the recording.
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
-        progress: called with (stage, done, total); a run that waits for another says so as its stage.
-        wait: whether to wait for another run that is at this recording; else that is the error.
-        limit_s: how long it may take, seconds, without that wait; None: as long as it does.
-        hung: called with the reason, on another thread, if it neither ends nor continues long after that.
+        progress: called with (stage, done, total); while waiting for another run, with that as the stage.
+        wait: whether to wait for another run that builds this recording; otherwise the outcome is an error.
+        limit_s: time limit, seconds, without the waiting; None: no limit.
+        hung: called with the reason, on another thread, if the build still hangs long after the limit.
     """
     report = progress or (lambda stage, done, total: None)
     started = time.monotonic()
@@ -115,13 +115,13 @@ def build_recording(
     except Exception as failure:
         error, code = error_line(failure), error_code(failure)
     if error is not None:
-        check_interrupt()  # an interrupt in the midst of an import may look like an error
+        check_interrupt()  # an interrupt during an import may look like an error
     seconds, done = time.monotonic() - started, (tuple(made), tuple(current))
     return Outcome(job.recording.id, *done, error, seconds, repeated, warnings=warnings, code=code)
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Refuse unusable masks of a person before slow work; returns warnings about others."""
+    """Refuse unusable masks of a person before slow work; return warnings about the usable ones."""
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
         if samples:
@@ -134,7 +134,7 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 
 def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
-    """Refuse masks of missing frames before slow work; `ingest` has counted the frames."""
+    """Refuse masks of missing frames before slow work, once `ingest` has counted the frames."""
     from kinectbench.engine.drawn_masks import check_mask_numbers
 
     with _failure_kept(job, stages[-1], {}):
@@ -143,7 +143,7 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """Store why a stage failed, for the page; a failure of `suggest` is not shown there."""
+    """Store why a stage failed; except for `suggest`, whose failures the page does not show."""
     try:
         yield
     except Exception as failure:
@@ -154,7 +154,7 @@ def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> 
 
 
 def error_line(failure: Exception) -> str:
-    """An error as one line to print; an unforeseen one is raised again if KINECTBENCH_DEBUG is set."""
+    """An error as one line to print; an unforeseen error is raised if KINECTBENCH_DEBUG is set."""
     if isinstance(failure, KinectBenchError):
         return str(failure)
     if isinstance(failure, MemoryError):
@@ -165,12 +165,12 @@ def error_line(failure: Exception) -> str:
 
 
 def is_current(job: Job, upto: str) -> bool:
-    """Whether all stages up to the named one are made and current."""
+    """Whether all stages up to the named one are current."""
     return all(artefact.is_current() for artefact in artefacts_upto(job, upto).values())
 
 
 def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
-    """The artefacts of each stage up to the named one, by stage in order."""
+    """The artefacts of the stages up to the named one, by stage, in order."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, stage.sources(job), artefacts)
@@ -178,10 +178,10 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
-    """Settings of the artefacts on disk that have changed: {key: (then, now)}.
+    """Settings that differ from those of the artefacts on disk: {key: (then, now)}.
 
     Args:
-        job: the recording, with the settings of now.
+        job: the recording, with its present settings.
         upto: name of the last stage.
     """
     changed: dict[str, tuple[object, object]] = {}
@@ -196,7 +196,7 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
 
 
 def _by_key(settings: Mapping[str, object], above: str = "") -> dict[str, object]:
-    """Nested settings by their keys as `--set` names them, such as fusion.voxel_size_m."""
+    """Flatten nested settings to keys as `--set` names them, such as fusion.voxel_size_m."""
     flat: dict[str, object] = {}
     for key, value in settings.items():
         flat |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
@@ -204,10 +204,10 @@ def _by_key(settings: Mapping[str, object], above: str = "") -> dict[str, object
 
 
 def listed_box(job: Job, number: int) -> BoxPart:
-    """The box of that number, as `suggest` listed it for the recording as it is now.
+    """The box with this number in the current list of `suggest`.
 
     Raises:
-        SettingsError: there is no current list, or no such number in it.
+        SettingsError: there is no current list, or the list has no such number.
     """
     name = job.recording.id
     if not is_current(job, SUGGEST.name):
@@ -237,7 +237,7 @@ def _make(
     artefact: Artefact,
     report: Callable[[str, int, int], None],
 ) -> None:
-    """Make an artefact; its step gets only the values in its fingerprint, not the job."""
+    """Make an artefact. The step receives only values that are in the fingerprint, not the job."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
@@ -260,10 +260,10 @@ def _make(
 
 
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:
-    """Refuse masks of frames whose images have changed; returns the check of masks of views.
+    """Refuse masks of frames whose images have changed; return the later check of masks of views.
 
-    It can only refuse, and changes nothing that a step makes: so masks.json is in no fingerprint, and the
-    refusal is not one that is kept.
+    The checks can only refuse masks, and never change a step's result. So masks.json is in no fingerprint,
+    and a refusal is not stored as a failure.
     """
     from kinectbench.engine.drawn_masks import DrawnMasks
     from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -275,7 +275,7 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:
-    """The line of a failure, after its likely cause if the recording shows one."""
+    """The message of a failure, preceded by its likely cause if the recording shows one."""
     from kinectbench.doctor.during_build import likely_cause
     from kinectbench.stages.ingest.readers import open_recording
 
@@ -285,5 +285,5 @@ def _explained(job: Job, failure: KinectBenchError) -> str:
             recording = replace(recording, given_trajectory=None, trajectory_error="")
         cause = likely_cause(recording)
     except KinectBenchError:
-        cause = ""  # the recording itself is gone or damaged since it was read
+        cause = ""  # the recording has since been removed or damaged
     return f"{cause}. What failed: {failure}" if cause else str(failure)

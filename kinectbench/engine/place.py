@@ -1,4 +1,4 @@
-"""Where a recording is built, in its local folder or for a store, and how far it is there."""
+"""Build a recording in its local folder or for its store, and report its status there."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +32,7 @@ def build_at_its_place(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """`build_recording`, for local benchmarks and for those in stores."""
+    """Build a recording as `build_recording` does, for local benchmarks and for those in stores."""
     if url_of(job.root) is None:
         return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
     from kinectbench.engine.stored_build import build_stored
@@ -41,7 +41,7 @@ def build_at_its_place(
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The current stages of a recording, and why its last run failed, if it did."""
+    """The current stages of a recording, and why its last run failed; None if it did not fail."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
@@ -50,7 +50,7 @@ def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
 
 
 def keep_killed(job: Job, error: str) -> None:
-    """Write failed.json of a recording whose process was killed, or hangs."""
+    """Write failed.json of a recording whose process was killed or hangs."""
     if url_of(job.root) is None:
         keep_failure(job.build, None, error)
         return
@@ -61,12 +61,12 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """The job in a form for processes with other working folders."""
+    """The job with absolute paths, for processes with other working folders."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 
 def waits_for_others(job: Job) -> bool:
-    """Whether one run at a time builds a recording; in a store runs do not wait and write equal files."""
+    """Whether runs take turns on a recording; in a store they do not wait, and write equal files."""
     return url_of(job.root) is None
 
 
@@ -79,7 +79,7 @@ def clear_away(job: Job) -> None:
 
 
 class RecordingStatus(StoredPart):
-    """The progress of one recording."""
+    """The status of one recording."""
 
     recording: str = Field(description="its id")
     state: State = Field(
@@ -93,9 +93,9 @@ class RecordingStatus(StoredPart):
 
 
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
-    """The progress of each recording under the present settings; builds and reads nothing.
+    """The status of each recording under the present settings, without building or reading recordings.
 
-    Whether a recording's own files changed since is therefore not seen here; `build` looks at them.
+    A changed file of a recording is therefore not noticed here; `build` notices it.
     """
     return in_parallel(partial(_status, job) for job in jobs)
 
@@ -115,6 +115,6 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:
-    """A summary line."""
+    """Summarise the status of all recordings in a line."""
     counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
     return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"

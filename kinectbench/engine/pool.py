@@ -1,6 +1,6 @@
-"""Processes of this machine as an executor: a killed one costs nothing but time.
+"""An executor with processes of this machine: if one is killed, only time is lost.
 
-A pool of loky breaks, too, when a process is killed, and what it did not do begins again here all the same.
+A pool of loky also breaks if a process is killed, and its unfinished tasks would need the same handling.
 """
 
 import contextlib
@@ -23,17 +23,17 @@ KILLED_ALONE = (
     "its process was killed although no other ran beside it, perhaps for lack of memory; "
     "free some memory and run again, or look for the reason with `kinectbench build {id} --jobs 1`"
 )
-# Seconds between two polls of the tasks' messages.
+# Seconds between two checks for messages of tasks.
 LISTEN_S = 0.2
 
 
 @dataclass(frozen=True)
 class Pool:
-    """A pool of processes on this machine, which end with this one.
+    """A pool of processes on this machine, which end with this process.
 
-    Where one is killed (by the system, for lack of memory), the tasks that were not done are carried out on
-    half as many, and in the end one at a time: then it is known which one cannot be, and the others are
-    carried out by all processes again.
+    If a process is killed (by the system, for lack of memory), the unfinished tasks run on half as many
+    processes, at last on one. The task that kills even the single process fails, and the other tasks run on
+    all processes again.
     """
 
     processes: int
@@ -51,15 +51,15 @@ class Pool:
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """See `Executor`; no task runs twice, as another local process is no faster."""
+        """See `Executor`; no task runs twice, because another local process is no faster."""
         left, at_once = list(tasks), self.processes
         while left:
             left, hangs = yield from _until_killed(function, left, at_once, listener)
-            check_interrupt()  # a SIGTERM to the whole group ends the workers, too
+            check_interrupt()  # a SIGTERM to the process group ends the workers, too
             if left and hangs:
                 listener.warn("the process of a recording that hangs was ended; those beside it begin again")
             elif left and at_once == 1:
-                # A single process takes them in their order: the first that is left killed it.
+                # A single process runs the tasks in order, so the first unfinished one killed it.
                 culprit, *left = left
                 at_once = self.processes
                 yield culprit, WorkerLost(KILLED_ALONE)
@@ -74,12 +74,12 @@ class Pool:
 def _until_killed(
     function: Callable[[Task, SendMessage], Result], tasks: Sequence[Task], processes: int, listener: Listener
 ) -> Generator[tuple[Task, Result | WorkerLost], None, tuple[list[Task], bool]]:
-    """Run tasks until a process is killed; returns the remaining ones, and whether one hangs."""
+    """Run tasks until a process is killed; return the unfinished tasks, and whether a task hangs."""
     messages = CONTEXT.Queue()
     undone, hangs = dict(enumerate(tasks)), False
     try:
         with worker_pool(processes, _keep_queue, (messages,)) as pool:
-            # To wait for all that are pending would look at each of them each time.
+            # A queue, because waiting for all pending futures would check each of them each time.
             done = SimpleQueue[Future[Result]]()
             numbers = {}
             for number, future in enumerate(submit_all(pool, partial(_call, function), tasks)):
@@ -100,7 +100,7 @@ def _until_killed(
 def _next_done(
     done: "SimpleQueue[Future[Result]]", messages: "Queue[object]", listener: Listener
 ) -> "Future[Result]":
-    """The next finished task; messages of the tasks are reported until then."""
+    """Wait for the next finished task; pass on messages of tasks meanwhile."""
     while True:
         ended = None
         with contextlib.suppress(Empty):
@@ -111,12 +111,12 @@ def _next_done(
             return ended
 
 
-# In a worker process: the way of what its task says to the parent.
+# In a worker process: the queue for messages to the parent.
 _messages: list["Queue[object]"] = []
 
 
 def _keep_queue(messages: "Queue[object]") -> None:
-    messages.cancel_join_thread()  # a worker must not wait at its end for messages nobody reads
+    messages.cancel_join_thread()  # an ending worker must not wait for unread messages
     _messages.append(messages)
 
 

@@ -1,4 +1,4 @@
-"""Worker processes that end with their parent, also when it is interrupted or killed."""
+"""Worker processes that end with their parent, even if it is interrupted or killed."""
 
 import ctypes
 import multiprocessing
@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 KILLED = "a worker process was killed, perhaps for lack of memory; run again with --jobs 1"
 GRACE_S = 5.0
 
-# fork after numba or Open3D has started threads hangs or dies.
+# Not fork: a forked process hangs or dies if numba or Open3D has started threads.
 CONTEXT = multiprocessing.get_context("spawn")
 
 
@@ -29,12 +29,12 @@ CONTEXT = multiprocessing.get_context("spawn")
 def worker_pool(
     workers: int, prepare: Callable[..., None] | None = None, arguments: tuple[object, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of spawned processes; if the block raises an exception, they are stopped at once.
+    """A pool of spawned processes; they are stopped at once if the block raises an exception.
 
     Args:
-        workers: most processes at a time.
+        workers: largest number of processes.
         prepare: module-level function, called in each worker before its first task.
-        arguments: of `prepare`.
+        arguments: arguments of `prepare`.
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
@@ -47,7 +47,7 @@ def worker_pool(
         pool.shutdown(wait=False, cancel_futures=True)
         _end(set(multiprocessing.active_children()) - others)
         if manager is not None:
-            # It gives back what the processes shared: an exit must not come in the middle of that.
+            # The manager thread frees what the processes shared: an exit must not interrupt it.
             manager.join(GRACE_S)
         raise
     finally:
@@ -57,26 +57,26 @@ def worker_pool(
 def submit_all(
     pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> list[Future[Result]]:
-    """Hand every task to the pool, whose processes start now; Ctrl-C is their parent's to answer."""
-    resource_tracker.ensure_running()  # starting it later would unblock the signal
+    """Submit all tasks, which starts the processes; they ignore Ctrl-C, which their parent handles."""
+    resource_tracker.ensure_running()  # started later, it would unblock the signal
     with interrupts_held():
         return [pool.submit(function, task) for task in tasks]
 
 
 def give_back_shared() -> None:
-    """Unlink the semaphores that processes shared, for an exit that runs no exit handlers.
+    """Unlink semaphores that processes shared, for an exit without exit handlers.
 
-    Left alone they are unlinked too, but by a helper process of the library that complains about them.
+    Otherwise a helper process of the library unlinks them and prints warnings.
     """
     util._run_finalizers(0)  # type: ignore[attr-defined]
 
 
 def give_back_memory() -> None:
-    """Give memory that is free to the system: glibc keeps what lies between blocks in use.
+    """Return free memory to the system: glibc keeps free memory that lies between used blocks.
 
-    The peak of a build of 1,000 frames of 640x480 on two threads is 1.21 GB by that, and was 1.52 GB.
+    This lowers the peak of a build of 1,000 frames of 640x480 on two threads from 1.52 to 1.21 GB.
     """
-    with suppress(OSError, AttributeError):  # another C library
+    with suppress(OSError, AttributeError):  # the C library is not glibc
         ctypes.CDLL(None).malloc_trim(0)
 
 
@@ -87,7 +87,7 @@ def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[object, 
 
 
 def _end_with_parent() -> None:
-    """End with the parent: a killed parent cannot stop its workers, which would wait for ever."""
+    """End this process when its parent ends: a killed parent cannot stop its workers."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""A row of the table at the end of a build: the result of one recording."""
+"""The result of one recording: a row of the table at the end of a build."""
 
 from pydantic import Field, field_serializer
 
@@ -44,5 +44,5 @@ class RecordingSummary(StoredPart):
 
     @field_serializer("residual_m")
     def _millimetres(self, residual_m: float | None) -> float | None:
-        # Unrounded, as it is rounded when shown.
+        # Hardly rounded here, because the value is rounded when it is shown.
         return None if residual_m is None else round(1000 * residual_m, 6)

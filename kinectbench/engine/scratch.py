@@ -1,4 +1,4 @@
-"""Folders of this machine that last as long as something is built in them, and no longer if it is killed."""
+"""Temporary folders of this machine, which also disappear if the process is killed."""
 
 import contextlib
 import multiprocessing
@@ -16,18 +16,18 @@ from kinectbench.engine.locks import locked
 
 SCRATCH_VARIABLE = "KINECTBENCH_SCRATCH"
 PREFIX = "kinectbench-scratch-"
-# Whoever makes a folder has locked it by then.
+# A process locks its folder within this time after making it.
 YOUNG_S = 60.0
 
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A new folder below KINECTBENCH_SCRATCH, or the system's temporary folder; removed after the block.
+    """Make a folder below KINECTBENCH_SCRATCH or the system's temporary folder; remove it after the block.
 
-    Those that killed runs left there are removed first: nobody holds their locks.
+    Folders that killed runs left there are removed first: their locks are free.
 
     Raises:
-        StorageError: the place is no folder, or cannot be written.
+        StorageError: the parent is no folder, or is not writable.
     """
     base = Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir())
     if not base.is_dir():
@@ -44,19 +44,19 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def clear_scratch() -> None:
-    """Remove what ended worker processes of this one left there."""
+    """Remove folders that ended workers of this process left."""
     for folder in Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir()).glob(f"{_prefix()}*"):
         _remove(folder)
 
 
 def _prefix() -> str:
-    """The name prefix of this process and its workers: the number of the main process."""
+    """The prefix of folder names of this process and its workers: the id of the main process."""
     parent = multiprocessing.parent_process()
     return f"{PREFIX}{os.getpid() if parent is None else parent.pid}-"
 
 
 def _sweep(base: Path) -> None:
-    """Remove our unused folders."""
+    """Remove unused folders of kinectbench."""
     for folder in base.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
             if time.time() - folder.lstat().st_mtime > YOUNG_S:
@@ -64,7 +64,7 @@ def _sweep(base: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove one of our folders unless it is in use."""
+    """Remove a folder of kinectbench unless a process uses it."""
     with contextlib.suppress(OSError, StorageError):
         status = folder.lstat()
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid():

@@ -1,4 +1,4 @@
-"""Parts of a benchmark for batch systems: which recordings the third of forty runs works on."""
+"""Divide a benchmark's recordings into parts, for the tasks of batch systems."""
 
 import re
 from dataclasses import dataclass
@@ -6,28 +6,28 @@ from dataclasses import dataclass
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import sha256_text
 
-# Array jobs of batch systems have some thousands of tasks at most; this only bounds what is read.
+# Largest number of parts. Array jobs of batch systems have at most some thousands of tasks.
 MOST_SHARDS = 10**6
 WANTED = f"give I/N, such as 3/40 for the third of 40 parts, with I from 1 to N, and N at most {MOST_SHARDS}"
 
 
 @dataclass(frozen=True)
 class Shard:
-    """One of several disjoint parts that together are all recordings.
+    """One of several disjoint parts that together contain all recordings.
 
-    Which part a recording belongs to depends on its id alone: it stays there when others come or go. Parts
-    have about as many recordings each; one may have none.
+    The part of a recording depends on its id alone, so it does not change if others are added or removed. The
+    parts have about the same size; a part may be empty.
 
     Attributes:
-        number: from 1 to `of`.
-        of: how many parts there are.
+        number: number of the part, from 1 to `of`.
+        of: number of parts.
     """
 
     number: int
     of: int
 
     def holds(self, recording: str) -> bool:
-        """Whether the recording of this id belongs to this part."""
+        """Whether this part contains the recording with this id."""
         return int(sha256_text(recording)[:16], 16) % self.of == self.number - 1
 
     def __str__(self) -> str:
@@ -35,10 +35,10 @@ class Shard:
 
 
 def parse_shard(text: str) -> Shard:
-    """The part that `I/N` names.
+    """Parse a part given as `I/N`.
 
     Raises:
-        SettingsError: the text is something else, or there is no such part.
+        SettingsError: the text has another form, or I is not in 1 to N.
     """
     match = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text, re.ASCII)
     number, of = map(int, match.groups()) if match else (0, 0)

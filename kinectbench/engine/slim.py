@@ -1,6 +1,6 @@
-"""A recording whose scan is deleted after the build: keeps what releases and reports need.
+"""Delete the frames of a built recording, and keep what releases and reports need.
 
-Its stages stay current. What would have to be made from the deleted frames is refused until the scan is back.
+Its stages stay current. A stage that would need the deleted frames is refused until the scan is back.
 """
 
 from pathlib import Path
@@ -10,18 +10,16 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.storage import replaced_file
 from kinectbench.engine.artefact import whole_hash, whole_manifest
 
-# Folders of `build/<recording>/` of which only later stages read more than the JSON files. Of 300 frames of
-# 640x480 with 50 views 33 MB of 78 stay, and the scan of 43 MB goes, too.
+# Folders of `build/<recording>/` that only later stages need, except for JSON files. For 300 frames of
+# 640x480 with 50 views, 33 of 78 MB remain, and the scan of 43 MB can be deleted, too.
 SLIMMED, KEPT = ("sequence", "reconstruction"), ".json"
 
 
 def slim(build: Path) -> int:
-    """Delete the frames and the scene's volume of a build; returns the bytes freed.
-
-    So it is with a recording that failed on the way.
+    """Delete the frames and the scene's volume of a build, finished or failed; return the freed bytes.
 
     Args:
-        build: `build/<recording>/`; nobody may be building it.
+        build: `build/<recording>/`; no run may be building it.
     """
     freed = 0
     for name in SLIMMED:
@@ -31,7 +29,7 @@ def slim(build: Path) -> int:
             continue
         kept = {file: size for file, size in manifest.files.items() if file.endswith(KEPT)}
         gone = len(manifest.files) - len(kept) + (manifest.removed or 0)
-        # First write the files to keep, so that a kill here loses nothing.
+        # First write the manifest of the kept files, so that a kill here loses nothing.
         with replaced_file(folder / Manifest.FILE) as temporary:
             slimmed = manifest.model_copy(update={"files": kept, "removed": gone})
             temporary.write_text(slimmed.text(), encoding="utf-8")
@@ -43,10 +41,10 @@ def slim(build: Path) -> int:
 
 
 def keep_failed_source(build: Path) -> None:
-    """Keep the deleted scan's identity in failed.json, so that its reason can be repeated.
+    """Keep the hash of a scan in failed.json, so that its failure stays valid once the scan is deleted.
 
     Args:
-        build: `build/<recording>/` of a recording that could not be read; of another nothing is changed.
+        build: `build/<recording>/`; unchanged unless the recording could not be read.
     """
     failed, sources = Failed.read_if_there(build), Sources.read_if_there(build)
     if failed is not None and sources is not None and not is_slim(build / "sequence"):
@@ -56,13 +54,13 @@ def keep_failed_source(build: Path) -> None:
 
 
 def is_slim(folder: Path) -> bool:
-    """Whether files of a stage's folder were deleted."""
+    """Whether files of a stage's folder were deleted by `slim`."""
     manifest = whole_manifest(folder)
     return manifest is not None and manifest.removed is not None
 
 
 def kept_source(build: Path) -> str | None:
-    """The one hash over the files of a scan that was deleted; None if none was."""
+    """The hash over the files of a deleted scan; None if no scan was deleted."""
     manifest = whole_manifest(build / "sequence")
     if manifest is not None:
         return None if manifest.removed is None else manifest.inputs.get("recording")
@@ -71,10 +69,10 @@ def kept_source(build: Path) -> str | None:
 
 
 def refuse_slim(recording: str, folder: Path) -> None:
-    """Refuse a stage's folder to make another stage from, if files of it were deleted.
+    """Refuse to make a stage from a folder whose files were deleted.
 
     Raises:
-        RecordingError: they were.
+        RecordingError: its files were deleted.
     """
     if is_slim(folder):
         raise RecordingError(

@@ -1,7 +1,7 @@
-"""The settings of each stage, one value per stage, and the rest of what its step receives.
+"""The settings of each stage, one model per stage, and the other inputs of its step.
 
-The value's JSON is the settings in the stage's fingerprint, so that a step cannot read a setting that is not
-in it. `stages` makes them of a job.
+The model's JSON is part of the stage's fingerprint, so a step cannot read a setting that is not in it.
+`stages` makes the models from a job.
 """
 
 from collections.abc import Mapping
@@ -31,15 +31,15 @@ from kinectbench.settings.models import (
 from kinectbench.settings.pick import PickSettings
 
 Section = TypeVar("Section", bound=Settings)
-# The name of the source that a person's masks are.
+# Name of the source for a person's masks.
 MASKS = "masks"
-# The name of the source that is a mesh in place of the fused truth.
+# Name of the source for a mesh that replaces the fused ground truth.
 REFERENCE = "reference"
 Needed = TypeVar("Needed", bound="StageSettings")
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
-    """Copy those keys of a section of benchmark.yaml that `wanted` has.
+    """Copy from a section of benchmark.yaml the keys that the model `wanted` has.
 
     Args:
         wanted: a model with some of the section's keys.
@@ -50,11 +50,11 @@ def part_of(wanted: type[Section], section: Settings) -> Section:
 
 
 class StageSettings(Settings):
-    """Base of the settings of a stage.
+    """Base class of the settings of a stage.
 
     Attributes:
-        ADDED: keys (`section.key` where nested) that are younger than the stage's version. The fingerprint
-            leaves them out where they have their default, so that artefacts made before them stay valid.
+        ADDED: keys (`section.key` if nested) that are newer than the stage's version. The fingerprint omits
+            them at their default, so that artefacts made before stay valid.
     """
 
     ADDED: ClassVar[tuple[str, ...]] = ()
@@ -78,9 +78,9 @@ class IngestSettings(StageSettings):
     ADDED = ("needs_trajectory", "own_pixels", "camera.sensor")
 
     camera: CameraSettings | None
-    # Without it a given trajectory that is broken, or of another time, ends the stage.
+    # If False, a given trajectory that is broken, or of another time, does not end the stage.
     needs_trajectory: bool = True
-    # A given trajectory is that of the object, and says nothing of all else that is in view.
+    # If True, a given trajectory is that of the object, and says nothing about the rest of the scene.
     own_pixels: bool = False
 
 
@@ -95,13 +95,13 @@ class TrackSettings(StageSettings):
 
 
 class SceneFusion(FusionSettings):
-    """Settings of the scene's fusion, without the object's voxels."""
+    """Settings of the scene's fusion, without those of the object's voxels."""
 
     voxel_size_m: None = Field(None, exclude=True)
 
 
 class ObjectFusion(FusionSettings):
-    """Settings of the object's fusion, without the scene's voxels."""
+    """Settings of the object's fusion, without those of the scene's voxels."""
 
     scene_voxel_size_m: None = Field(None, exclude=True)
 
@@ -145,7 +145,7 @@ class SegmentSettings(StageSettings):
 
 
 class SampleSettings(StageSettings):
-    """Settings of `sample-views`; masks use the floor's cuts of `segment`, too."""
+    """Settings of `sample-views`; masks also use the cuts of the floor by `segment`."""
 
     ADDED = ("segment_by", "segmentation.seed", "segmentation.floor_cut_m", "segmentation.low_cut_m")
 
@@ -156,7 +156,7 @@ class SampleSettings(StageSettings):
 
 
 class PairsSettings(StageSettings):
-    """Settings of `pairs`; limits on views alone are among those of `sample-views`."""
+    """Settings of `pairs`; limits that concern views only are in those of `sample-views`."""
 
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 
@@ -169,7 +169,7 @@ class Source:
 
     Attributes:
         path: the file or folder.
-        sha256: one hash over the names and contents of its files.
+        sha256: a hash over the names and contents of its files.
     """
 
     path: Path
@@ -181,10 +181,10 @@ class Work(Generic[Needed]):
     """The inputs of one stage.
 
     Attributes:
-        settings: those that the stage depends on.
-        stages: by their names the folders of the stages that it stands on, and of no others.
-        sources: by their names those whose hashes are in the stage's fingerprint, and no others.
-        folder: to be filled; it is empty.
+        settings: the settings that the stage depends on.
+        stages: folders of the stages that it reads, by name; no others.
+        sources: sources whose hashes are in the stage's fingerprint, by name; no others.
+        folder: the empty folder to fill.
         progress: called with (done, total).
     """
 
@@ -196,5 +196,5 @@ class Work(Generic[Needed]):
 
     @property
     def masks(self) -> Path | None:
-        """The folder of a person's masks, if the stage depends on one."""
+        """The folder of a person's masks; None if the stage does not depend on any."""
         return self.sources[MASKS].path if MASKS in self.sources else None

@@ -1,4 +1,4 @@
-"""The stages in order: inputs and settings of each. `steps` runs them."""
+"""The stages in order, with the inputs and settings of each. `steps` runs them."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -36,7 +36,7 @@ from kinectbench.settings.models import (
     RecordingSettings,
 )
 
-# What a benchmark and its commands keep beside benchmark.yaml: no part of a recording that lies there, too.
+# Files of a benchmark beside benchmark.yaml; they are no part of a recording in the same folder.
 OF_BENCHMARK = ("benchmark.yaml", "build", "benchmark", "predictions", "scores", "triage", "reproduce")
 
 
@@ -45,10 +45,10 @@ class Job:
     """One recording of a benchmark.
 
     Attributes:
-        settings: the whole benchmark.
-        recording: the recording.
+        settings: settings of the whole benchmark.
+        recording: settings of the recording.
         root: the folder of benchmark.yaml, or its URL as a path; relative paths start there.
-        source_sha256: one hash over the recording's files, if it is known without them.
+        source_sha256: the hash over the recording's files if known without reading them.
     """
 
     settings: BenchmarkSettings
@@ -58,12 +58,12 @@ class Job:
 
     @property
     def build(self) -> Path:
-        """`build/<recording>/`."""
+        """The recording's folder `build/<recording>/`."""
         return self.root / "build" / self.recording.id
 
     @property
     def source(self) -> Path:
-        """The recording itself."""
+        """The recording's file or folder."""
         return self.root / self.recording.path
 
     @property
@@ -73,17 +73,17 @@ class Job:
 
     @property
     def reference(self) -> Path | None:
-        """The mesh that is its truth, or None: what is fused is."""
+        """The mesh that serves as ground truth; None: the fused object is the ground truth."""
         return None if self.recording.reference is None else self.root / self.recording.reference
 
     @property
     def alone(self) -> "Job":
-        """A copy without the other recordings, as it is sent to many processes."""
+        """A copy without the other recordings, which is small to send to processes."""
         return replace(self, settings=self.settings.model_copy(update={"recordings": [self.recording]}))
 
     @property
     def unused_masks(self) -> Path | None:
-        """`masks/<recording>/`, if it exists and benchmark.yaml names no masks of the recording."""
+        """`masks/<recording>/` if it exists although benchmark.yaml names no masks for the recording."""
         folder = self.root / "masks" / self.recording.id
         return folder if self.recording.masks is None and folder.is_dir() else None
 
@@ -93,11 +93,11 @@ class Stage:
     """One stage of the pipeline.
 
     Attributes:
-        name: of the command.
-        folder: of the artefact, below `build/<recording>/`.
-        inputs: names of the stages it stands on.
-        needs: the settings that it depends on; its step gets no others.
-        sources: what outside `build/` it depends on, by name.
+        name: name of the stage and of its command.
+        folder: folder of its artefact, below `build/<recording>/`.
+        inputs: names of the stages that it reads.
+        needs: makes the settings that it depends on; its step gets no others.
+        sources: makes its inputs from outside `build/`, by name.
     """
 
     name: str
@@ -108,11 +108,11 @@ class Stage:
 
     @property
     def version(self) -> int:
-        """Version of its output; artefacts of another version are made again."""
+        """Version of the stage's output; artefacts of another version are made again."""
         return VERSIONS[self.name]
 
     def settings(self, job: Job) -> Mapping[str, JsonValue]:
-        """The settings that it depends on, as plain JSON values."""
+        """The settings that the stage depends on, as plain JSON values."""
         return self.needs(job).fingerprinted()
 
 
@@ -168,10 +168,10 @@ def _pairs(job: Job) -> StageSettings:
 
 
 def check_masks(job: Job) -> None:
-    """Refuse a missing folder of masks.
+    """Check that the folder of masks exists.
 
     Raises:
-        RecordingError: it is named in benchmark.yaml, but missing.
+        RecordingError: benchmark.yaml names a folder that is missing.
     """
     from kinectbench.stages.ingest.sources import check_there
 
@@ -190,18 +190,18 @@ def _masks(job: Job) -> Mapping[str, Source]:
     from kinectbench.stages.ingest.sources import files_below
 
     files = files_below(job.masks, follow_links=job.recording.follow_links)
-    # masks.json allows a mask or refuses it (`drawn_masks`), and changes nothing that is made with it.
+    # masks.json only permits or refuses masks (`drawn_masks`); it never changes a result.
     given = [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
     return {MASKS: Source(job.masks, content_hash(given, job.masks))}
 
 
 def _frame_masks(job: Job) -> Mapping[str, Source]:
-    """A person's masks of frames; none if the folder holds masks of views."""
+    """A person's masks of frames, as a source; empty if the folder holds masks of views."""
     return _masks(job) if job.recording.segment_by == "masks" else {}
 
 
 def _of_object(job: Job) -> Mapping[str, Source]:
-    """A person's masks of frames, and the mesh that is the truth."""
+    """Sources about the object: a person's masks of frames, and the reference mesh."""
     if job.reference is None:
         return _frame_masks(job)
     from kinectbench.stages.ingest.sources import check_there
@@ -238,7 +238,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("pairs", "pairs", ("ingest", "track", "segment", "sample-views"), _pairs),
 )
 
-# Beside the way: boxes to choose from, for a person to look at. No other stage stands on it.
+# A side stage: boxes that a person may choose from. No other stage reads it.
 SUGGEST = Stage("suggest", "candidates", ("ingest", "track", "fuse"), _suggest)
 
 
@@ -251,19 +251,19 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_reference(stage: Stage, job: Job) -> bool:
-    """Whether a stage stands on a mesh that is the truth."""
+    """Whether a stage of the job depends on a reference mesh."""
     return stage.name == "segment" and job.reference is not None
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders of current stages in `build/<recording>/`, by stage.
 
-    Such a folder is complete, and the stage's present version made it from the present artefacts of stages
-    that it stands on. Whether the recording itself changed since is not looked at.
+    A current folder is complete, and was made by the stage's present version from the present artefacts of
+    its input stages. Changes of the recording's own files are not checked.
 
     Args:
-        build: where the stages' folders lie.
-        job: with whose settings they must be made; None: with any.
+        build: `build/<recording>/`.
+        job: a job whose settings the artefacts must have; None: any settings.
     """
     folders: dict[str, Path] = {}
     fingerprints: dict[str, str] = {}

@@ -58,16 +58,16 @@ NOTHING_TO_CHOOSE = (
 )
 
 
-# By the stage's name: files of `build/<recording>/` that show results that it replaces.
+# Stage -> a file of `build/<recording>/` that describes its earlier result, and is removed with it.
 OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
-# What given poses of a camera on a tripod stray at most, metres.
+# Most that the given poses of a camera on a tripod vary, metres.
 STRAY_M = 0.02
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
-    """The sequence as the tracker saw it, and the trajectory of `build/<recording>/`.
+    """Read the sequence as the tracker used it, and the trajectory, from `build/<recording>/`.
 
-    Its depth is calibrated, and a rolling shutter that was found is undone.
+    Depth is calibrated, and a detected rolling shutter is undone.
     """
     return _tracked({"ingest": build / "sequence", "track": build / "trajectory"})
 
@@ -80,7 +80,7 @@ def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
 
 
 def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
-    """Like `read_tracked`, with only the object's depth if masks segment it."""
+    """Like `read_tracked`, but with the object's depth only if masks segment the recording."""
     sequence, trajectory = _tracked(work.stages)
     masks = frame_masks(sequence, work.settings.segment_by, work.masks)
     return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory
@@ -91,7 +91,7 @@ def _scene(stages: Mapping[str, Path]) -> TriangleMesh:
 
 
 def _ingest(work: Work[IngestSettings]) -> None:
-    # Where links are not to be followed, they were refused when the recording's files were hashed.
+    # Links that must not be followed were refused when the recording's files were hashed.
     recording = open_recording(work.sources["recording"].path, work.settings.camera, follow_links=True)
     refuse_hopeless(recording)
     needed = work.settings.needs_trajectory
@@ -133,7 +133,7 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 def _picked(
     sequence: Sequence, trajectory: Trajectory, settings: SuggestSettings | SegmentSettings
 ) -> PickedPoint | None:
-    """The point on the object that `pick` names; None: none, or all that is fused is the object."""
+    """The point on the object that `pick` names; None without a pick, or if the whole scene is the object."""
     if settings.pick is None or settings.segment_by is not None:
         return None
     return picked_point(sequence, trajectory, settings.pick.frame, settings.pick.pixel)
@@ -173,7 +173,7 @@ def _pairs(work: Work[PairsSettings]) -> None:
     write_pairs(views, sequence, shape, work.settings.pairs, work.folder, work.progress)
 
 
-# By the stage's name; each takes the settings of its own stage.
+# Stage -> its step, which takes the settings of that stage.
 STEPS: Mapping[str, Callable[[Work[Any]], None]] = {
     "ingest": _ingest,
     "track": _track,
@@ -191,16 +191,16 @@ def track_scene(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """`track`; unless given poses say that the camera moves, health.json warns of one that stands still.
+    """Track a scene; warn in health.json if the camera stands still, unless given poses say that it moves.
 
     Args:
         sequence: the recording.
-        mode: of a given trajectory.
-        settings: what counts as disagreement.
+        mode: use of a given trajectory; None: default.
+        settings: settings of `track`.
         progress: called with (done, total).
 
     Raises:
-        TrackingError: as `track`.
+        TrackingError: raised by `track`.
     """
     given = None if mode == "ignore" else sequence.given_trajectory
     line = "" if given is not None and _moves(given) else turntable_warning(sequence)

@@ -1,7 +1,7 @@
-"""A recording whose benchmark lies in a store: checked out, built here, and its stages uploaded.
+"""Build a recording whose benchmark is in a store: check it out, build it locally, and upload its stages.
 
-In the store nothing is locked or renamed: an artefact lies under its fingerprint. Whoever makes it
-again makes the same; a machine that makes other bytes continues from those that were there first.
+The store has no locks or renames: an artefact lies under its fingerprint. Another machine makes the same
+artefact; if its bytes differ, that machine continues from the artefact that was stored first.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ from kinectbench.engine.stored_stage import fetch_file, fetch_stage, put_stage
 from kinectbench.engine.summary import summary
 from kinectbench.engine.time_limit import Hung
 
-# What the table of a build shows comes from these.
+# Files from which the table of a build is made, by stage.
 SHOWN = {
     "ingest": CameraFile.FILE,
     "track": TrajectoryHealth.FILE,
@@ -57,18 +57,18 @@ def build_stored(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """`build_recording` for a recording at a URL; the outcome includes its row of the table.
+    """Build a recording at a URL like `build_recording`; the outcome includes its row of the table.
 
     Args:
         job: the recording.
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
-        progress: called with (stage, done, total); `fetch` and `put` are stages, too.
-        limit_s: how long its stages may take, seconds; None: as long as they do.
+        progress: called with (stage, done, total); `fetch` and `put` count as stages.
+        limit_s: time limit of the stages, seconds; None: no limit.
         hung: see `build_recording`.
 
     Raises:
-        StoreGoneError: the store does not answer any more.
+        StoreGoneError: the store has stopped answering.
     """
     report = progress or nobody
     started = time.monotonic()
@@ -80,9 +80,9 @@ def build_stored(
 
     try:
         outcome = once(force)
-        while outcome is None:  # each time a stage more is there already
+        while outcome is None:  # each repetition finds one more stored stage
             outcome = once(())
-    except StoreGoneError:  # nor would the next recordings find it
+    except StoreGoneError:  # the next recordings would fail, too
         raise
     except Exception as failure:
         outcome = Outcome(job.recording.id, (), (), error_line(failure), 0.0, code=error_code(failure))
@@ -95,7 +95,7 @@ def build_stored(
 def _built(
     copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
 ) -> Outcome | None:
-    """The outcome; None if another run stored a stage with other bytes, from which to continue."""
+    """Build and upload; None if another run stored other bytes of a stage, so the build must start again."""
     missing = [each for each in stages_upto(upto) if each.name not in copy.current or each.name in force]
     if not missing:
         if copy.failed:
@@ -124,13 +124,13 @@ def _built(
 
 
 def _masks_file(copy: Checkout) -> str:
-    """The local masks.json, which a build may extend; "" if there is none."""
+    """The content of the local masks.json, which a build may extend; "" without it."""
     masks = None if copy.job.masks is None else MasksFile.read_if_there(copy.job.masks)
     return "" if masks is None else masks.text()
 
 
 def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
-    """For a recording that is current or failed before, download only the table's figures."""
+    """The outcome if there is nothing to build; downloads only the figures of the table."""
     in_parallel(
         partial(fetch_file, copy.store, copy.job.recording.id, copy.artefacts[name], SHOWN[name], copy.built)
         for name in copy.current
@@ -142,7 +142,7 @@ def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
 
 
 def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: Report) -> None:
-    """Download the recording if it must be read again, and its earlier artefacts."""
+    """Download the artefacts that missing stages need, and the recording if it must be read again."""
     job = copy.job
     if any(stage.name == "ingest" for stage in missing) and not job.source.exists():
         fetch_recording(copy.store, job, files_of_recording(copy.store, job), report)
@@ -152,7 +152,7 @@ def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: Report) -> N
 
 
 def _put_failure(copy: Checkout) -> None:
-    """Store the local failure of the recording, or delete it after success."""
+    """Upload the recording's failed.json, or delete the stored one after success."""
     name, kept = f"build/{copy.job.recording.id}/{Failed.FILE}", Failed.read_if_there(copy.job.build)
     if kept is not None:
         stored = kept.model_copy(update={"error": as_there(copy.store, copy.job.root, kept.error)})

@@ -1,9 +1,9 @@
 """A stage's artefact in a store: `build/<recording>/<stage>/<fingerprint>/`, written once and never changed.
 
-Its manifest is written last: a folder without one is nothing yet. The files lie beside it in a folder that is
-named by their content: where two machines make other bytes of one stage, the first manifest names the folder
-that counts, and nothing is mixed. The many small files of a sequence, of views and of pairs travel as one
-tar, JSON apart.
+The manifest is written last; a folder without one does not count. The files lie in a sibling folder named by
+their content: if two machines make different bytes for a stage, the first manifest names the folder that
+counts, and nothing is mixed. The many small files of a sequence, of views and of pairs form one tar; JSON
+files are stored separately.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ from kinectbench.engine.artefact import Artefact
 
 ARCHIVE = "files.tar"
 PACKED = ("ingest", "sample-views", "pairs")
-# A tar's share beyond its files: two blocks of 512 bytes a file, and its end.
+# Most bytes of a tar besides the files' content: two blocks of 512 bytes for each file, and its end.
 TAR_BYTES = 1024
 REBUILD = "remove the folder and build again"
 
@@ -33,15 +33,15 @@ def stored_folder(recording: str, artefact: Artefact) -> str:
 
 
 def is_stored(names: Collection[str], recording: str, artefact: Artefact) -> bool:
-    """Whether a listing of `build/<recording>/` holds the whole artefact."""
+    """Whether a listing of `build/<recording>/` contains the finished artefact."""
     return f"{stored_folder(recording, artefact)}/{Manifest.FILE}" in names
 
 
 def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
-    """Upload a local artefact unless one exists: a finished one is kept.
+    """Upload a local artefact unless a finished one exists.
 
     Returns:
-        Whether the stored bytes are equal; False: another run stored other ones first.
+        Whether the stored bytes are equal; False: another run has stored different ones.
 
     Raises:
         StorageError: the store fails, or the stored artefact is damaged.
@@ -74,7 +74,7 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
     """Download a stored artefact into its local folder.
 
     Raises:
-        StorageError: it is damaged, is no such artefact, or the store fails.
+        StorageError: the artefact is damaged or another one, or the store fails.
     """
     where = stored_folder(recording, artefact)
     manifest = _manifest(store, where, artefact)
@@ -103,14 +103,14 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
 def fetch_file(
     store: Store, recording: str, artefact: Artefact, name: str, names: Collection[str] = ()
 ) -> None:
-    """Fetch one JSON file of a stored artefact, without the others.
+    """Download one JSON file of a stored artefact.
 
     Args:
-        store: of the benchmark's root.
-        recording: its id.
-        artefact: that the store holds.
-        name: of the file.
-        names: a listing of `build/<recording>/`; where it shows one such file, no manifest is read for it.
+        store: store of the benchmark's root.
+        recording: id of the recording.
+        artefact: an artefact that the store holds.
+        name: name of the file.
+        names: listing of `build/<recording>/`; if it contains one such file only, no manifest is read.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:
@@ -123,12 +123,12 @@ def fetch_file(
 
 
 def files_folder(where: str, manifest: Manifest) -> str:
-    """The folder that holds an artefact's files; earlier versions put them beside its manifest."""
+    """The folder of an artefact's files; earlier versions put them beside the manifest."""
     return where if manifest.content is None else f"{where}/{manifest.content}"
 
 
 def _content(folder: Path, manifest: Manifest) -> str:
-    """Hash of the names and bytes of an artefact's files."""
+    """Hash the names and bytes of an artefact's files."""
     return sha256_text(canonical_json({name: sha256_file(folder / name) for name in manifest.files}))
 
 
@@ -138,7 +138,7 @@ def _manifest(store: Store, where: str, artefact: Artefact) -> Manifest:
 
 
 def _written(manifest: Manifest, folder: Path) -> None:
-    """Write a manifest as made, without the store's own keys."""
+    """Write a manifest as the stage made it, without the keys that the store adds."""
     Manifest.model_validate(manifest.model_dump(exclude={"content"})).write(folder)
 
 
@@ -155,7 +155,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """Names of the files that are packed in one tar, and of the others."""
+    """The names of the files that are packed into a tar, and of the others."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

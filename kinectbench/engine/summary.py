@@ -1,4 +1,4 @@
-"""The result of a run for a recording, as in the table at the end of a build."""
+"""The result of a run on a recording, as in the table at the end of a build."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import Job
 
-# Figures of health.json and of quality.json that the table has under the same names.
+# Figures of health.json and quality.json that have the same names in the table.
 OF_POSES = ("source", "grade", "verdict", "recommended")
 OF_OBJECT = (
     *("repeatability_iou", "estimated_iou", "estimated_iou_low", "estimated_iou_high"),
@@ -28,13 +28,13 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class BuiltRecording:
-    """The outcome of one recording; its figures, in five files, are read on request.
+    """The outcome of one recording; its figures, which are in five files, are read on request.
 
     Attributes:
-        recording: its id.
-        error: why it failed, or None.
-        made: stages of this run.
-        read: gives its figures.
+        recording: id of the recording.
+        error: why the recording failed, or None.
+        made: names of the stages that the run made.
+        read: reads the figures.
     """
 
     recording: str
@@ -44,23 +44,23 @@ class BuiltRecording:
 
     @classmethod
     def of(cls, row: RecordingSummary) -> Self:
-        """A recording with figures that are already read."""
+        """A recording whose figures are already read."""
         return cls(row.recording, row.error, row.made, lambda: row)
 
     @cached_property
     def summary(self) -> RecordingSummary:
-        """Its figures."""
+        """The figures of the recording."""
         return self.read()
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
-    """The figures of a run's new and current stages; older stages are left out."""
+    """The figures of the stages that a run made or found current; other stages are left out."""
     if outcome.row is not None:
         return outcome.row
     stages = (*outcome.made, *outcome.current)
 
     def read(stage: str, model: type[File]) -> File | None:
-        """A stage's file; None if missing or unreadable."""
+        """Read a file of a stage; None if it is missing or unreadable."""
         try:
             return model.read(job.build / FOLDERS[stage]) if stage in stages else None
         except KinectBenchError:
@@ -68,7 +68,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
 
     sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
     quality, views = read("segment", QualityFile), read("sample-views", ViewsFile)
-    # Of the object more exactly by the next stage.
+    # The next stage knows the object's figures more exactly.
     scene = None if quality else read("fuse", ReconstructionFile)
     pairs = read("pairs", PairsFile)
     rows = pairs.pairs if pairs else ()
@@ -104,10 +104,10 @@ def _to_do_first(
     quality: QualityFile | None,
     views: ViewsFile | None,
 ) -> str | None:
-    """The warning to see to first; None without any.
+    """The warning to deal with first; None without warnings.
 
-    Causes come first: lengths, then poses, then the floor and the choice of the object; then
-    unseen parts; then all others, stage by stage.
+    Causes precede effects: lengths, poses, the floor and the choice of the object, unseen parts, and then all
+    other warnings by stage.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)
@@ -123,6 +123,6 @@ def _to_do_first(
 
 
 def _median(values: Iterable[float | None]) -> float | None:
-    """The median of the known values, as on the page; None without any."""
+    """The median of the known values, as on the page; None if no value is known."""
     known = [value for value in values if value is not None]
     return round(median(known), 9) if known else None

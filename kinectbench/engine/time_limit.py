@@ -1,4 +1,4 @@
-"""A time limit per recording: one that exceeds it fails, and others continue."""
+"""A time limit for each recording: a recording that exceeds it fails, and the others continue."""
 
 import multiprocessing
 import os
@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.engine.executor import WorkerLost
 
-# A recording that gives no sign of life for as long again and this much more hangs.
+# A recording hangs if it gives no sign of life for the limit again plus this time.
 HANG_S = 600.0
-# A worker has handed over its result after so many seconds; then a process that hangs ends.
+# Seconds for a worker to hand over its result before a hanging process is ended.
 HAND_OVER_S = 10.0
 Report = Callable[[str, int, int], None]
 Hung = Callable[[str], None]
@@ -22,25 +22,25 @@ Result = TypeVar("Result")
 
 
 class TimeLimitError(KinectBenchError):
-    """A recording exceeds its time limit; the next run tries it again, perhaps with more time."""
+    """A recording exceeds its time limit; the next run tries it again."""
 
     what = "time-limit"
 
 
 @contextmanager
 def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:
-    """Yield a `report` that raises once the block exceeds its time.
+    """Yield a version of `report` that raises once the block exceeds its time.
 
-    A stage reports for every frame or pair, so that it stops between two of them. One that hangs in the midst
-    of one cannot be stopped: `hung` is called.
+    A stage reports after every frame or pair, and is stopped there. A stage that hangs within one cannot be
+    stopped; then `hung` is called.
 
     Args:
-        limit_s: how long the block may take, seconds; None: as long as it does.
+        limit_s: time limit of the block, seconds; None: no limit.
         report: called with (stage, done, total).
-        hung: called once with the reason, one line, on another thread; None: no report.
+        hung: called once, on another thread, with the reason in one line; None: no call.
 
     Raises:
-        TimeLimitError: it took too long.
+        TimeLimitError: the block took too long.
     """
     if limit_s is None:
         yield report
@@ -48,7 +48,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
     end, latest = time.monotonic() + limit_s, "its start"
 
     def checked(stage: str, done: int, total: int) -> None:
-        """`report`, which raises `TimeLimitError` after the limit."""
+        """Call `report`; raise `TimeLimitError` after the limit."""
         nonlocal latest
         latest = stage
         if time.monotonic() > end:
@@ -59,7 +59,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
         report(stage, done, total)
 
     def tell() -> None:
-        """Report that the block hangs, and its stage."""
+        """Report that the block hangs, and in which stage."""
         if hung is not None:
             hung(
                 f"{latest}: hangs: did not end or go on for {2 * limit_s + HANG_S:g} s, with --time-limit "
@@ -77,18 +77,18 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
 
 
 def watched(function: Callable[[Hung], Result]) -> Result | WorkerLost:
-    """Run a function on its own thread, and abandon it if it hangs.
+    """Run a function on its own thread; abandon the thread if the function hangs.
 
-    A worker process that holds such a thread ends soon: whatever it has begun meanwhile is lost.
+    A worker process with an abandoned thread ends soon; the thread's unfinished work is lost.
 
     Args:
-        function: gets a callback for when it hangs (`time_limit` uses it).
+        function: called with a callback that reports a hang (`time_limit` uses it).
 
     Returns:
-        What it returns, or `WorkerLost` with the reason.
+        The function's result, or `WorkerLost` with the reason.
 
     Raises:
-        Exception: that of the function.
+        Exception: raised by the function.
     """
     worked, hangs = Future[Result](), Future[str]()
 

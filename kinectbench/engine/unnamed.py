@@ -1,4 +1,4 @@
-"""Stored files of a build that no manifest names: remains of killed runs."""
+"""Find and delete files of a stored build that no manifest names: they remain from killed runs."""
 
 import re
 import time
@@ -11,7 +11,7 @@ from kinectbench.core.store.store import Store, StoredObject, in_parallel
 from kinectbench.engine.stages import STAGES, SUGGEST
 from kinectbench.engine.stored_stage import ARCHIVE, files_folder
 
-# Younger files may belong to a running run on a machine whose clock is wrong by hours.
+# Younger files may belong to a current run on a machine whose clock is wrong by hours.
 YOUNG_S = 86_400.0
 
 _STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))
@@ -19,13 +19,13 @@ _ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
 
 
 def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
-    """Files of an artefact's folder that its manifest does not name; all of them without a manifest.
+    """List files in artefacts' folders that the manifest does not name; all files if there is no manifest.
 
-    Only folders of artefacts are looked into: recordings, releases and other files are not ours to remove.
+    Only folders of artefacts are searched: recordings, releases and other files must stay.
 
     Args:
-        store: of the benchmark's root.
-        young: also those that are younger than a day, or lie beside one that is.
+        store: store of the benchmark's root.
+        young: include files younger than a day, and files beside these.
 
     Raises:
         StorageError: a manifest is damaged, or the store fails.
@@ -45,7 +45,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
 
 
 def remove(store: Store, orphans: Iterable[StoredObject]) -> int:
-    """Delete the files of `unnamed`, unless a manifest has appeared since; returns their number."""
+    """Delete the files that `unnamed` found, unless a manifest has appeared; return the number deleted."""
     folders: dict[str, list[StoredObject]] = {}
     for each in orphans:
         match = _ARTEFACT.fullmatch(each.name)

@@ -1,7 +1,7 @@
-"""Change a benchmark.yaml as text: comments and layout stay as they are.
+"""Change a benchmark.yaml as text, so that comments and layout stay as they are.
 
-A round trip by ruamel.yaml drops the spaces that align values, needs the indentation as a setting, and reads
-seven times as long (measured on 2000 recordings).
+A round trip by ruamel.yaml would drop the spaces that align values, would need the indentation as a setting,
+and takes seven times as long (measured on 2000 recordings).
 """
 
 import json
@@ -19,15 +19,16 @@ from kinectbench.settings.recording_table import ENDINGS
 
 
 def file_of(config: Path, recording: str, box: BoxPart) -> Path:
-    """The file with a recording: a benchmark.yaml without errors, or one that it includes.
+    """Find the file that defines a recording: a valid benchmark.yaml, or a file that it includes.
 
     Args:
         config: the benchmark.yaml.
-        recording: an id in it.
-        box: the new box.
+        recording: id of the recording.
+        box: the new box, for the message.
 
     Raises:
-        SettingsError: it stands in a table, which is not changed; the message names the cells to fill in.
+        SettingsError: a table defines the recording and is not changed; the message names the cells to fill
+            in.
     """
     root = nodes_of(as_text(read_bytes(config), str(config)), str(config), config)
     entry = _entry(yaml_nodes.items(root)["recordings"], recording)
@@ -47,16 +48,16 @@ def _entry(recordings: yaml.Node, recording: str) -> yaml.MappingNode:
 
 
 def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
-    """The file's text with this box for a recording, and no other change.
+    """The text of a file with this box for a recording, and no other change.
 
     Args:
-        text: of a benchmark.yaml or a file that it includes, without errors.
-        source: its name.
-        recording: an id in it.
-        box: in the floor frame.
+        text: text of a valid benchmark.yaml, or of a file that it includes.
+        source: name of the file.
+        recording: id of the recording.
+        box: the box, in the floor frame.
 
     Raises:
-        SettingsError: the file cannot be changed safely; the message has the line to paste.
+        SettingsError: the file cannot be changed safely; the message contains the line to paste.
     """
     root = yaml_nodes.compose(text, source)
     entry = _entry(yaml_nodes.items(root)["recordings"], recording)
@@ -78,7 +79,7 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
 
 
 def _changed(text: str, entry: yaml.MappingNode, line: str) -> str:
-    """The text with the recording's box replaced, or inserted after its id."""
+    """The text with the recording's box replaced, or inserted after the recording's id."""
     nodes = yaml_nodes.items(entry)
     if "box" in nodes:
         start, end = nodes["box"].start_mark.index, nodes["box"].end_mark.index
@@ -99,12 +100,12 @@ def box_line(box: BoxPart) -> str:
 
 
 def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
-    """The text of a benchmark.yaml with further recordings behind its own, and no other change.
+    """The text of a benchmark.yaml with recordings appended, and no other change.
 
     Args:
-        text: of the file.
-        source: its name.
-        lines: of the entries, each from `  - id:` on.
+        text: text of the file.
+        source: name of the file.
+        lines: lines of the new entries; each entry starts with `  - id:`.
 
     Raises:
         SettingsError: the file cannot be changed safely.
@@ -128,7 +129,7 @@ def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
 
 
 def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str:
-    """The text with lines in place of an empty `recordings:`, or with that key at its end."""
+    """The text with lines in place of an empty `recordings:`, or with that key and the lines at its end."""
     if empty is None:
         return "\n".join([*text.removesuffix("\n").split("\n"), "", "recordings:", *lines, ""])
     start, end = empty.start_mark.index, empty.end_mark.index
@@ -140,7 +141,7 @@ def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str
 
 
 def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
-    """The text with lines behind the last recording and the comments that are indented like it."""
+    """The text with lines after the last recording and the comments that have its indentation."""
     rows = text.removesuffix("\n").split("\n")
     margin, end = recordings.start_mark.column, len(rows)
     if recordings.end_mark.index < len(text):
@@ -152,6 +153,6 @@ def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
 
 
 def _is_indented(row: str, margin: int) -> bool:
-    """Whether a row is no blank one, and no comment that begins at a margin or before it."""
+    """Whether a row is neither blank nor a comment that starts at the margin or left of it."""
     inner = row.lstrip(" ")
     return bool(inner.strip()) and (not inner.startswith("#") or len(row) - len(inner) > margin)

@@ -1,4 +1,4 @@
-"""Read benchmark.yaml: `--set` overrides, the settings, and one line with file and line for every error."""
+"""Read benchmark.yaml and `--set` overrides; each error gives one line with file and line number."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,11 +26,11 @@ from kinectbench.settings.words import (
     wanted,
 )
 
-# Recordings that are looked over at a time: each may be wrong in several ways, of two kilobytes.
+# Recordings to validate at a time: each may have several errors of two kilobytes.
 RECORDINGS_AT_ONCE = 5000
-# Lines about errors: more usually have a single cause.
+# Lines about errors to print: more errors usually have one cause.
 SHOWN = 20
-# Characters of a value that a line quotes, and that are read for it, as values may be megabytes.
+# Characters of a value that a line quotes, and that are examined for it; values may have megabytes.
 QUOTED, LOOKED_AT = 60, 1000
 
 
@@ -39,15 +39,15 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
 
     Args:
         path: the file, or its URL as a path.
-        overrides: `section.key=value` or `recordings.<id>.key=value`, the value in YAML; they win
-            over the file, the last one over those before it.
+        overrides: `section.key=value` or `recordings.<id>.key=value`, with the value in YAML. They replace
+            values of the file, and later ones replace earlier ones.
 
     Returns:
-        The settings, complete with defaults. A section left empty keeps its defaults.
+        The settings, completed by defaults. An empty section has the defaults.
 
     Raises:
-        SettingsError: one line for each error, in the file's order: file and line (or the
-            override), dotted key, the value found and the value expected.
+        SettingsError: one line for each error, in the order of the file: file and line (or the override),
+            dotted key, the value found, and the value expected.
     """
     source = shown(path)
     return parse_benchmark(as_text(read_bytes(path), source), source, overrides, path)
@@ -57,13 +57,13 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
 def parse_benchmark(
     text: str, source: str, overrides: Sequence[str] = (), config: Path | None = None
 ) -> BenchmarkSettings:
-    """`load_benchmark` of the text of a benchmark.yaml; errors start with `source`.
+    """Parse the text of a benchmark.yaml as `load_benchmark` does; errors start with `source`.
 
     Args:
-        text: of the file.
-        source: its name.
+        text: text of the file.
+        source: name of the file.
         overrides: as for `load_benchmark`.
-        config: its file, for relative includes; None: no file and no includes.
+        config: path of the file, for relative includes; None: no file, so no includes.
     """
     root = nodes_of(text, source, config)
     for override in overrides:
@@ -72,10 +72,10 @@ def parse_benchmark(
 
 
 def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
-    """The nodes of a benchmark.yaml, including files that it includes.
+    """Parse a benchmark.yaml and the files that it includes into nodes.
 
     Raises:
-        SettingsError: it holds no settings, something stands twice in it, or a file cannot be included.
+        SettingsError: the text holds no settings, a key repeats, or a file cannot be included.
     """
     allowance = yaml_nodes.Allowance()
     root = yaml_nodes.compose(text, source, allowance)
@@ -88,12 +88,12 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
         raise SettingsError(
             f"{yaml_nodes.place(root)}: found {_found(root)}; wanted lines like 'name: furniture'"
         )
-    yaml_nodes.plain(root)  # refuses duplicates before an override could hide one
+    yaml_nodes.plain(root)  # refuses repeated keys, before an override could hide one
     return with_included(root, config, allowance) if config else root
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
-    """The nodes with one `key=value` inserted."""
+    """Insert one `key=value` into the nodes."""
     source = f"{yaml_nodes.OVERRIDE}{_shortened(override)}"
     key, equals, text = override.partition("=")
     if not equals or not all(key.split(".")):
@@ -105,7 +105,7 @@ def _overridden(root: yaml.Node, override: str) -> yaml.Node:
 
 
 def _override_path(root: yaml.Node, key: str, source: str) -> Location:
-    """The target of a dotted key; a recording is named by its id, which may contain dots."""
+    """The location of a dotted key; a recording is named by its id, which may contain dots."""
     section, _, tail = key.partition(".")
     if section != "recordings" or not tail:
         return tuple(key.split("."))
@@ -139,7 +139,7 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
 
 
 def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
-    """Errors of the first wrong recordings of a long list; nothing for a short list."""
+    """The errors of the first wrong recordings of a long list; none for a short list."""
     recordings = values.get("recordings")
     if not isinstance(recordings, list) or len(recordings) <= RECORDINGS_AT_ONCE:
         return []
@@ -158,14 +158,14 @@ def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
 
 
 def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[ErrorDetails]) -> list[str]:
-    """A line for each of the first errors in the file's order, and one for all the rest."""
+    """One line for each of the first errors, in the order of the file, and one line for the rest."""
     known: yaml_nodes.Known = {}
-    # A vector of three or four wrong numbers is one error.
+    # Several wrong numbers of one vector are one error.
     of_place: dict[tuple[Location, str], ErrorDetails] = {}
     for error in errors:
         of_place.setdefault((_location(error), error["type"]), error)
     if any(error["loc"][:1] == (INCLUDE,) for error in errors):
-        of_place.pop(((RECORDINGS,), "missing"), None)  # they were to be included
+        of_place.pop(((RECORDINGS,), "missing"), None)  # the included files should define them
     errors = list(of_place.values())
     anchors = [yaml_nodes.find(root, _location(error), known)[0] for error in errors]
     orders = [yaml_nodes.order(anchor, root.start_mark.name) for anchor in anchors]
@@ -178,8 +178,8 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
 
 
 def _location(error: ErrorDetails) -> Location:
-    """The place of one of pydantic's errors: the location of its node."""
-    # Of a mapping's key that is no name pydantic says so by one part more.
+    """The location of the node that a pydantic error is about."""
+    # For an invalid key of a mapping, pydantic appends an extra part.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     if kind == "value_error":
         return location or tuple(error["ctx"]["at"])
@@ -189,7 +189,7 @@ def _location(error: ErrorDetails) -> Location:
 
 
 def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, known: yaml_nodes.Known) -> str:
-    """A readable line for one of pydantic's errors."""
+    """A readable line for a pydantic error."""
     location, kind = _location(error), error["type"]
     annotation, constraints, used = field_at(error["loc"])
     anchor, value = yaml_nodes.find(root, location, known)
@@ -216,7 +216,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
 
 
 def _key_hint(name: str, annotation: object) -> str:
-    """Advice for an unknown key of the annotation's model."""
+    """A hint for an unknown key of the model that the annotation names."""
     model = model_of(annotation)
     homes = [
         section
@@ -229,7 +229,7 @@ def _key_hint(name: str, annotation: object) -> str:
 
 
 def _value_hint(value: yaml.Node | None, annotation: object) -> str:
-    """Advice for a value of the wrong kind, if any is known."""
+    """A hint for a value of the wrong type; empty without one."""
     if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
         return ""
     if choices := choices_of(annotation):
@@ -241,7 +241,7 @@ def _value_hint(value: yaml.Node | None, annotation: object) -> str:
 
 
 def _dotted(values: dict[str, Any], location: Location) -> str:
-    """The location in the form of `--set`: a recording by its id, else by its index."""
+    """A location in the form of `--set`: a recording by its id, or else by its index."""
     text = ""
     for depth, part in enumerate(location):
         if isinstance(part, str):
@@ -254,11 +254,11 @@ def _dotted(values: dict[str, Any], location: Location) -> str:
 
 
 def _found(node: yaml.Node | None) -> str:
-    """A value as written, in a few words."""
+    """A value as written, shortened."""
     if isinstance(node, yaml.SequenceNode):
         if not node.value or not all(isinstance(child, yaml.ScalarNode) for child in node.value):
             return f"a list of {len(node.value)}"
-        # As many as a line may quote, and one more.
+        # As many elements as a line may quote characters.
         return _shortened(f"[{', '.join(_scalar(child) for child in node.value[:QUOTED])}]")
     if isinstance(node, yaml.MappingNode):
         return "a mapping"
@@ -268,7 +268,7 @@ def _found(node: yaml.Node | None) -> str:
 
 
 def _scalar(node: yaml.Node) -> str:
-    """A scalar as it was written, text in quotes."""
+    """A scalar as written; text in quotes."""
     if node.tag == yaml_nodes.NULL_TAG:
         return "nothing"
     text = _shortened(str(node.value))
@@ -276,5 +276,5 @@ def _scalar(node: yaml.Node) -> str:
 
 
 def _shortened(text: str) -> str:
-    """A text in one line, without a long middle."""
+    """A text in one line, with its middle cut out if it is long."""
     return printable(" ".join(text[:LOOKED_AT].split()), QUOTED)

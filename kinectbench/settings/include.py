@@ -1,4 +1,4 @@
-"""`include:` of a benchmark.yaml: recordings in other files, YAML or tables, below its folder."""
+"""`include:` in a benchmark.yaml: recordings in other files below its folder, YAML or tables."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,17 +13,17 @@ from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_byt
 from kinectbench.settings.recording_table import ENDINGS, table_entries
 
 INCLUDE, RECORDINGS = "include", "recordings"
-# Files with a recording each, of the largest benchmark: each costs a tenth of a millisecond.
+# Most included files: one for each recording of the largest benchmark; each takes a tenth of a millisecond.
 MOST_FILES = 20_000
 ACCEPTED = f"names of YAML files with `{RECORDINGS}:`, or of tables, {' or '.join(ENDINGS)}"
-# YAML has JSON in it. Files of other names are read as YAML, too.
+# JSON is valid YAML. Files with other suffixes are read as YAML, too.
 OF_YAML = (".yaml", ".yml", ".json")
 MISSING = "correct the name under `include:`, or make the file"
 
 
 @dataclass
 class _Left:
-    """The remaining size for all included files together: that of one benchmark.yaml."""
+    """The bytes that all included files together may still have; at first those of one benchmark.yaml."""
 
     allowance: yaml_nodes.Allowance
     bytes: int = MOST_BYTES
@@ -31,18 +31,18 @@ class _Left:
 
 
 def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Allowance) -> yaml.MappingNode:
-    """The nodes of a benchmark.yaml with the recordings of the files that it includes behind its own.
+    """Append the recordings of the included files to the nodes of a benchmark.yaml.
 
     Args:
-        root: of benchmark.yaml; `include:` in a form that the models refuse is left to them.
-        config: its path; names are relative to its folder.
-        allowance: how many values all files may still have.
+        root: nodes of benchmark.yaml; an `include:` of the wrong form is left for the models to refuse.
+        config: path of benchmark.yaml; names are relative to its folder.
+        allowance: number of values that all files together may still have.
 
     Returns:
-        Nodes without `include:`; each recording knows the file and the line that it stands in.
+        Nodes without `include:`; each recording keeps its file and line number.
 
     Raises:
-        SettingsError: a file is missing, is outside, holds something else than recordings, or cannot be read.
+        SettingsError: a file is missing, outside the folder, unreadable, or holds more than recordings.
     """
     nodes = yaml_nodes.items(root)
     patterns = nodes.get(INCLUDE)
@@ -76,7 +76,7 @@ def _is_null(node: yaml.Node) -> bool:
 
 
 def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
-    """The files that one entry of `include:` means."""
+    """List the files that an entry of `include:` matches."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     if url_of(pattern.value) or unusable(pattern.value):
         raise SettingsError(
@@ -98,7 +98,7 @@ def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
 
 
 def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) -> list[yaml.Node]:
-    """The recordings of one file; none if it was read before, as patterns may match a file twice."""
+    """The recordings of one file; none if another pattern already matched the file."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     refuse_outside(path, config.parent)
     if followed(path) in left.seen:
@@ -122,9 +122,9 @@ def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) ->
 
 
 def _of_yaml(text: str, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
-    """The entries under `recordings:` of an included YAML file, which holds nothing else."""
+    """The recordings of an included YAML file, which has no key besides `recordings:`."""
     root = yaml_nodes.compose(text, source, allowance)
-    yaml_nodes.plain(root)  # refuses what stands twice
+    yaml_nodes.plain(root)  # refuses repeated keys
     only = f"an included file holds `{RECORDINGS}:` and nothing else"
     for key in yaml_nodes.items(root):
         if key != RECORDINGS:

@@ -29,12 +29,12 @@ Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 Vector4 = Annotated[tuple[float, float, float, float], Field(strict=False)]
 BOX_KEYS = ("center_m", "size_m", "yaw_rad")
 Vector7 = Annotated[Pose, Field(strict=False)]
-# As of a trajectory's rows: no camera is farther off, and a quaternion has a length.
+# Limits as for rows of a trajectory: the farthest camera, and the least length of a quaternion.
 FARTHEST_M, LEAST_TURN = 1e6, 1e-6
-# Seconds, twice from 1970 to today: a clock may count from its start. In ns it fits 64 bits beside a stamp.
+# Seconds, twice from 1970 to today: a clock may count from its start. Added to a stamp it fits 64 bits in ns.
 MOST_DELAY_S = 4e9
-# Depth up to it is fused of every recording, unless a person says less: of most furniture it is all there is
-# (the rules for solids were chosen with it).
+# Depth up to this range is always fused, unless a person sets less: it contains most furniture (the rules for
+# solids were chosen with it).
 LEAST_RANGE_M = 3.0
 UNDERSIDE = (
     "closed: no space behind the underside that is open to the air (aprons make a chair open below); "
@@ -115,7 +115,7 @@ class BoxSettings(Settings):
 
     @model_serializer(mode="wrap")
     def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out a missing anchor, as before anchors existed, in releases and fingerprints."""
+        """Leave out a missing anchor, so that releases and fingerprints stay as before anchors existed."""
         values: dict[str, object] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
@@ -124,7 +124,7 @@ class BoxSettings(Settings):
         return {key: values[key] for key in BOX_KEYS if key in values}
 
     def box(self) -> OrientedBox:
-        """The box as a value."""
+        """The settings as an `OrientedBox`."""
         frame, pose = self.anchor_frame, self.anchor_pose
         anchor = None if frame is None or pose is None else BoxAnchor(frame, pose, self.anchor_depth_sha256)
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad, anchor)
@@ -140,7 +140,7 @@ class FloorSettings(Settings):
     @field_validator("plane_world")
     @classmethod
     def _a_plane(cls, plane_world: tuple[float, float, float, float]) -> Vector4:
-        # Rounded normals are made ones of length 1 where the plane is used; others are a slip.
+        # Rounded normals are normalised where the plane is used; other lengths are a mistake.
         if not 0.5 <= math.hypot(*plane_world[:3]) <= 2:
             raise ValueError("the first three numbers are the plane's normal, of length 1")
         if abs(plane_world[3]) > FARTHEST_M:
@@ -182,17 +182,17 @@ class RecordingSettings(Settings):
 
     @property
     def plane_world(self) -> Vector4 | None:
-        """The plane it stands on, given by hand: [a, b, c, d], metres, world frame."""
+        """The plane that the object stands on, if given by hand: [a, b, c, d], metres, world frame."""
         return None if self.floor is None else self.floor.plane_world
 
     @property
     def trajectory_mode(self) -> TrajectoryMode | None:
-        """The use of a given trajectory; a camera's poses are not used for an object that moves."""
+        """How to use a given trajectory; a camera's poses are ignored for an object that moves."""
         return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property
     def object_name(self) -> str:
-        """The recorded object: `object`, else the recording's id."""
+        """The name of the recorded object: `object`, or else the recording's id."""
         return self.object or self.id
 
 
@@ -263,11 +263,11 @@ class MaskCuts(FloorCuts):
 class ObjectCuts(FloorCuts):
     """Bounds of the floor and of air, the space that some camera could see; the rest is the object.
 
-    One value for a whole benchmark: in unmeasured space these lengths decide which voxels are solid.
+    The values hold for a whole benchmark: in unmeasured space these lengths decide which voxels are solid.
     """
 
-    # A line of less than two voxels of 5 mm is lost in their rounding, and one of 10 cm closes a
-    # shelf; cameras see from 5 cm to 2 m on, are as large as a fingertip or a helmet, and lie on the floor.
+    # A line narrower than two voxels of 5 mm is lost in rounding, and one of 10 cm closes a shelf. Cameras
+    # measure from 5 cm to 2 m on, have the size of a fingertip to a helmet, and may lie on the floor.
     line_width_m: float = Field(
         SensorLimits.line_width_m,
         ge=0.01,
@@ -285,7 +285,7 @@ class ObjectCuts(FloorCuts):
     )
 
     def limits(self) -> SensorLimits:
-        """The lengths as a value."""
+        """The lengths as `SensorLimits`."""
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
@@ -325,7 +325,7 @@ class PairSettings(FitLimits, PairForm):  # fields of the last base come first
 
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
-    """An error about a recording that conflicts with an earlier one."""
+    """An error about a recording whose names conflict with those of an earlier one."""
     context = {"problem": problem, "at": ("recordings", index), "earlier": earlier}
     return PydanticCustomError("value_error", "{problem}", context)
 
@@ -340,7 +340,7 @@ class BenchmarkSettings(Settings):
     categories: dict[Category, CategorySettings] = Field(
         {}, description="by a category's name what holds for its recordings, unless one says it itself"
     )
-    # Once read, the recordings of those files stand in `recordings`.
+    # After loading, the recordings of the included files are in `recordings`.
     include: list[str] | None = Field(
         None, min_length=1, exclude=True, description="files with more recordings: YAML, CSV or Parquet"
     )
@@ -383,18 +383,18 @@ class BenchmarkSettings(Settings):
         return self
 
     def by_id(self) -> dict[str, RecordingSettings]:
-        """The recordings by their ids; rebuilt at each call, so keep it for many look-ups."""
+        """The recordings by id; computed at each call, so keep the result for repeated use."""
         return {recording.id: recording for recording in self.recordings}
 
     def underside_of(self, recording: RecordingSettings) -> Underside:
-        """The stated underside of a recording: its own setting, else its category's."""
+        """The stated underside of a recording: its own setting, or else its category's."""
         of_category = self.categories.get(recording.category, CategorySettings())
         return recording.underside or of_category.underside
 
     def license_of(self, recording: RecordingSettings) -> str:
-        """The licence of a recording: its own, else the benchmark's; "unspecified" without either."""
+        """The licence of a recording: its own, else the benchmark's, else "unspecified"."""
         return recording.license or self.license
 
     def source_of(self, recording: RecordingSettings) -> str:
-        """The source of a recording: its own, else the benchmark's; "unspecified" without either."""
+        """The source of a recording: its own, else the benchmark's, else "unspecified"."""
         return recording.source or self.source

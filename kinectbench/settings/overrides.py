@@ -1,4 +1,4 @@
-"""Settings from command-line options; one clear line for every wrong one."""
+"""Settings from command-line options, with one line for each wrong option."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
@@ -17,14 +17,15 @@ Model = TypeVar("Model", bound=Settings)
 def settings_from_options(
     model: type[Model], values: Mapping[str, object], overrides: Sequence[str], what: str
 ) -> Model:
-    """Settings with some of their values changed.
+    """Make settings from options and `--set` overrides.
 
     Args:
-        model: of the settings.
-        values: nested values.
-        overrides: `section.key=value` or `key=value`, the value in YAML; they win, the last one most.
-        what: begins a line about values that do not fit each other, such as "simulation"; a line about one
-            value begins with its option.
+        model: model of the settings.
+        values: nested values of options.
+        overrides: `section.key=value` or `key=value`, with the value in YAML; they replace `values`, and
+            later ones replace earlier ones.
+        what: start of a line about values that contradict each other, such as "simulation"; a line about one
+            value starts with its option.
 
     Raises:
         SettingsError: one line for each wrong value.
@@ -38,7 +39,7 @@ def settings_from_options(
 
 
 def merged(values: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
-    """Nested values with some of them replaced."""
+    """Nested values with some of them replaced by `changes`."""
     result = dict(values)
     for key, value in changes.items():
         old = result.get(key)
@@ -47,7 +48,7 @@ def merged(values: Mapping[str, object], changes: Mapping[str, object]) -> dict[
 
 
 def _nested(override: str) -> dict[str, object]:
-    """`a.b=value` as {a: {b: value}}."""
+    """Parse `a.b=value` into {a: {b: value}}."""
     source = f"{yaml_nodes.OVERRIDE}{override}"
     key, equals, text = override.partition("=")
     if not equals or not all(key.strip().split(".")):
@@ -59,7 +60,7 @@ def _nested(override: str) -> dict[str, object]:
 
 
 def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
-    """A readable line for one of pydantic's errors, which begins with the option."""
+    """A readable line for a pydantic error, starting with the option."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what
@@ -76,7 +77,7 @@ def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], 
 
 
 def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
-    """The full names of a key in the sections of some settings, such as `path.frames`."""
+    """Yield the full names of a key in all sections of the model, such as `path.frames`."""
     for name, field in model.model_fields.items():
         if name == key:
             yield where + name
@@ -85,7 +86,7 @@ def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
 
 
 def _option(location: Sequence[str], overrides: Sequence[str]) -> str:
-    """The last `--set` that changes a value, or else the option of its name."""
+    """The last `--set` that changes a value, or else the option with the value's name."""
     for override in reversed(overrides):
         key = override.partition("=")[0].strip().split(".")
         if key == list(location[: len(key)]) or list(location) == key[: len(location)]:

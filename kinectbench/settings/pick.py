@@ -1,4 +1,4 @@
-"""What the object is, where somebody picked it: beside the recording, and in benchmark.yaml."""
+"""The point that somebody clicked as the object: in a file beside the recording, and in benchmark.yaml."""
 
 from typing import Annotated
 
@@ -7,11 +7,11 @@ from pydantic import Field
 from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
 
-# Beside a recording's own files: what was clicked while it was recorded.
+# File beside a recording, with the point that was clicked while recording.
 PICK_FILE = "pick.json"
-# It has 40; what is much larger is another program's.
+# Most bytes; the file has 40. A much larger file is from another program.
 PICK_BYTES = 10_000
-# A column or a row of a picture.
+# A column or row of an image.
 Place = Annotated[int, Field(ge=0, lt=MOST_SIDE_PX)]
 
 

@@ -1,4 +1,4 @@
-"""Settings of a release: which data it contains, and its description."""
+"""Settings of a release: the data that it contains, and its description."""
 
 import re
 from datetime import date
@@ -44,7 +44,7 @@ class CitationSettings(Settings):
         if value is not None and not re.fullmatch(pattern, value):
             raise ValueError(f"wanted {wanted}")
         if value is not None and info.field_name == "date_released":
-            date.fromisoformat(value)  # the calendar has such a day
+            date.fromisoformat(value)  # ValueError if there is no such day
         return value
 
 
@@ -69,11 +69,11 @@ class ChangeSettings(Settings):
 class GateSettings(Settings):
     """Limits for publishing a recording, unless its `review` accepts it.
 
-    Wider than the limits of the warnings, which say where to look: those beyond these would mislead.
+    They are wider than the limits of warnings, which only point to problems: data beyond these would mislead.
     """
 
-    # Scores count known voxels. Of the paper's networks IoU is 0.5 to 0.7: a truth that is less like the
-    # object than predictions are cannot rank them.
+    # The IoU of the paper's networks is 0.5 to 0.7: a ground truth that is less like the object than
+    # predictions are cannot rank them.
     min_estimated_iou: float = Field(
         0.7,
         ge=0,
@@ -82,7 +82,7 @@ class GateSettings(Settings):
         "trajectory that is not good, its lower end",
     )
     min_grade: Grade = Field("not good", description="of the trajectory: not good, fair or good")
-    # Beyond a half most of the truth is a guess. Sound ones: 0.08 to 0.3.
+    # Above one half most of the truth is a guess. Good recordings have 0.08 to 0.3.
     max_unknown_share: float = Field(
         0.5, ge=0, le=1, description="of the solid: never seen, and some camera could see it"
     )

@@ -1,4 +1,4 @@
-"""The files that settings are read from: bounded, never outside their folder, and found by patterns."""
+"""Read files of settings: bounded in size, never outside their folder, and found by patterns."""
 
 import codecs
 import fnmatch
@@ -12,23 +12,23 @@ from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
 from kinectbench.core.untrusted import MOST_LISTED, below, decoded, lies_below, printable, read_plain, scanned
 
-# Ten thousand recordings with a page about each; how many values there may be is bounded apart.
+# Enough for ten thousand recordings with a page of text each; the number of values has its own limit.
 MOST_BYTES = 16 << 20
-# The signs of a pattern; a name without them is a file's own.
+# Wildcards; a name without them names one file.
 SIGNS = "*?["
 INIT = "`kinectbench init FOLDER` writes one for the recordings in FOLDER"
 
 
 def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) -> bytes:
-    """The bytes of a settings file on disk, in a store or on a web server.
+    """Read the bytes of a settings file, on disk, in a store or on a web server.
 
     Args:
         path: the file, or its URL as a path.
-        most_bytes: a larger one is refused.
-        missing: what to do if there is no such file.
+        most_bytes: a larger file is refused.
+        missing: advice if the file is missing.
 
     Raises:
-        SettingsError: it is missing, or cannot be read.
+        SettingsError: the file is missing or unreadable.
         StorageError: a store cannot be read.
     """
     if (url := url_of(path)) is not None:
@@ -50,10 +50,10 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) ->
 
 
 def as_text(content: bytes, source: str) -> str:
-    """The bytes of a file as UTF-8 text, with or without a byte order mark.
+    """Decode the bytes of a file as UTF-8, with or without a byte order mark.
 
     Raises:
-        SettingsError: they are something else, or take more memory than such a file may.
+        SettingsError: the bytes are not UTF-8, or the text takes too much memory.
     """
     try:
         return decoded(content.removeprefix(codecs.BOM_UTF8), MOST_BYTES, source)
@@ -69,21 +69,20 @@ def as_text(content: bytes, source: str) -> str:
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
-    """The files that a name or a pattern means, sorted.
+    """List the files that a name or a pattern matches, sorted.
 
-    A pattern is that of a shell, with `*`, `?` and `[…]` inside a name. `**` is refused: below a benchmark
-    lie the frames of its recordings, and all of them would be looked through.
+    A pattern may contain `*`, `?` and `[…]` as in a shell. `**` is refused: it would search all frames of the
+    recordings below a benchmark.
 
     Args:
-        folder: that names are relative to.
+        folder: names are relative to it.
         pattern: with "/" between folders.
 
     Returns:
-        The files of a pattern, perhaps none; a name without signs as it is, whether it is there or not.
+        The files that match a pattern, perhaps none; a name without wildcards is returned even if missing.
 
     Raises:
-        ValueError: it leads out of the folder, is hidden, is no name, or cannot be looked for; the message
-            says which.
+        ValueError: the pattern leads out of the folder, is hidden, or is invalid; the message says which.
         OSError, StorageError: the files cannot be listed.
     """
     path = below(folder, pattern)
@@ -95,12 +94,12 @@ def matching(folder: Path, pattern: str) -> list[Path]:
     paths = [folder]
     for part in parts:
         paths = [way for above in paths for way in _inside(above, part)]
-    paths.sort(key=lambda way: way.parts)  # in a store, too
+    paths.sort(key=lambda way: way.parts)  # the same order as in a store
     return [way for way in paths if way == path or way.is_file()]
 
 
 def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
-    """`matching` of the files in a store."""
+    """List the files in a store that match the parts of a pattern."""
     known = list(takewhile(lambda part: not any(sign in part for sign in SIGNS), parts))
     if len(known) == len(parts):
         return [folder.joinpath(*parts)]
@@ -116,12 +115,12 @@ def _all_match(name: Sequence[str], parts: Sequence[str]) -> bool:
 
 
 def _matches(name: str, part: str) -> bool:
-    """Whether one part of a pattern means a name; `*` means nothing that is hidden."""
+    """Whether a name matches one part of a pattern; `*` does not match hidden files."""
     return fnmatch.fnmatchcase(name, part) and not name.startswith(".")
 
 
 def _inside(above: Path, part: str) -> Iterator[Path]:
-    """Entries of a folder that match one part of a pattern."""
+    """Yield the entries of a folder that match one part of a pattern."""
     if not any(sign in part for sign in SIGNS):
         yield above / part
     elif above.is_dir():
@@ -130,10 +129,10 @@ def _inside(above: Path, part: str) -> Iterator[Path]:
 
 
 def refuse_outside(path: Path, folder: Path) -> None:
-    """Refuse a file whose links lead out of its folder; a store has none.
+    """Refuse a file whose links lead out of its folder; a store has no links.
 
     Raises:
-        SettingsError: they do.
+        SettingsError: the links lead out of the folder.
     """
     if url_of(path) is None and path.exists() and not lies_below(path, folder.resolve()):
         raise SettingsError(

@@ -1,4 +1,4 @@
-"""A table of recordings, CSV or Parquet, as nodes: a row is a recording, a column one of its fields."""
+"""Read a table of recordings, CSV or Parquet, as nodes: each row is a recording, each column a field."""
 
 import io
 from collections import Counter
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 
 CSV, PARQUET = ".csv", ".parquet"
 ENDINGS = (CSV, PARQUET)
-# Rows of a Parquet file, where a million may take a few bytes (ten times the largest benchmark).
+# Most rows of a Parquet file, which may hold a million in a few bytes (ten times the largest benchmark).
 MOST_ROWS = 100_000
 INSTALL = "reading it needs the package pyarrow; run `pip install 'kinectbench[tables]'`, or save it as CSV"
 
 
 def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
-    """The rows of a table as entries of `recordings:`; empty cells are skipped.
+    """Read the rows of a table as entries of `recordings:`; empty cells are skipped.
 
-    A column is called as its key in benchmark.yaml, with dots for keys inside others, such as `camera.fx`.
-    A cell holds what would stand behind the key: a text (without quotes), a number, true or false, or a list
-    of numbers such as `[0, 0, 1, 0]`.
+    A column has the name of its key in benchmark.yaml, with dots for nested keys, such as `camera.fx`. A cell
+    has the value as written after the key: a text (without quotes), a number, true or false, or a list of
+    numbers such as `[0, 0, 1, 0]`.
 
     Args:
-        content: of the file.
-        source: its name, whose ending says what it is; lines are counted from 1, the header's.
-        allowance: how many values there may still be.
+        content: bytes of the file.
+        source: name of the file; its suffix gives the format. Lines count from 1, the header.
+        allowance: number of values that there may still be.
 
     Raises:
-        SettingsError: it is no such table, or has a column that is none of a recording's keys.
+        SettingsError: the file is no such table, or a column is no key of a recording.
     """
     is_csv = source.lower().endswith(CSV)
     header, rows = _of_csv(content, source) if is_csv else _of_parquet(content, source)
@@ -63,7 +63,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
 
 def columns() -> dict[str, object]:
-    """Every column that a table may have, in the models' order, with the meaning of its cells."""
+    """All columns that a table may have, in the order of the models, with the meaning of their cells."""
     return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
 
 
@@ -77,14 +77,14 @@ def _leaves(model: type[Settings], above: tuple[str, ...] = ()) -> Iterator[tupl
 
 
 def _of_csv(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The header, and each row with its line."""
+    """Read the header of a CSV file, and each row with its line number."""
     try:
         rows = csv_rows(as_text(content, source))
     except ValueError as error:
         raise SettingsError(f"{source}: no CSV table: {error}") from None
     if not rows:
         raise SettingsError(f"{source}: an empty file; its first line names the columns: id,path,category")
-    # A cell in quotes may have lines of its own.
+    # A quoted cell may contain line breaks.
     lines = accumulate((1 + sum(cell.count("\n") for cell in row) for row in rows), initial=1)
     numbered = zip(lines, rows, strict=False)
     _, header = next(numbered)
@@ -92,7 +92,7 @@ def _of_csv(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int,
 
 
 def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The header, and each row with the line that it would have in a CSV file."""
+    """Read the header of a Parquet file, and each row with its line number in an equivalent CSV file."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -102,7 +102,7 @@ def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[
         file = parquet.ParquetFile(io.BytesIO(content))
         _check_parquet(file, source)
         names = [str(name) for name in file.schema_arrow.names]
-        # A text that stands in all rows is kept once; what it would take in each of them is counted first.
+        # Parquet stores repeated text once; its size in all rows is checked before the values are read.
         schema = file.schema_arrow
         texts = [name for name, kind in zip(names, schema.types, strict=True) if arrow.types.is_string(kind)]
         file = parquet.ParquetFile(io.BytesIO(content), read_dictionary=texts)
@@ -147,7 +147,7 @@ def _numbers(types: ModuleType) -> tuple[Callable[[object], bool], ...]:
 
 
 def _cells(column: "Iterable[Scalar]", source: str) -> list[str]:
-    """A column in the form of a CSV file, at most as large as such a file may be."""
+    """A column as the texts of a CSV file, with bounded size."""
     cells, left = [], MOST_BYTES
     for value in column:
         cells.append(_cell(value.as_py()))
@@ -158,8 +158,8 @@ def _cells(column: "Iterable[Scalar]", source: str) -> list[str]:
 
 
 def _cell(value: object) -> str:
-    """A value as a CSV file would have it."""
-    if value is None or value != value:  # NaN, which is what pandas writes for an empty cell
+    """A value as the text of a CSV cell."""
+    if value is None or value != value:  # pandas writes NaN for an empty cell
         return ""
     if isinstance(value, bool):
         return str(value).lower()
@@ -189,7 +189,7 @@ def _mark(source: str, line: int) -> yaml.Mark:
 
 
 def _entry(cells: Mapping[tuple[str, ...], str], mark: yaml.Mark) -> yaml.Node:
-    """One row as a mapping."""
+    """Make a mapping node from the cells of a row."""
     known = _KINDS
     entry: dict[str, Any] = {}
     for key, cell in cells.items():
@@ -212,7 +212,7 @@ def _mapping(entry: Mapping[str, object], mark: yaml.Mark) -> yaml.Node:
 
 
 def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
-    """A cell as a node: the text itself, or what YAML would make of it."""
+    """Make a node from a cell: its text, or the value that YAML reads from it."""
     if is_text:
         return yaml.ScalarNode(yaml_nodes.STR_TAG, cell, mark, mark)
     if cell.startswith("[") and cell.endswith("]"):
@@ -222,7 +222,7 @@ def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
 
 
 def _is_text(annotation: object) -> bool:
-    """Whether a field's cell is always text, such as an id of digits."""
+    """Whether cells of a field are always text, such as an id that consists of digits."""
     return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
 
 

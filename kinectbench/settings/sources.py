@@ -1,4 +1,4 @@
-"""Settings of a recipe, sources.yaml: places, content and owners of public scans."""
+"""Settings of a recipe, sources.yaml: where public scans are, what they contain, and who owns them."""
 
 import hashlib
 import re
@@ -19,9 +19,9 @@ from kinectbench.settings.texts import Line
 from kinectbench.settings.yaml_model import read_model
 
 SOURCES_YAML = "sources.yaml"
-# What stands in a file's name for the scan's id.
+# Stands for the scan's id in a file name.
 ID = "{id}"
-# Of archives that are unpacked when they are here: no reader opens them as they are. Of .zip some do.
+# Archives that are unpacked after download because no reader opens them; some readers open .zip.
 UNPACKED = (".tgz", ".tar.gz", ".tar")
 
 
@@ -45,7 +45,7 @@ File = Annotated[str, AfterValidator(_file)]
 
 
 class SplitSettings(Settings):
-    """The division of objects into splits; objects in no other split are for testing."""
+    """The division of objects into splits; all other objects are for testing."""
 
     seed: int = Field(0, ge=0, description="of the draw; also of the scans that --limit takes")
     train: float = Field(0.0, ge=0, le=1, description="share of the objects")
@@ -59,7 +59,7 @@ class SplitSettings(Settings):
 
 
 class IndexSettings(Settings):
-    """The source's own list of scans by category: JSON, {category: [id, …]}."""
+    """The list of scans that the source itself has: JSON, {category: [id, …]}."""
 
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
     file: File = Field(description="its name below them")
@@ -69,7 +69,7 @@ class IndexSettings(Settings):
 
 
 class ScanSettings(Settings):
-    """One scan of a source without a list of its own."""
+    """One scan of a source that has no list."""
 
     id: Name = Field(description="of the scan, and of its recording")
     category: Category = Field(description="in the source's words")
@@ -79,7 +79,7 @@ class ScanSettings(Settings):
 
 
 class EntrySettings(Settings):
-    """Keys of benchmark.yaml that the entry of every recording gets."""
+    """Keys of benchmark.yaml for the entries of all recordings."""
 
     segment_by: SegmentBy | None = Field(None, description="as in benchmark.yaml: masks or turntable")
     trajectory: TrajectoryMode | None = Field(
@@ -121,13 +121,13 @@ class Scan(Settings):
     """A scan that a recipe chooses.
 
     Attributes:
-        id: of the recording.
-        scan: of what comes in one file; it has several recordings where it is of several cameras.
-        file: below each base.
-        category: the benchmark's word.
-        object: the thing itself.
-        split: of the thing.
-        camera: values that the scan lacks.
+        id: id of the recording.
+        scan: id of the scan, which comes in one file; a scan by several cameras has several recordings.
+        file: path of the file below each base URL.
+        category: category in the benchmark.
+        object: name of the object.
+        split: split of the object.
+        camera: intrinsics that the scan lacks.
     """
 
     id: str
@@ -140,22 +140,22 @@ class Scan(Settings):
 
     @property
     def unpacked(self) -> bool:
-        """Whether its archive is unpacked here, whatever its content."""
+        """Whether the scan's archive is unpacked after download."""
         return self.file.endswith(UNPACKED)
 
     @property
     def path(self) -> str:
-        """Its recording as downloaded, relative to benchmark.yaml: a file by the scan's id, or a folder."""
+        """Path of the downloaded recording, relative to benchmark.yaml: a file, or an archive's folder."""
         return self.folder if self.unpacked else f"{self.folder}{PurePosixPath(self.file).suffix}"
 
     @property
     def folder(self) -> str:
-        """Where an archive is unpacked, relative to benchmark.yaml."""
+        """Folder into which an archive is unpacked, relative to benchmark.yaml."""
         return f"scans/{self.scan}"
 
 
 def read_sources(folder: Path) -> SourcesSettings:
-    """Read sources.yaml of a recipe's folder.
+    """Read sources.yaml from a recipe's folder.
 
     Raises:
         SettingsError: one line for each error.
@@ -169,16 +169,16 @@ def chosen_scans(
     categories: tuple[str, ...] = (),
     limit: int | None = None,
 ) -> list[Scan]:
-    """The scans of a recipe in the order of a draw by its seed, which a limit does not change.
+    """Choose the scans of a recipe, in a random order that depends on its seed but not on the limit.
 
     Args:
         sources: the recipe.
-        listed: the ids of each category in the source's words; not used where the recipe has `scans`.
-        categories: the benchmark's words; none: all.
-        limit: so many of each category at most.
+        listed: ids of the scans by the source's own categories; unused if the recipe has `scans`.
+        categories: categories of the benchmark to choose from; none: all.
+        limit: most scans of each category.
 
     Raises:
-        SettingsError: the recipe has none of a category, or an id is listed twice.
+        SettingsError: the recipe has no scan of a category, or an id is listed twice.
     """
     known = sorted(set(sources.categories.values()))
     for name in categories:
@@ -222,7 +222,7 @@ def _scan(sources: SourcesSettings, row: ScanSettings, category: str) -> Scan:
 
 
 def _recordings(sources: SourcesSettings, scan: Scan) -> Iterator[Scan]:
-    """The recordings of a scan: itself, or one of each camera."""
+    """Yield the recordings of a scan: the scan itself, or one for each camera."""
     if sources.sensors is None:
         yield scan
         return

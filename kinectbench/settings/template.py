@@ -1,4 +1,4 @@
-"""Write a commented benchmark.yaml for the recordings of a folder; the comments come from the models."""
+"""Write a commented benchmark.yaml for the recordings of a folder; the models provide the comments."""
 
 import os
 import re
@@ -20,11 +20,11 @@ from kinectbench.settings.models import BenchmarkSettings, CategorySettings, Rec
 from kinectbench.settings.pick import PICK_BYTES, PICK_FILE, PickSettings
 from kinectbench.settings.words import field_range, model_of
 
-# What `category` is until a person says it; `build` and `publish` warn of it.
+# `category` until a person sets it; `build` and `publish` warn about it.
 UNKNOWN_CATEGORY = "unknown"
 ASK_CATEGORY = "fill in what it is, such as chair or table"
 ASK_OBJECT = "fill in the same name wherever the same thing is recorded again"
-# Keys that each recording has a line for, filled in or asked for.
+# Keys for which each recording gets a line, with a value or a question.
 OF_EACH = ("split", "object", "underside")
 
 HEADER = """\
@@ -34,12 +34,12 @@ HEADER = """\
 
 
 def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
-    """Text of a benchmark.yaml for the recordings found in a folder; it loads as it is.
+    """The text of a benchmark.yaml for the recordings found in a folder; it is valid as it is.
 
     Args:
-        folder: where the file will lie; its name becomes the benchmark's.
+        folder: folder of the file; its name becomes the benchmark's.
         recordings: (path relative to `folder`, name of the format) of each recording.
-        suffixes: endings of the paths, such as ".bag", that do not become part of an id.
+        suffixes: suffixes of paths, such as ".bag", that are dropped from ids.
 
     Raises:
         SettingsError: there are no recordings.
@@ -61,12 +61,12 @@ def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes
 
 
 class Extended(NamedTuple):
-    """A benchmark.yaml with the recordings that it lacked.
+    """A benchmark.yaml to which missing recordings were added.
 
     Attributes:
-        text: of the file; what was in it stays.
-        added: how many recordings are new in it.
-        missing: ids of those whose path does not exist.
+        text: new text of the file; the old content stays.
+        added: number of added recordings.
+        missing: ids of recordings whose path does not exist.
     """
 
     text: str
@@ -77,16 +77,16 @@ class Extended(NamedTuple):
 def extended_benchmark(
     config: Path, text: str, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]
 ) -> Extended:
-    """The text of a benchmark.yaml with the recordings of its folder that it lacks, behind its own.
+    """Append the recordings of a folder that its benchmark.yaml lacks.
 
     Args:
         config: the file; paths are relative to its folder.
-        text: of it.
+        text: text of the file.
         recordings: as for `init_benchmark`.
         suffixes: as for `init_benchmark`.
 
     Raises:
-        SettingsError: the text, or what becomes of it, has an error, or it cannot be changed safely.
+        SettingsError: the old or the new text has an error, or the file cannot be changed safely.
     """
     source = str(config)
     listed = yaml_nodes.items(nodes_of(text, source, config)).get("recordings")
@@ -114,7 +114,7 @@ def _place(config: Path, path: str) -> str:
 def _entries(
     folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str], taken: Iterable[str] = ()
 ) -> list[list[str]]:
-    """The lines of each recording; a folder that is itself the recording goes by its own name."""
+    """The lines of each recording; if the folder itself is the recording, its name is used."""
     paths = [folder.resolve().name if path == "." else path for path, _ in recordings]
     names = _unique_ids(paths, suffixes, taken)
     return [
@@ -124,7 +124,7 @@ def _entries(
 
 
 def _top_level(folder_name: str) -> list[str]:
-    """The name, the licence and the source."""
+    """The lines with name, licence and source."""
     fields = BenchmarkSettings.model_fields
     values = {key: fields[key].default for key in ("license", "source")}
     values = {"name": _safe(folder_name, "benchmark"), **values}
@@ -134,7 +134,7 @@ def _top_level(folder_name: str) -> list[str]:
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
-    """The lines of one recording, with questions that only a person can answer."""
+    """The lines of one recording, with questions for a person."""
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
@@ -148,7 +148,7 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 
 
 def _picked(recording: Path) -> list[str]:
-    """The line of what was clicked while it was recorded; a file of another program is no such thing."""
+    """The line with the point clicked while recording; none if the file is from another program."""
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
     except (OSError, ValueError):
@@ -157,7 +157,7 @@ def _picked(recording: Path) -> list[str]:
 
 
 def _recording_options() -> list[str]:
-    """The optional keys of a recording as comments, below the first one."""
+    """The optional keys of a recording, as comments below the first recording."""
     lines = ["    # each recording may also have:"]
     for key, field in RecordingSettings.model_fields.items():
         if field.is_required() or key in OF_EACH:
@@ -170,7 +170,7 @@ def _recording_options() -> list[str]:
 
 
 def _categories() -> list[str]:
-    """Settings of a category as comments, since a category without recordings would be refused."""
+    """Settings of a category, as comments, because a category without recordings would be refused."""
     about = (CategorySettings.__doc__ or "").splitlines()[0]
     inner = ", ".join(
         f"{key}: {yaml_text(field.default)}" for key, field in CategorySettings.model_fields.items()
@@ -179,7 +179,7 @@ def _categories() -> list[str]:
 
 
 def _section(name: str, defaults: Settings) -> list[str]:
-    """One section with all its defaults as comments."""
+    """A section with its defaults, as comments."""
     about = (type(defaults).__doc__ or "").splitlines()[0]
     lines = [f"{name}:  # {about}"]
     for key, field in type(defaults).model_fields.items():
@@ -192,7 +192,7 @@ def _section(name: str, defaults: Settings) -> list[str]:
 
 
 def _commented(text: str, comment: str | None) -> str:
-    """A line with its comment in a column."""
+    """A line with a comment aligned in a column."""
     return f"{text:<34}  # {comment}" if comment else text
 
 
@@ -206,14 +206,14 @@ def yaml_text(value: object) -> str:
 
 
 def _safe(text: str, otherwise: str) -> str:
-    """A name that is allowed as an id, as near to the text as possible."""
+    """A valid id, as similar to the text as possible."""
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
     return f"{name}_" if name_problem(name) else name
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """An id for each path: its last part, or all of it if that is taken, with a number if needed."""
+    """An id for each path: its last part, or the whole path if that is taken, plus a number if needed."""
     taken = {name.lower() for name in others}
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
     whole = [ending.sub("", path.strip("/")) for path in paths]

@@ -1,4 +1,4 @@
-"""Texts of people that a release publishes in its card, its licence and its pages."""
+"""Types of texts by people that a release publishes in its card, its licence and its pages."""
 
 from typing import Annotated
 
@@ -18,5 +18,5 @@ def _one_line(value: str) -> str:
 
 
 Text = Annotated[str, AfterValidator(_steers_nothing)]
-# What breaks a line becomes a space.
+# A text in which line breaks become spaces.
 Line = Annotated[str, AfterValidator(_one_line)]

@@ -1,4 +1,4 @@
-"""Readable descriptions of the settings' models: expected values, and valid names."""
+"""Describe settings in words for messages: expected values, and valid names."""
 
 import difflib
 import types
@@ -11,15 +11,15 @@ from pydantic.fields import FieldInfo
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 
-# More than any section has keys; a thousand names of recordings are not listed.
+# Most names to list: more than a section has keys, but fewer than a thousand recordings.
 LISTED = 40
 Location = tuple[str | int, ...]
-# Error code by the type of pydantic's first error; for other types that of the class.
+# Error code for the type of pydantic's first error; other types have the code of the error's class.
 WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
 def without_none(annotation: object) -> object:
-    """`X | None` as X, without validators; other annotations unchanged."""
+    """The annotation without `| None` and without validators."""
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -45,8 +45,8 @@ def field_at(
     """Follow a location into the models as far as possible, starting from `root`.
 
     Returns:
-        The annotation and its constraints there, and how many parts of the location were used: a
-        number inside a vector belongs to the vector's field.
+        The annotation there, its constraints, and the number of parts of the location that were followed; a
+            number inside a vector belongs to the vector's field.
     """
     annotation: object = root
     constraints: Sequence[object] = ()
@@ -66,7 +66,7 @@ def field_at(
 
 
 def wanted(annotation: object, constraints: Sequence[object]) -> str:
-    """The expected value of a field, such as `a number from 0.001 to 0.05`."""
+    """The expected value of a field in words, such as `a number from 0.001 to 0.05`."""
     inner = without_none(annotation)
     model = model_of(inner)
     if model is not None:
@@ -89,7 +89,7 @@ def wanted(annotation: object, constraints: Sequence[object]) -> str:
 
 
 def range_in_words(constraints: Sequence[object]) -> str:
-    """The range of the constraints, such as `from 1 to 64` or `above 0`; empty if there is none."""
+    """The range of constraints in words, such as `from 1 to 64` or `above 0`; empty without a range."""
     words = []
     for constraint in constraints:
         if isinstance(constraint, annotated_types.Ge):
@@ -105,24 +105,24 @@ def range_in_words(constraints: Sequence[object]) -> str:
 
 
 def field_range(field: FieldInfo) -> str:
-    """A field's choices or range in a few words; empty if anything of its type will do."""
+    """A field's choices or range in a few words; empty if any value of its type is valid."""
     choices = choices_of(field.annotation)
     return listed(choices) if len(choices) > 1 else range_in_words(field.metadata)
 
 
 def suggestion(name: str, valid: Sequence[str]) -> str:
-    """A hint with the most similar valid name, or all of them."""
+    """A hint with the most similar valid name, or with all valid names."""
     return near_miss(name, valid) or f"valid here: {listed(valid)}"
 
 
 def near_miss(name: str, valid: Sequence[str]) -> str:
-    """A hint at the nearest valid name; empty if none is near."""
+    """A hint with the most similar valid name; empty if none is similar."""
     near = difflib.get_close_matches(name.lower().replace("-", "_"), valid, n=1)
     return f"did you mean '{near[0]}'?" if near else ""
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names with commas between them; of very many the first."""
+    """Names separated by commas; only the first of very many."""
     all_of = list(names)
     more = f" and {len(all_of) - LISTED} more" if len(all_of) > LISTED else ""
     return ", ".join(all_of[:LISTED]) + more

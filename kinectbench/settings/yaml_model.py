@@ -1,4 +1,4 @@
-"""A YAML file that holds one model: read with one line for every error."""
+"""Read a YAML file that holds one model; each error gives one line."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -14,22 +14,22 @@ from kinectbench.settings.base import Settings
 from kinectbench.settings.words import WHAT_OF_TYPE, field_at, model_of, suggestion, wanted
 
 Model = TypeVar("Model", bound=Settings)
-# Such a file has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
+# Largest file: it has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
 MOST_BYTES = 1 << 20
-# Lines of errors; each takes as long as all keys.
+# Most lines about errors; each takes as long as reading all keys.
 SHOWN = 20
 
 
 def read_model(path: Path, model: type[Model], example: str) -> Model:
-    """Read and check a file.
+    """Read a file and validate its content.
 
     Args:
         path: the file.
-        model: of its content.
-        example: of a valid line, for the message.
+        model: model of the content.
+        example: a valid line, for the message.
 
     Raises:
-        SettingsError: it is unreadable, or one line for each error: file and line, key, expected value.
+        SettingsError: the file is unreadable, or one line for each error: file and line, key, expected value.
     """
     try:
         text = read_plain_text(path, MOST_BYTES)
@@ -52,8 +52,8 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
 
 
 def _line(root: yaml.Node, error: ErrorDetails, model: type[Settings]) -> str:
-    """A readable line for one of pydantic's errors."""
-    # Of a mapping's key that is no name pydantic says so by one part more.
+    """A readable line for a pydantic error."""
+    # For an invalid key of a mapping, pydantic appends an extra part.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     annotation, constraints, used = field_at(location, model)
     where = yaml_nodes.place(yaml_nodes.find(root, location)[0])

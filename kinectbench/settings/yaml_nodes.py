@@ -1,4 +1,4 @@
-"""YAML as nodes that know their file and line, and as plain values; one clear line for every error."""
+"""Parse YAML into nodes that keep their file and line, and into plain values; each error gives one line."""
 
 import contextlib
 import gc
@@ -25,12 +25,12 @@ STR_TAG = "tag:yaml.org,2002:str"
 SEQ_TAG = "tag:yaml.org,2002:seq"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
-# Keys and values in one text: of ten thousand recordings of fifteen lines; read in four seconds.
+# Most keys and values of a text: ten thousand recordings of fifteen lines, read in four seconds.
 MOST_VALUES = 400_000
 TOO_MANY = f"more than the {MOST_VALUES} keys and values that such a file may have"
-# Of a line, characters among which a tab is looked for.
+# Characters of a line's start in which a tab is searched.
 MOST_INDENT = 1000
-# What PyYAML's own parser reads in about two seconds.
+# Most bytes that PyYAML's own parser reads, in about two seconds.
 SPELT_OUT = 1 << 20
 
 # The core schema of YAML 1.2: `5e-3` is a number; `yes`, `010` and dates are text.
@@ -43,26 +43,26 @@ _PATTERNS = {
 }
 
 
-# libyaml's parser where PyYAML was built with it: six times as fast. Its composer is not taken: it is written
-# in C and ends the process where brackets are nested a hundred thousand deep.
+# libyaml's parser if PyYAML has it: six times as fast. Its composer, written in C, is not used: it crashes on
+# brackets nested a hundred thousand deep.
 _Parser: Any = import_module("yaml._yaml").CParser if yaml.__with_libyaml__ else None
 
 
 class _TooManyError(yaml.composer.ComposerError):
-    """More values than a file may have."""
+    """A text has more values than a file may have."""
 
 
 @dataclass
 class Allowance:
-    """The number of further keys and values, over one or several files; each takes a kilobyte as a node."""
+    """Number of keys and values that one or several files may still have; each node takes a kilobyte."""
 
     values: int = MOST_VALUES
 
     def take(self, count: int, source: str, line: int) -> None:
-        """Count further values for the error's line.
+        """Subtract `count` values; source and line are for the error.
 
         Raises:
-            SettingsError: these are too many.
+            SettingsError: no values are left.
         """
         self.values -= count
         if self.values < 0:
@@ -70,12 +70,12 @@ class Allowance:
 
 
 class _Counting(Composer):
-    """PyYAML's composer, which stops at too many values."""
+    """PyYAML's composer, with a limit on the number of values."""
 
     allowance: Allowance
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """The next node; refuses a file with more than `MOST_VALUES` keys and values."""
+        """Compose the next node; refuse a file with more than `MOST_VALUES` keys and values."""
         self.allowance.values -= 1
         if self.allowance.values < 0:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's
@@ -84,7 +84,7 @@ class _Counting(Composer):
 
 
 class _FastLoader(_Counting, Resolver):
-    """libyaml's parser, and PyYAML's composer with the scalars of YAML 1.2."""
+    """libyaml's parser, with PyYAML's composer and the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own
 
@@ -100,7 +100,7 @@ class _FastLoader(_Counting, Resolver):
 
 
 class _PlainLoader(_Counting, yaml.SafeLoader):
-    """PyYAML's own parser with the scalars of YAML 1.2."""
+    """PyYAML's own parser, with the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers = _FastLoader.yaml_implicit_resolvers
 
@@ -120,13 +120,13 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
     Args:
         text: the YAML.
         source: the file's name, or `in --set …` for an override; errors start with it.
-        allowance: shared by texts that may not have more values together than one; None: for this one alone.
+        allowance: a limit that several texts share; None: the default limit, for this text alone.
 
     Raises:
-        SettingsError: not YAML, more than one document, or a control character.
+        SettingsError: the text is not YAML, has several documents, or contains a control character.
     """
     if source.startswith(OVERRIDE):
-        # An argument is decoded by the locale's encoding, which may be ASCII; people type UTF-8.
+        # Arguments are decoded by the locale's encoding, perhaps ASCII, although people type UTF-8.
         with contextlib.suppress(UnicodeError):
             text = os.fsencode(text).decode()
     try:
@@ -148,7 +148,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
 
 @contextlib.contextmanager
 def unsearched() -> Iterator[None]:
-    """Disable garbage collection within the block: nodes are many and stay; it took half the time."""
+    """Disable garbage collection within the block: it took half the time, as all of the many nodes stay."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -160,7 +160,7 @@ def unsearched() -> Iterator[None]:
 
 @unsearched()
 def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
-    """The nodes of a text; for a short one PyYAML's own parser explains errors in more detail."""
+    """Parse a text into nodes; for a short text PyYAML's own parser gives more detailed errors."""
     before = allowance.values
     if _Parser:
         try:
@@ -194,12 +194,12 @@ def _place(source: str, line: int) -> str:
 
 
 def place(node: yaml.Node) -> str:
-    """The position of a node: `file:line`, or the override."""
+    """The position of a node: `file:line`, or the override that contains it."""
     return _place(node.start_mark.name, node.start_mark.line)
 
 
 def order(node: yaml.Node, first: str) -> tuple[bool, bool, str, int]:
-    """Sort key that follows the file of that name, then the others, and the overrides last."""
+    """Sort key of a node: first the file with this name, then other files, then overrides."""
     name = node.start_mark.name
     return (
         name.startswith(OVERRIDE),
@@ -210,10 +210,11 @@ def order(node: yaml.Node, first: str) -> tuple[bool, bool, str, int]:
 
 
 def plain(node: yaml.Node) -> Any:
-    """Turn nodes into dict, list, str, int, float, bool and None.
+    """Convert nodes to dict, list, str, int, float, bool and None.
 
     Raises:
-        SettingsError: a key twice, or no text, an alias inside itself, a `!tag`, nested too deeply.
+        SettingsError: a repeated key, a key that is no text, an alias inside itself, a `!tag`, or too deep
+            nesting.
     """
     try:
         return _plain(node, {}, set())
@@ -222,7 +223,7 @@ def plain(node: yaml.Node) -> Any:
 
 
 def _plain(node: yaml.Node, done: dict[int, object], open_nodes: set[int]) -> object:
-    # An aliased node is turned once, so a file of nested aliases costs no more than its own length.
+    # An aliased node is converted once, so the cost of nested aliases is that of the file's length.
     if id(node) in done:
         return done[id(node)]
     if id(node) in open_nodes:
@@ -281,7 +282,7 @@ def _scalar(node: yaml.Node) -> object:
 
 
 def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
-    """A single-line text without quotes as a YAML 1.2 node."""
+    """Make a YAML 1.2 node from unquoted text in one line."""
     tag = next((tag for tag, pattern in _PATTERNS.items() if re.fullmatch(pattern, text)), STR_TAG)
     return yaml.ScalarNode(tag, text, mark, mark)
 
@@ -291,7 +292,7 @@ def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
     return {key.value: child for key, child in node.value} if isinstance(node, yaml.MappingNode) else {}
 
 
-# The pairs of mappings that were looked into, by the mapping's identity: key -> its node and its value's.
+# For mappings searched so far, by identity: key -> the nodes of the key and of its value.
 Known = dict[int, dict[str, tuple[yaml.Node, yaml.Node]]]
 
 
@@ -301,13 +302,13 @@ def find(
     """Find the node at a path.
 
     Args:
-        node: where it begins.
+        node: node to start from.
         path: keys of mappings and indices of lists.
         known: a cache for many look-ups in the same nodes.
 
     Returns:
-        The node whose line to show (the key, or the list's entry; the nearest that exists), and the
-        value's node, or None where the path leads nowhere.
+        The node whose line to show (the key's, or the list entry's; the nearest existing one), and the
+        value's node, or None if the path does not exist.
     """
     known = {} if known is None else known
     anchor, value = node, node
@@ -325,7 +326,7 @@ def find(
 
 
 def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.Node) -> yaml.Node:
-    """Copy the mappings along a path with `value` at its end; shared (aliased) nodes stay as they are."""
+    """Copy the mappings along a path, with `value` at its end; aliased nodes elsewhere stay unchanged."""
     if not path:
         return value
     head, tail = path[0], path[1:]

@@ -1,4 +1,4 @@
-"""The stage `pairs`: for each view the partial shape, and the full shape turned into the view's axes."""
+"""The stage `pairs`: for each view the partial shape, and the full shape in the view's axes."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from kinectbench.settings.models import PairSettings
 from kinectbench.stages.sample_views.views import View
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# On the fine grid around the object, and on the coarse one around that.
+# The fine grid around the object, and the coarse grid around the fine one.
 KnownGrids = tuple[KnownGrid, KnownGrid]
 
 
@@ -33,9 +33,9 @@ class MadePair:
     """A pair and its figures, or why it was refused.
 
     Attributes:
-        pair: the pair, or None if refused.
+        pair: the pair; None if refused.
         cut_share: share of the full shape's volume outside the cube.
-        reason: why it was refused, or None.
+        reason: why the pair was refused; None if it was not.
     """
 
     pair: Pair | None
@@ -45,15 +45,15 @@ class MadePair:
 
 @dataclass(frozen=True)
 class FullShape:
-    """The parts of an object that its pairs share, computed once.
+    """The parts of an object that all its pairs share; computed once.
 
     Attributes:
-        mesh: closed.
-        volume_m3: of the mesh.
-        known: where its truth is trusted: not labelled UNKNOWN, on the fine grid and the coarse one around.
-        interior: of these the voxels labelled INTERIOR, which are not measured.
-        said: known cells that rest on a person's statement alone: an unseen underside.
-        surface_sigma_m: standard deviation of its surface, metres.
+        mesh: closed mesh of the object.
+        volume_m3: volume of the mesh, cubic metres.
+        known: cells whose truth is known (not labelled UNKNOWN), on the fine grid and on the coarse grid.
+        interior: known cells labelled INTERIOR, which were not measured.
+        said: known cells that depend only on a person's statement about an unseen underside.
+        surface_sigma_m: standard deviation of the mesh's surface, metres.
     """
 
     mesh: TriangleMesh
@@ -65,7 +65,7 @@ class FullShape:
 
 
 def full_shape(model: ObjectModel) -> FullShape:
-    """The parts of an object that pairs need."""
+    """Compute the parts of an object that its pairs share."""
     mesh = model.shape.mesh
     shape, coarse = model.shape, model.surround_labels != Label.UNKNOWN
     known, interior = shape.labels != Label.UNKNOWN, shape.labels == Label.INTERIOR
@@ -83,14 +83,14 @@ def full_shape(model: ObjectModel) -> FullShape:
 def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
     """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
 
-    The closed mesh is voxelised again for each view (paper, Sec. 3.6: the full shape is turned into the
-    view's camera orientation); resampling one volume would be slower and less exact.
+    The closed mesh is voxelised for each view (paper, Sec. 3.6: the full shape is turned into the view's
+    camera orientation). Resampling one volume would be slower and less exact.
 
     Args:
-        view: frame, pose and mask.
+        view: its frame, pose and mask.
         sequence: the recording.
         shape: `full_shape` of the object.
-        settings: framing, partial rule and least containment.
+        settings: framing, partial rule, and least containment.
     """
     camera = sequence.camera
     T_world_camera = view.alignment.T_world_camera
@@ -132,13 +132,13 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
 
 
 def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | None:
-    """Why a pair must not be used, or None."""
+    """Why a pair must not be used; None if it may be."""
     if settings.framing == "view" and cut_share > MAX_CUT_SHARE:
         return (
             f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
         )
     if inside < settings.min_containment:
-        # The view itself has passed: its mask was drawn by a person, or the cube cuts the shape.
+        # The view itself was accepted; its mask was drawn by a person, or the cube cuts the shape.
         least = f"less than {settings.min_containment:.0%}"
         return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
     return None
@@ -152,14 +152,14 @@ def write_pairs(
     folder: Path,
     progress: Progress,
 ) -> None:
-    """Write a pair of each suitable view, one by one, and pairs.json.
+    """Write a pair for each suitable view, one by one, and pairs.json.
 
     Args:
-        views: of one recording.
+        views: views of one recording.
         sequence: the recording.
         shape: `full_shape` of the object.
-        settings: framing, partial rule and least containment.
-        folder: to fill.
+        settings: framing, partial rule, and least containment.
+        folder: the folder to fill.
         progress: called with (done, total).
     """
     made, refused = [], []
@@ -179,7 +179,7 @@ def write_pairs(
 
 
 def pair_row(view: View, made: MadePair) -> PairRow:
-    """The figures of a pair as pairs.json keeps them; shares in [0, 1], metres."""
+    """The row of pairs.json for a pair; shares in [0, 1], lengths in metres."""
     return PairRow(
         view=view.name,
         frame=view.frame,

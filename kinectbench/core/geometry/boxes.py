@@ -1,4 +1,4 @@
-"""An upright box in the floor frame, turned about the vertical; a regular voxel grid in the world."""
+"""An upright box in the floor frame, turned about the vertical; and a regular voxel grid in the world."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,12 +21,12 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class BoxAnchor(NamedTuple):
-    """Anchors a box in the floor frame that it was chosen in.
+    """A frame of the recording that identifies the floor frame in which a box was chosen.
 
     Attributes:
         frame: index of a frame in the sequence.
-        camera_floor: pose of its camera in that floor frame.
-        depth_sha256: the first 16 digits of the hash of its depth; None: not known.
+        camera_floor: pose of this frame's camera in the floor frame.
+        depth_sha256: first 16 digits of the SHA-256 of this frame's depth; None: not known.
     """
 
     frame: int
@@ -42,7 +42,7 @@ class OrientedBox:
         center_m: (3,) centre, metres.
         size_m: (3,) edge lengths, metres.
         yaw_rad: turn about z, radians, counter-clockwise seen from above.
-        anchor: of a box that a person chose; None: it is not known which floor frame it was chosen in.
+        anchor: identifies the floor frame of a box that a person chose; None: not known.
     """
 
     center_m: tuple[float, float, float]
@@ -75,10 +75,10 @@ class OrientedBox:
 
 @dataclass(frozen=True)
 class Grid:
-    """Axes x, y, z in C order; the centre of cell i is `(i + 0.5) * voxel_size_m` in frame `grid`.
+    """A regular grid: the centre of cell i is `(i + 0.5) * voxel_size_m` in frame `grid`; x, y, z in C order.
 
     Attributes:
-        shape: number of cells along x, y, z.
+        shape: number of cells along x, y and z.
         voxel_size_m: edge of a cell in metres.
         T_world_grid: (4, 4) float64, maps the grid's own frame to the world.
     """
@@ -98,6 +98,6 @@ class Grid:
         return np.array(self.shape, dtype=np.float64) * self.voxel_size_m
 
     def coarser(self, factor: int) -> "Grid":
-        """The grid over the same box whose cells are `factor` times as large (shape must divide)."""
+        """The grid over the same box with cells `factor` times as large; `factor` must divide the shape."""
         nx, ny, nz = (n // factor for n in self.shape)
         return Grid((nx, ny, nz), self.voxel_size_m * factor, self.T_world_grid)

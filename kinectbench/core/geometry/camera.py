@@ -58,9 +58,9 @@ class Camera:
 
 
 class DepthRenderer:
-    """Casts the rays of a camera's pixels at one mesh (Open3D RaycastingScene).
+    """Renders the depth of one mesh by ray casting (Open3D RaycastingScene).
 
-    Rays go through integer pixel centres, as everywhere here; the library's own pinhole rays would be
+    Rays go through integer pixel centres, as everywhere in this package. Open3D's own pinhole rays would be
     half a pixel off.
     """
 

@@ -1,15 +1,15 @@
-"""Whether a mesh is closed, once vertices at one place are one; and its faces turned outwards."""
+"""Join equal vertices of a mesh, test whether it is closed, and turn its faces outwards."""
 
 import numpy as np
 
 from kinectbench.core.types import Float64, Int32
 
-# Vertices that differ by rounding alone, as trimesh joins them.
+# Vertices closer than this differ by rounding alone; trimesh joins them at the same distance.
 SAME_PLACE_M = 1e-8
 
 
 def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
-    """The mesh with vertices at the same place made one: the first of them."""
+    """The mesh with vertices at the same place joined into one."""
     places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
     order = np.lexsort(places.T).astype(np.int32)
     is_first = np.ones(len(order), bool)
@@ -20,7 +20,7 @@ def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
 
 
 def is_closed(faces: Int32) -> bool:
-    """Whether every edge is one of two triangles, which run along it in opposite directions."""
+    """Whether each edge belongs to exactly two triangles that run along it in opposite directions."""
     from kinectbench.core.geometry.pieces import sorted_edges
 
     edges = sorted_edges(faces)
@@ -32,7 +32,7 @@ def is_closed(faces: Int32) -> bool:
 def outwards(vertices: Float64, faces: Int32) -> Int32:
     """The faces (m, 3) of a closed mesh with each connected piece turned outwards.
 
-    A void within a piece is a piece of its own, and counts as solid: too much, never too little.
+    A void inside a piece is a piece of its own. Its faces turn outwards too, so it counts as solid.
     """
     from kinectbench.core.geometry.pieces import pieces_of
 

@@ -7,30 +7,30 @@ import numpy as np
 from kinectbench.core.geometry.mesh import TriangleMesh, raycaster
 from kinectbench.core.types import Float32, Float64
 
-# 0 keeps the shape, 10 is fast. Of 200,000 triangles of real cabinets and simulated tables, 4 leaves 60,000
-# as near to the surface as 3 does, within a tenth; 3 stops at 8,000 where 1,000 are asked for.
+# 0 keeps the shape best, 10 is fastest. With real cabinets and simulated tables of 200,000 triangles, 4
+# reduces to 60,000 within a tenth of the error of 3; and 3 stops at 8,000 triangles instead of 1,000.
 AGGRESSIVENESS = 4
-# The library keeps the mesh that it works on in a global.
+# The library keeps the mesh that it works on in a global variable.
 _ONE_AT_A_TIME = threading.Lock()
 
 
 def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
-    """The mesh reduced to this many triangles, or unchanged if it has no more. Colours are left out.
+    """Reduce a mesh to at most this many triangles; a mesh with fewer is unchanged. Colours are dropped.
 
-    Edges are joined in the order of quadric error metrics (Garland and Heckbert, SIGGRAPH 1997) by
-    fast-simplification, in one thread, so that the same mesh gives the same result: 1 µs a triangle, a tenth
-    of Open3D's time. The result may touch itself at an edge. More triangles are left where no edge can be
-    joined; none are left of triangles that share no edge.
+    Edges collapse in the order of quadric error metrics (Garland and Heckbert, SIGGRAPH 1997), by
+    fast-simplification in one thread, so that the same mesh gives the same result. It takes 1 µs a triangle,
+    a tenth of Open3D's time. The result may touch itself at an edge. More triangles remain if no further edge
+    can collapse; triangles that share no edge disappear.
 
     Args:
-        mesh: any frame.
+        mesh: in any frame.
         most_triangles: at least 4.
     """
     import fast_simplification
 
     if len(mesh.faces) <= most_triangles:
         return mesh
-    # Its thresholds are lengths: in a box of side 1 a large object keeps as much of its shape as a small one.
+    # The library's thresholds are lengths: in a box of side 1, large and small objects keep equal detail.
     lowest = mesh.vertices.min(axis=0)
     side_m = float(np.ptp(mesh.vertices, axis=0).max()) or 1.0
     unit = (mesh.vertices - lowest) / side_m

@@ -1,7 +1,7 @@
 """Errors of depth cameras: the axial noise of a Kinect v1, and a smooth distortion over the image.
 
-A structured-light sensor errs in disparity, by an amount that is a smooth function of the pixel (Herrera,
-Kannala and Heikkila, PAMI 2012; Teichman, Miller and Thrun, RSS 2013): it is a correction of inverse depth.
+A structured-light sensor errs in disparity by a smooth function of the pixel (Herrera, Kannala and Heikkila,
+PAMI 2012; Teichman, Miller and Thrun, RSS 2013). The correction is therefore one of inverse depth.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from kinectbench.core.types import Float32, Float64
 
 Depth = TypeVar("Depth", float, NDArray[np.floating])
 
-# Of a Kinect v1 (Nguyen et al. 2012, eq. 3); see `depth_sigma_m`.
+# Noise of a Kinect v1 (Nguyen et al. 2012, eq. 3); see `depth_sigma_m`.
 SIGMA_NEAR_M = 0.0012
 SIGMA_GROWTH_PER_M = 0.0019
 SIGMA_NEAR_DEPTH_M = 0.4
@@ -30,7 +30,7 @@ def depth_sigma_m(depth_m: Depth) -> Depth:
 
 
 DEGREE = 6
-# Degrees of the terms: Legendre polynomials of column and row. A constant would be a matter of scale.
+# Degrees of the Legendre polynomials in column and row. The constant is left out: it would change the scale.
 TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j > 0]
 
 
@@ -39,18 +39,18 @@ class DepthCalibration:
     """The correction of depth over the image: `1 / true depth = 1 / depth + correction`.
 
     Attributes:
-        coefficients_per_m: (number of terms,) float64 of the polynomials in `TERMS`, 1/m.
+        coefficients_per_m: (number of terms,) float64, one for each polynomial in `TERMS`, 1/m.
     """
 
     coefficients_per_m: Float64
 
     @property
     def is_none(self) -> bool:
-        """Whether depth is unchanged."""
+        """Whether the calibration leaves depth unchanged."""
         return not self.coefficients_per_m.any()
 
     def correction_per_m(self, width: int, height: int) -> Float32:
-        """(height, width) float32: added to 1 / depth at each pixel, 1/m."""
+        """The correction to add to 1 / depth at each pixel: (height, width) float32, 1/m."""
         u, v = np.meshgrid(np.arange(width), np.arange(height))
         terms = legendre_terms(u.ravel().astype(float), v.ravel().astype(float), width, height)
         return np.asarray((terms @ self.coefficients_per_m).reshape(height, width), np.float32)
@@ -60,9 +60,9 @@ NO_CALIBRATION = DepthCalibration(np.zeros(len(TERMS)))
 
 
 def corrected_depth_m(depth_m: Float32, correction_per_m: Float32) -> Float32:
-    """Depth (height, width) float32 in metres, with a correction (height, width) in 1/m; 0 stays 0.
+    """Correct depth (height, width) float32 in metres by a correction (height, width) in 1/m; 0 stays 0.
 
-    Depth that the correction would place at infinity or behind the camera becomes 0, too.
+    Depth that the correction would move to infinity or behind the camera becomes 0.
     """
     scale = 1 + depth_m * correction_per_m
     placed: Float32 = np.divide(depth_m, scale, out=np.zeros_like(depth_m), where=scale > 0)
@@ -76,8 +76,8 @@ MOST_MM = int(np.iinfo(np.uint16).max)
 def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
     """Depth of any shape in metres as whole millimetres, 0 = no measurement.
 
-    What lies beyond 65.535 m does not fit and becomes 0: a reader that fuses or renders the image then
-    takes nothing from that pixel. The largest value would be a surface that was never measured there.
+    Depth beyond 65.535 m does not fit into 16 bits and becomes 0. The largest value instead would be a
+    surface that was never measured.
     """
     depth_mm = np.rint(depth_m * 1000)
     return np.where((depth_mm > 0) & (depth_mm <= MOST_MM), depth_mm, 0).astype(np.uint16)
@@ -90,7 +90,7 @@ def too_far_for_mm(depth_m: Float32) -> float:
 
 
 def legendre_terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:
-    """(m, number of terms): products of Legendre polynomials, pixels mapped to -1 ... 1."""
+    """Products of Legendre polynomials at pixels mapped to -1 ... 1: (m, number of terms)."""
     columns = np.polynomial.legendre.legvander(2 * (u + 0.5) / width - 1, DEGREE)
     rows = np.polynomial.legendre.legvander(2 * (v + 0.5) / height - 1, DEGREE)
     return np.stack([columns[:, i] * rows[:, j] for i, j in TERMS], axis=1)

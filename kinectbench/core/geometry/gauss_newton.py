@@ -1,8 +1,8 @@
-"""Gauss-Newton: the steps of every registration, from weighted residuals to a motion at rest.
+"""Gauss-Newton: the steps of every registration, from weighted residuals to convergence.
 
-Residuals r of weights w fall by J s with a step s. The step with the least sum of w r^2 solves the normal
+A step s reduces residuals r, with weights w, by J s. The step with the least sum of w r^2 solves the normal
 equations (sum w J J^T) s = sum w J r (Nocedal & Wright, "Numerical Optimization", 2006, chapter 10). A prior
-is one more measurement. Units, limits of a step, and when it is small enough are the caller's.
+acts as one more measurement. The caller chooses units, limits of a step, and the threshold of convergence.
 """
 
 from collections.abc import Callable
@@ -15,50 +15,50 @@ import numpy as np
 from kinectbench.core.types import Float64
 
 State = TypeVar("State")
-# Of the trace, for what nothing holds. A distance of so many medians has half the weight, or its power.
+# Damping as a share of the trace; residuals of this many medians have half the weight (before `power`).
 DAMPING, HALF_AT_MEDIANS = 1e-6, 3.0
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """`matrix @ step = gradient`: (n, n) sum of w J J^T, and (n,) sum of w J r. They add up."""
+    """`matrix @ step = gradient`: (n, n) sum of w J J^T, and (n,) sum of w J r. Two systems can be added."""
 
     matrix: Float64
     gradient: Float64
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Of a state (n,) that was known to be 0 with this information (n, n): maximum a posteriori."""
+        """Equations of a prior: the state (n,) is 0 with information (n, n); maximum a posteriori."""
         return cls(information, -information @ state)
 
     @classmethod
     def of_products(cls, products: Float64) -> "NormalEquations":
-        """Of `weighted_products` (n + 1, n + 1), the residual last."""
+        """The normal equations contained in `weighted_products` (n + 1, n + 1), the residual last."""
         return cls(products[:-1, :-1], products[:-1, -1])
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         return NormalEquations(self.matrix + other.matrix, self.gradient + other.gradient)
 
     def damped(self) -> "NormalEquations":
-        """With a part of the trace on the diagonal: what nothing holds, as the turn of a ball, stays."""
+        """Add a share of the trace to the diagonal, so that unconstrained directions do not move."""
         damping = DAMPING * np.trace(self.matrix)
         return NormalEquations(self.matrix + damping * np.eye(len(self.matrix)), self.gradient)
 
     def step(self) -> Float64:
-        """The step (n,). LinAlgError: the matrix is singular."""
+        """Solve for the step (n,). LinAlgError: the matrix is singular."""
         return np.asarray(np.linalg.solve(self.matrix, self.gradient))
 
 
 def descend(
     advance: Callable[[State], tuple[State, float]], state: State, steps: int, still: float = 0.0
 ) -> tuple[State, float]:
-    """The state after some steps, and the size of the last one; infinite without any.
+    """Repeat `advance`; return the last state and the size of the last step, infinite without any step.
 
     Args:
-        advance: the next state, and how far it is from the last one.
-        state: the first one.
-        steps: at most.
-        still: one shorter than this is the last.
+        advance: returns the next state and the size of the step to it.
+        state: the initial state.
+        steps: maximum number of steps.
+        still: a step smaller than this is the last.
     """
     moved = np.inf
     for _ in range(steps):
@@ -69,13 +69,13 @@ def descend(
 
 
 def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int = 1) -> Float64:
-    """Weights (n,), in all 1, of distances (n,) that count so much if they are 0.
+    """Robust weights (n,) of residuals `distances` (n,), with sum 1; `counts` are the weights at distance 0.
 
-    They fall by Cauchy's rule, or by Geman and McClure's (power 2): what one surface lacks does not pull.
+    Weights fall by Cauchy's function, or by Geman and McClure's (power 2), which nearly ignores outliers.
     """
     if not len(distances):
         return distances
-    # As `np.median` has it, in a third of the time.
+    # The same as `np.median`, in a third of the time.
     middle = (len(distances) - 1) // 2, len(distances) // 2
     median = float(np.partition(distances, middle)[list(middle)].sum()) / 2
     half = HALF_AT_MEDIANS * max(median, 1e-9)
@@ -84,10 +84,10 @@ def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int
 
 
 def eliminated(products: Float64, first: int, information: Float64) -> tuple[Float64, Float64]:
-    """`weighted_products` (n, n), the residual last, without the first columns (Schur complement).
+    """Eliminate the first unknowns from `weighted_products` (n, n), residual last, by the Schur complement.
 
-    Those have a prior of this information (first, first). They follow from the others by the second result
-    (first, n - first): a linear part, which is subtracted, and a constant.
+    The eliminated unknowns have a prior with information (first, first). With the second result F, of shape
+    (first, n - first), they follow from the remaining unknowns x: F[:, -1] - F[:, :-1] x.
     """
     own = products[:first, :first] + information
     follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)
@@ -95,7 +95,7 @@ def eliminated(products: Float64, first: int, information: Float64) -> tuple[Flo
 
 
 def weighted_products(rows: Float64, weights: Float64) -> Float64:
-    """(n, n) sum of w r r^T of rows (m, n) with weights (m,)."""
+    """The sum of w r r^T, (n, n), over rows r of (m, n) with weights w (m,)."""
     sums = np.zeros((rows.shape[1], rows.shape[1]))
     add_products(sums, np.ascontiguousarray(rows.T), weights, len(weights))
     return np.asarray(symmetric_matrix(sums))
@@ -103,9 +103,9 @@ def weighted_products(rows: Float64, weights: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, nogil=True)
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
-    """Add R W R^T to the lower triangle of `sums` (n, n), R and W the first m columns and weights.
+    """Add R W R^T to the lower triangle of `sums` (n, n); R, W are the first m columns and weights.
 
-    BLAS is slower here: its threads wait longer for work than they compute.
+    Faster than BLAS here, whose threads wait longer for work than they compute.
     """
     for i in range(len(sums)):
         for j in range(i + 1):
@@ -117,23 +117,23 @@ def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
-    """The symmetric matrix of a lower triangle."""
+    """The full symmetric matrix from its lower triangle."""
     return lower + np.tril(lower, -1).T
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projective_residuals(points, normals, depth, facing, intrinsics, T, gate_m, min_facing):  # type: ignore[no-untyped-def]
-    """Point-to-plane residuals n . (q - T p), (m,) metres; q lies on the pixel that T p falls on.
+    """Point-to-plane residuals n . (q - T p), (m,) metres; q is the depth measured at the pixel of T p.
 
     Args:
-        points: (m, 3 or more) p, metres, beginning with x, y, z; likewise their normals n.
-        normals: those.
-        depth: (height, width), metres, 0 = none; likewise its normals, (height, width, 3) or empty.
-        facing: those.
+        points: (m, 3 or more), metres; the first three columns are p.
+        normals: (m, 3 or more); the first three columns are n, the normals of the points.
+        depth: (height, width), metres, 0 = none.
+        facing: (height, width, 3) normals of depth, or empty: not compared.
         intrinsics: fx, fy, cx, cy of depth.
-        T: (4, 4) from the points to the camera of depth.
-        gate_m: NaN of points that are farther from their measurement along z, or have none.
-        min_facing: least cosine of both normals, else NaN.
+        T: (4, 4) from the points' frame to the frame of depth's camera.
+        gate_m: largest difference to the measured depth along z; the residual is NaN beyond it.
+        min_facing: least cosine between the two normals; the residual is NaN below it.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

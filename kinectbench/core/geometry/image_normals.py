@@ -6,12 +6,12 @@ from kinectbench.core.types import Float32, Float64
 
 
 def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:
-    """Unit normals towards the camera, from neighbouring pixels; NaN if one is missing.
+    """Unit normals towards the camera, from neighbouring pixels; NaN if a neighbour is missing.
 
     Args:
         surface: (height, width, 3) points, camera axes.
-        depth_m: (height, width), 0 where there is none.
-        reach_px: how far to each side the neighbours are.
+        depth_m: (height, width), 0 without measurement.
+        reach_px: distance of the neighbours, pixels.
 
     Returns:
         (height, width, 3).

@@ -1,4 +1,4 @@
-"""Triangle meshes: as values, from a field by marching cubes, and as binary PLY (by trimesh)."""
+"""Triangle meshes: their type, marching cubes, Poisson reconstruction, and binary PLY files (by trimesh)."""
 
 import importlib
 import re
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from open3d.core import Tensor
     from open3d.t.geometry import RaycastingScene
 
-# The function that makes Open3D's tensors of arrays.
+# A function that makes an Open3D tensor from an array.
 Tensors = Callable[[NDArray[np.generic]], "Tensor"]
 
-# Two triangles a side, by the order of `OrientedBox.corners_floor`.
+# Two triangles for each side; corners are numbered as in `OrientedBox.corners_floor`.
 BOX_FACES = np.array(
     [
         *([0, 2, 6], [6, 4, 0], [0, 4, 5], [5, 1, 0], [4, 6, 5], [5, 6, 7]),
@@ -35,14 +35,14 @@ BOX_FACES = np.array(
     dtype=np.int32,
 )
 
-# The head of what `write_ply` writes: vertices, the lines of their colours, and faces.
+# The header that `write_ply` writes: vertices, optional lines of colours, and faces.
 PLY_HEAD = re.compile(
     rb"ply\nformat binary_little_endian 1\.0\n(?:comment [^\n]{0,200}\n){0,20}"
     rb"element vertex ([0-9]{1,9})\nproperty float x\nproperty float y\nproperty float z\n"
     rb"((?:property uchar [a-z]{1,9}\n){0,4})"
     rb"element face ([0-9]{1,9})\nproperty list uchar int vertex_indices\nend_header\n"
 )
-# A scene of forty million triangles.
+# As large as a scene of forty million triangles.
 PLY_BYTES = 1 << 30
 
 
@@ -51,7 +51,7 @@ class TriangleMesh:
     """Triangles over shared vertices.
 
     Attributes:
-        vertices: (n, 3) float64, metres, in the frame its owner says (`world` if not said).
+        vertices: (n, 3) float64, metres, in the frame that the owner states (`world` if it states none).
         faces: (m, 3) int32, counter-clockwise seen from outside.
         colors: (n, 3) uint8 RGB, or None.
     """
@@ -68,7 +68,7 @@ class TriangleMesh:
 
     @property
     def vertex_normals(self) -> Float64:
-        """Unit normals (n, 3): area-weighted means over adjacent triangles; 0 without any."""
+        """Unit vertex normals (n, 3): area-weighted means of the adjacent triangles'; 0 without triangles."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         doubled, corners = np.cross(b - a, c - a), self.faces.ravel()
         sums = [np.bincount(corners, along.repeat(3), len(self.vertices)) for along in doubled.T]
@@ -78,7 +78,7 @@ class TriangleMesh:
         return normals
 
     def keep_faces(self, mask: Bools) -> "TriangleMesh":
-        """The mesh of the faces where mask (m,) is true, without vertices that no face uses."""
+        """The mesh of the faces where mask (m,) is true; vertices that no face uses are dropped."""
         faces = self.faces[mask]
         used = np.zeros(len(self.vertices), dtype=bool)
         used[faces] = True
@@ -106,14 +106,14 @@ def box_mesh(box: OrientedBox) -> TriangleMesh:
 
 
 def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple["RaycastingScene", Tensors]:
-    """Meshes prepared for casting rays, in float32 (Open3D's RaycastingScene, which is Embree).
+    """Prepare meshes for ray casting in float32 (Open3D's RaycastingScene, which is Embree).
 
     Args:
-        meshes: the library's geometry ids count from 0 in their order.
-        threads: that build the structure; 0: all.
+        meshes: their geometry ids count from 0 in this order.
+        threads: number of threads that build the structure; 0: all.
 
     Returns:
-        The scene, and the function that makes the library's tensors of arrays.
+        The scene, and a function that makes Open3D's tensors from arrays.
     """
     o3d = _open3d()
     scene, tensor = o3d.t.geometry.RaycastingScene(nthreads=threads), o3d.core.Tensor.from_numpy
@@ -124,22 +124,22 @@ def raycaster(*meshes: TriangleMesh, threads: int = 0) -> tuple["RaycastingScene
 
 
 def isosurface(field: Float32, observed: Bools | None = None, level: float = 0.0) -> TriangleMesh:
-    """Marching cubes of a dense field at a level, larger outside, in index coordinates.
+    """Extract a surface from a dense field by marching cubes; the field is larger outside.
 
     Args:
         field: (nx, ny, nz) float32.
         observed: (nx, ny, nz); a cell with an unobserved corner gives no faces. None: all observed.
-        level: where the surface is.
+        level: value of the field on the surface.
 
     Returns:
-        A mesh whose vertex (i, j, k) lies on the centre of cell (i, j, k); faces look outward.
+        A mesh in index coordinates: vertex (i, j, k) is the centre of cell (i, j, k); faces look outward.
     """
     o3d = _open3d()
     values = o3d.core.Tensor.from_numpy(np.ascontiguousarray(field))
     extracted = o3d.t.geometry.TriangleMesh.create_isosurfaces(values, [level])
     if "indices" not in extracted.triangle or len(extracted.triangle.indices) == 0:
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    # The library counts the last array axis as x.
+    # Open3D takes the last array axis as x.
     vertices = extracted.vertex.positions.numpy()[:, ::-1].astype(np.float64)
     faces = extracted.triangle.indices.numpy().astype(np.int32)
     mesh = TriangleMesh(vertices, faces)
@@ -157,18 +157,19 @@ def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) 
     """Screened Poisson surface reconstruction (M. Kazhdan and H. Hoppe 2013; Open3D).
 
     Args:
-        points: (n, 3), not all at one place.
+        points: (n, 3), not all at the same place.
         normals: (n, 3) of length 1, outward.
-        depth: of the octree: 2^depth cells along the cube at most, which bounds time and memory.
-        cube: its side, in sides of the points' box; a surface that reaches it is open there.
+        depth: depth of the octree: at most 2^depth cells along the cube, which bounds time and memory.
+        cube: edge of the cube relative to the points' box; a surface that reaches the cube is open there.
     """
     o3d = _open3d()
     middle, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
-    # The library counts in float32, and ends the process where points are the same to it.
+    # Open3D computes in float32, and ends the process if the points are equal in float32.
     vectors = o3d.utility.Vector3dVector
     cloud = o3d.geometry.PointCloud(vectors((points - middle) / size))
     cloud.normals = vectors(normals)
-    # One thread gives the same bytes at each run; several crash at times (mkazhdan/PoissonRecon, issue 298).
+    # One thread gives the same bytes in each run; several threads sometimes crash (mkazhdan/PoissonRecon,
+    # issue 298).
     made = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         cloud, depth=depth, scale=cube, n_threads=1
     )[0]
@@ -177,15 +178,15 @@ def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) 
 
 @cache
 def _open3d() -> ModuleType:
-    """Open3D, whose functions for plotly are imported on their first call only.
+    """Import Open3D, but import its functions for plotly only if one of them is called.
 
-    They import dash and plotly: 0.42 of the 0.68 CPU s that `import open3d` takes (version 0.20), in every
-    process that builds or scores. Nothing here calls them.
+    These import dash and plotly: 0.42 of the 0.68 CPU s that `import open3d` takes (version 0.20), in every
+    process that builds or scores. This package never calls them.
     """
     name = "open3d.visualization.draw_plotly"
 
     def later(function: str) -> Callable[..., object]:
-        """A function whose module is imported at the first call."""
+        """Wrap a function so that its module is imported at the first call."""
         if function.startswith("__"):  # such as __file__, which `inspect` asks every module for
             raise AttributeError(function)
 
@@ -211,7 +212,7 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
 
 
 def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
-    """Read a mesh that `write_ply` wrote; with its colours on request.
+    """Read a mesh that `write_ply` wrote, with its colours if `colors` is set.
 
     Raises:
         StorageError: the file is missing or damaged.
@@ -225,13 +226,13 @@ def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
 
 
 def parse_ply(content: bytes, *, colors: bool = False) -> TriangleMesh:
-    """Read the bytes of a mesh that `write_ply` wrote, as untrusted input; see `read_own_ply`.
+    """Parse the bytes of a mesh that `write_ply` wrote, as untrusted input; see `read_own_ply`.
 
-    Of the PLY format only what is written here is read, binary triangles: nothing is trusted before it is
-    known to be there, and it costs no more than the file. A library would split texts, or unpack lists.
+    Only what `write_ply` writes is read: binary triangles. Sizes are checked before memory is allocated, so
+    the cost is at most that of the file. A general library would also parse text and lists of any length.
 
     Raises:
-        ValueError: it is not such a file, a vertex is not finite, or a face has none.
+        ValueError: the bytes are no such file, a vertex is not finite, or a face names a missing vertex.
     """
     head = PLY_HEAD.match(content)
     if head is None:

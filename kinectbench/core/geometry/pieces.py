@@ -6,20 +6,23 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def sorted_edges(faces):  # type: ignore[no-untyped-def]
-    """(3 m,) int64, rising: the edges of faces (m, 3) by number: even, or odd in the other direction."""
+    """The edges of faces (m, 3) as sorted numbers: (3 m,) int64.
+
+    A number is `lower vertex << 32 | higher vertex << 1`, plus 1 if the edge starts at the higher vertex.
+    """
     vertices, edges = 1 + np.int64(faces.max()), np.empty(faces.size, np.int64)
     for f in range(len(faces)):
         for corner in range(3):
             begin, end = np.int64(faces[f, corner]), np.int64(faces[f, (corner + 1) % 3])
             edges[3 * f + corner] = min(begin, end) << 32 | max(begin, end) << 1 | (begin > end)
-    # By the larger vertex and the direction, then by the smaller vertex: each pass keeps the order of equals.
+    # Sort by the higher vertex and the direction first, then by the lower vertex; each pass is stable.
     edges = _counted(edges, 0, 2 * vertices)
     return _counted(edges, 32, vertices)
 
 
 @njit(cache=True, nogil=True)
 def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
-    """The numbers sorted by 32 of their bits, which are below `digits`: a pass of a radix sort."""
+    """One pass of a radix sort: sort by the 32 bits from `shift` on, which are below `digits`; stable."""
     begin, found = np.zeros(digits + 1, np.int64), np.empty(len(numbers), np.int64)
     for number in numbers:
         begin[(number >> shift & 0xFFFFFFFF) + 1] += 1
@@ -33,11 +36,13 @@ def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def pieces_of(faces, vertices: int):  # type: ignore[no-untyped-def]
-    """(m,) int64: for each face (m, 3) a vertex of its piece, the same for all faces that are connected.
+    """The connected piece of each face (m, 3), as one vertex of the piece: (m,) int64.
+
+    Faces that share vertices, directly or by other faces, have the same vertex.
 
     Args:
         faces: (m, 3) indices below `vertices`.
-        vertices: their number.
+        vertices: number of vertices.
     """
     above = np.arange(vertices)
     for f in range(len(faces)):
@@ -53,7 +58,7 @@ def pieces_of(faces, vertices: int):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _top(above, vertex):  # type: ignore[no-untyped-def]
-    """The vertex that stands for a piece; the way there is halved."""
+    """The root vertex of a piece (union-find); the path to it is halved."""
     while above[vertex] != vertex:
         above[vertex] = above[above[vertex]]
         vertex = above[vertex]

@@ -4,18 +4,18 @@ import numpy as np
 
 from kinectbench.core.types import Float64
 
-# Planes that RANSAC tries.
+# Number of planes that RANSAC tries.
 HYPOTHESES = 400
 
 
 def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
-    """The plane (4,) with most inliers among those through one point with its own normal (one-point RANSAC).
+    """The plane (4,) with most inliers, by one-point RANSAC: each trial is a point with its normal.
 
     Args:
         points: (n, 3), metres.
         normals: (n, 3) unit.
-        rng: which points are tried.
-        inlier_m: points this near to a plane are on it.
+        rng: draws the points to try.
+        inlier_m: largest distance of an inlier from the plane.
     """
     judged = points[rng.permutation(len(points))[:20_000]]
     chosen = rng.integers(len(points), size=HYPOTHESES)
@@ -33,9 +33,9 @@ def refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> 
 
     Args:
         points: (n, 3), metres.
-        plane: (4,) to begin with.
-        reach_m: distance of its first inliers.
-        inlier_m: later inliers lie within half of it to twice it.
+        plane: (4,) the initial plane.
+        reach_m: largest distance of an inlier in the first fit.
+        inlier_m: in later fits, the largest distance of an inlier is half to twice this.
     """
     for _ in range(8):
         distance_m = points @ plane[:3] + plane[3]

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinectbench.core.types import Float64
 
-# Of a rotation's entries: what rounding leaves is a ten-thousandth of it.
+# For entries of a rotation matrix; rounding leaves a ten-thousandth of this.
 ORTHONORMAL_TOLERANCE = 1e-6
-# For an untrusted similarity: products of float32 leave 1e-6, and 1e-4 moves a point at a metre by 0.1 mm.
+# For an untrusted similarity: products of float32 leave 1e-6; 1e-4 moves a point at 1 m by 0.1 mm.
 SIMILAR_TOLERANCE = 1e-4
-# Millimetres are 1e-3; a shape that is 1 wide in a room of a thousand units is far within (chosen here).
+# From millimetres to metres the scale is 1e-3; a shape 1 unit wide in a room of a thousand units is far below
+# (chosen here).
 MOST_SCALE = 1e6
 # 16-bit depth in millimetres ends at 66 m.
 MOST_SHIFT_M = 100.0
@@ -47,7 +48,7 @@ def similarity_scale(T: Float64) -> float:
 def similarity_problem(T: Float64) -> str | None:
     """Why a (4, 4) matrix of finite numbers is no similarity of usual size; None if it is one.
 
-    A similarity is a rotation with determinant +1 times a scale > 0, and a shift; it maps column vectors.
+    A similarity is a rotation with determinant +1 times a scale > 0, plus a shift; it maps column vectors.
     """
     if not np.array_equal(T[3], [0, 0, 0, 1]):
         is_of_rows = T[3, 3] == 1 and not T[:3, 3].any()
@@ -110,7 +111,7 @@ def rotation_angle_rad(rotation: Float64) -> Float64:
 
 
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Float64:
-    """Turn quaternions (..., 4), order x y z w, into rotations (..., 3, 3). ValueError: one has no length."""
+    """Turn quaternions (..., 4), order x y z w, into rotations (..., 3, 3). ValueError: length 0."""
     from scipy.spatial.transform import Rotation
 
     q = np.asarray(quaternion_xyzw, dtype=np.float64)
@@ -120,7 +121,7 @@ def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Float64:
 
 
 def quaternion_xyzw_from_rotation(rotation: Float64) -> Float64:
-    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), x y z w, w >= 0. ValueError: one is none."""
+    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), x y z w, w >= 0. ValueError: no rotation."""
     return np.reshape(_rotations(rotation).as_quat(canonical=True), (*rotation.shape[:-2], 4))
 
 
@@ -142,26 +143,26 @@ def interpolate_rigid(T_a_b0: Float64, T_a_b1: Float64, fraction: ArrayLike) -> 
 
 
 def _rotations(rotation: Float64) -> Any:
-    """(..., 3, 3) as one scipy `Rotation` of them all."""
+    """Turn (..., 3, 3) rotations into one scipy `Rotation`."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation.reshape(-1, 3, 3))
 
 
 def rigid_from_twist(twist: NDArray[np.floating]) -> Float64:
-    """(4, 4) from a rotation vector (radians) and a translation (metres), stacked (6,)."""
+    """Turn a twist (6,), rotation vector (radians) and translation (metres), into a transform (4, 4)."""
     import cv2
 
     return rigid(np.asarray(cv2.Rodrigues(twist[:3])[0]), twist[3:])
 
 
 def on_so3(T: Float64) -> Float64:
-    """T (4, 4) with its rotation on SO(3): products of many drift off it, and ever faster."""
+    """Project the rotation of T (4, 4) onto SO(3): products of many transforms drift off, ever faster."""
     return rigid(closest_rotation(T[:3, :3]), T[:3, 3])
 
 
 def twist_from_rigid(T: Float64) -> Float64:
-    """The inverse of `rigid_from_twist`: (6,)."""
+    """Turn a transform (4, 4) into its twist (6,): the inverse of `rigid_from_twist`."""
     import cv2
 
     return np.concatenate([cv2.Rodrigues(np.ascontiguousarray(T[:3, :3]))[0].ravel(), T[:3, 3]])

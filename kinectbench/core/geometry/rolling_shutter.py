@@ -1,8 +1,8 @@
-"""Undo a rolling shutter: move pixels to their place at the middle of the frame's readout.
+"""Undo a rolling shutter: move each pixel to where it would be at the middle of the frame's readout.
 
-The rows of a frame are read one after the other, while the camera moves. A Kinect v1 takes about 30 ms from
+The rows of a frame are read one after the other while the camera moves. A Kinect v1 takes about 30 ms from
 the first row to the last (Ringaby & Forssen: Scan rectification for structured light range sensors with
-rolling shutters, ICCV 2011): at 150 degrees a second these see 4.5 degrees apart.
+rolling shutters, ICCV 2011): at 150 degrees a second, the view turns by 4.5 degrees in that time.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ from kinectbench.core.geometry.camera import Camera
 from kinectbench.core.geometry.rigid import invert_rigid, twist_from_rigid
 from kinectbench.core.types import Bools, Float64, Int64
 
-# Where a pixel was taken depends on its row, and its row on where it was taken: each pass divides the error
-# by the rows of a frame over those it moves past, at least 10.
+# The source row of a pixel depends on its readout time, and that time on the source row. Each pass divides
+# the error by the ratio of the frame's rows to the rows that the pixel moves, at least 10.
 PASSES = 3
-# Neighbouring pixels are of one surface if their depths differ by less than this share.
+# Neighbouring pixels belong to one surface if their depths differ by less than this share.
 SAME_SURFACE = 0.03
-# Frames farther apart in time do not tell how fast the camera moves at one of them.
+# Frames farther apart in time do not determine the camera's motion at a frame.
 MAX_STEP_S = 0.1
 
 
 @dataclass(frozen=True)
 class RollingShutter:
-    """The readout times of each frame's pixels, and the camera's motion meanwhile.
+    """The readout time of a recording's frames, and the camera's motion during each frame.
 
     Attributes:
-        readout_s: from the first row to the last; negative: the last row comes first.
-        color_delay_s: by how much colour is taken later than depth.
-        motion: (n, 12) of each frame, camera axes: the rate of its twist (rad/s, m/s), and how that grows
+        readout_s: time from the first row to the last, seconds; negative: the last row comes first.
+        color_delay_s: delay of colour relative to depth, seconds.
+        motion: (n, 12) for each frame, camera axes: rate of the twist (rad/s, m/s), and its derivative
             (rad/s^2, m/s^2).
     """
 
@@ -43,14 +43,14 @@ class RollingShutter:
 def upright_depth(
     depth: NDArray[np.uint16], units_per_m: float, camera: Camera, motion: Float64, readout_s: float
 ) -> NDArray[np.uint16]:
-    """Depth (height, width) as a global shutter would see it.
+    """Depth (height, width) as a global shutter would record it.
 
     Args:
         depth: (height, width) uint16, 0 = none.
-        units_per_m: of this depth.
-        camera: of its size.
-        motion: (12,) of the camera, as `RollingShutter.motion`.
-        readout_s: from the first row to the last.
+        units_per_m: units of depth per metre.
+        camera: intrinsics for this image size.
+        motion: (12,) of the camera, as in `RollingShutter.motion`.
+        readout_s: time from the first row to the last, seconds.
     """
     return np.asarray(_depth_at_once(depth, float(units_per_m), camera.intrinsics, motion, readout_s))
 
@@ -63,15 +63,15 @@ def upright_gray(
     readout_s: float,
     delay_s: float,
 ) -> NDArray[np.uint8]:
-    """Grey or colour as a global shutter would see it, at the time of the middle of depth.
+    """A grey or colour image as a global shutter would record it, at the middle of the depth's readout.
 
     Args:
         gray: (height, width) or (height, width, 3) uint8.
-        depth_m: (height, width), upright; where it is 0 only the turn is undone.
-        camera: of this size.
-        motion: (12,) of the camera, as `RollingShutter.motion`.
-        readout_s: from the first row to the last.
-        delay_s: by how much colour is taken later than depth.
+        depth_m: (height, width), already corrected; only the rotation is undone where it is 0.
+        camera: intrinsics for this image size.
+        motion: (12,) of the camera, as in `RollingShutter.motion`.
+        readout_s: time from the first row to the last, seconds.
+        delay_s: delay of colour relative to depth, seconds.
     """
     import cv2
 
@@ -83,14 +83,14 @@ def upright_gray(
 def upright_mask(
     mask: Bools, depth_m: NDArray[np.float32], camera: Camera, motion: Float64, readout_s: float
 ) -> Bools:
-    """A mask as a global shutter would see it.
+    """A mask as a global shutter would record it.
 
     Args:
-        mask: (height, width) bool, of depth as it was recorded.
+        mask: (height, width) bool, a mask of depth as recorded.
         depth_m: (height, width) float32, metres, after `upright_depth`; 0 = none.
-        camera: of this size.
-        motion: (12,) of the camera, as `RollingShutter.motion`.
-        readout_s: from the first row to the last, seconds.
+        camera: intrinsics for this image size.
+        motion: (12,) of the camera, as in `RollingShutter.motion`.
+        readout_s: time from the first row to the last, seconds.
 
     Returns:
         (height, width) bool.
@@ -102,13 +102,14 @@ def upright_mask(
 
 
 def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Float64:
-    """The camera's motion at each frame, (n, 12) as `RollingShutter.motion`.
+    """The camera's motion at each frame, (n, 12) as in `RollingShutter.motion`.
+
+    Rates come from neighbouring poses, and are interpolated where a frame has no neighbour with a pose.
 
     Args:
-        T_segment_camera: (n, 4, 4), NaN where it is not known; where no neighbour says how a frame moves,
-            it is interpolated.
-        segment: (n,) the world that each pose is in: poses of two worlds are unrelated.
-        stamps_s: (n,) of the frames, seconds.
+        T_segment_camera: (n, 4, 4), NaN where unknown.
+        segment: (n,) index of the world of each pose: poses of two worlds are unrelated.
+        stamps_s: (n,) times of the frames, seconds.
     """
     n = len(stamps_s)
     known: Bools = np.isfinite(T_segment_camera[:, 0, 0])
@@ -129,7 +130,7 @@ def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Flo
 
 
 def _ascending(stamps_s: Float64) -> Float64:
-    """Times that ascend by a tenth of the usual step at least."""
+    """Adjust times so that each step is at least a tenth of the median step."""
     steps = np.diff(stamps_s)
     least = 0.1 * max(float(np.median(steps)), 1e-6)
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
@@ -137,7 +138,7 @@ def _ascending(stamps_s: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
-    """A point (x, y, 1) / over_z of the middle as seen `since_s` later, times over_z."""
+    """Where a point (x, y, 1) / over_z at mid-readout is `since_s` later, in camera axes, times over_z."""
     half_s = 0.5 * since_s
     ax = since_s * (motion[0] + half_s * motion[6])
     ay = since_s * (motion[1] + half_s * motion[7])
@@ -145,7 +146,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
     x -= since_s * (motion[3] + half_s * motion[9]) * over_z
     y -= since_s * (motion[4] + half_s * motion[10]) * over_z
     z = 1 - since_s * (motion[5] + half_s * motion[11]) * over_z
-    # Turned back, to second order.
+    # Rotate back, to second order.
     bx, by, bz = ay * z - az * y, az * x - ax * z, ax * y - ay * x
     return (
         x - bx + 0.5 * (ay * bz - az * by),
@@ -156,7 +157,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """Source pixels of the corrected image, u and v: (height, width) each."""
+    """The source pixel of each pixel of the corrected image: u and v, (height, width) each."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -175,7 +176,7 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
-    """Depth between pixels, moved to mid-readout; the nearest pixel's across a depth edge."""
+    """Depth at mid-readout, interpolated between pixels; across a depth edge the nearest pixel's depth."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     moved = np.zeros((height, width), np.uint16)

@@ -1,4 +1,4 @@
-"""URLs of stores: recognised in place of a path, checked, joined, and printed without secrets."""
+"""URLs of stores: recognise one in place of a path, check it, join it, and print it without secrets."""
 
 import os
 import posixpath
@@ -9,27 +9,27 @@ from urllib.parse import urlsplit
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import printable
 
-# Schemes that obstore opens; `s3` needs the variables of the AWS command line, `gs` and `az` those of theirs.
+# Schemes that obstore opens; `s3`, `gs` and `az` need the environment variables of their command-line tools.
 SCHEMES = ("s3", "s3a", "gs", "az", "abfs", "abfss", "file", "memory", "http", "https")
-# Those whose first part is a bucket or a container.
+# Schemes whose first part is a bucket or a container.
 IN_BUCKETS = ("s3", "s3a", "gs", "az", "abfs", "abfss")
-# pathlib makes one slash of two: a URL that was an option of type Path comes as `s3:/bucket/name`.
+# pathlib merges double slashes: a URL given as an option of type Path arrives as `s3:/bucket/name`.
 _URL = re.compile(rf"({'|'.join(SCHEMES)}):(?:(/+)(.*))?")
-# A drive of Windows has one letter.
+# Two letters at least: a drive of Windows has one letter.
 _OTHER = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):/")
 NOT_READ = " is not supported; s3, gs, az, https, file are"
 _WRITTEN = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+):(/*)(.*)", re.DOTALL)
-# Of Azure there are `$web` and `container@account.dfs.core.windows.net`; a user may stand before a host.
+# Azure has `$web` and `container@account.dfs.core.windows.net`; a user may precede a host.
 _BUCKET = re.compile(r"[A-Za-z0-9$][A-Za-z0-9._$@-]*(?=/|\?|$)")
 _HOST = re.compile(r"([^/@]*@)?([^\s/@:?#\[\]]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?(?=/|\?|$)")
 _SECRET = re.compile(r"(//)[^/]*@")
 MISSING = "needs obstore; run pip install 'kinectbench[cluster]'"
-# Variables that the Rust crate object_store reads; it panics if an endpoint is no URL.
+# Variables that the Rust crate object_store reads; it panics if their value is no URL.
 ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 
 
 def url_of(path: str | Path) -> str | None:
-    """The URL that a path stands for, without a trailing slash; None for a local path."""
+    """The URL that a path stands for, without trailing slash; None for a local path."""
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
@@ -40,7 +40,7 @@ def url_of(path: str | Path) -> str | None:
 
 
 def other_scheme(path: str | Path) -> str | None:
-    """The message for a URL of an unsupported scheme; None if there is none."""
+    """An error message for a URL of an unsupported scheme; None for any other path."""
     match = _OTHER.match(str(path))
     if match is None or url_of(path) is not None or Path(path).parts[:1] != (f"{match[1]}:",):
         return None
@@ -48,9 +48,9 @@ def other_scheme(path: str | Path) -> str | None:
 
 
 def unusable(text: str) -> str | None:
-    """The fault of a URL as typed; None if it has none or is no URL.
+    """What is wrong with a URL as typed; None if it is right or no URL.
 
-    To be asked before it becomes a path, which keeps one slash of several: `s3:///x` would be a bucket's.
+    Check this before the text becomes a path: a path merges slashes, so `s3:///x` would name the bucket x.
     """
     written = _WRITTEN.fullmatch(text)
     if written is None or (written[3] and len(written[2]) < 2):
@@ -71,12 +71,12 @@ def unusable(text: str) -> str | None:
 
 
 def is_web(url: str) -> bool:
-    """Whether it is a plain web server: its files can only be read by name, not listed or written."""
+    """Whether a URL is one of a plain web server, whose files can be read by name, not listed or written."""
     return url.startswith(("http://", "https://"))
 
 
 def joined(url: str, name: str) -> str:
-    """The URL of something below a URL; `name` is relative to it, with "/" between folders."""
+    """The URL of a file below a URL; `name` is relative, with "/" between folders."""
     return posixpath.join(url, name)
 
 
@@ -97,10 +97,10 @@ def _shown(url: str) -> str:
 
 
 def require_usable(url: str, place: str) -> None:
-    """Refuse errors that a retry cannot change.
+    """Raise an error for a problem that a retry cannot solve.
 
     Args:
-        url: of the store.
+        url: URL of the store.
         place: the URL that the error names.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Retries while a store may recover, and one message for each kind of failure."""
+"""Retries while a store may recover; and one message for each kind of failure."""
 
 import logging
 import math
@@ -16,11 +16,11 @@ from kinectbench.core.storage import storage_errors
 from kinectbench.core.untrusted import printable
 
 T = TypeVar("T")
-# Where nobody has configured logging, warnings go to standard error.
+# If logging is not configured, warnings go to standard error.
 _log = logging.getLogger(__name__)
 
-# Seconds without success, or a byte of progress, after which a store is given up: it may answer 503 for some
-# minutes (the Rust crate object_store waits as long).
+# Seconds without success or progress after which a store is given up. A store may answer 503 for some
+# minutes; the Rust crate object_store waits as long.
 PATIENCE_S = 180.0
 PATIENCE_VARIABLE = "KINECTBENCH_STORE_PATIENCE_S"
 # Exponential backoff with jitter, as the AWS Architecture Blog advises; the bounds are object_store's.
@@ -34,20 +34,20 @@ _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")
 _CODE = re.compile(r"<Code>([A-Za-z0-9]+)</Code>")
 _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 _OS_MESSAGE = re.compile(r'message: "([A-Za-z -]+)"')
-# Of 4xx what may be another moment: request timeout, conflict of two writers, too many requests; and of 5xx
-# what will not: not implemented.
+# Of the 4xx, those that may pass: request timeout, conflict of two writers, too many requests. Of the 5xx,
+# the one that does not: not implemented.
 PASSING, LASTING = (408, 409, 429), (501,)
 
 NO_CREDENTIALS = (
     "no credentials were found; set those of the store, for s3:// AWS_ACCESS_KEY_ID and "
     "AWS_SECRET_ACCESS_KEY, or AWS_SKIP_SIGNATURE=true for a bucket that everybody may read"
 )
-# What the errors of obstore say where credentials are missing: it asks the cloud's own machines for some.
+# Parts of obstore's errors without credentials: it then asks metadata servers of the cloud's machines.
 _ASKS_FOR_CREDENTIALS = ("169.254.169.254", "169.254.170.2", "metadata.google.internal", "MissingAccount")
-# Messages of rustls on a refused certificate, and on a server without TLS.
+# Parts of rustls's errors on a refused certificate, and on a server without TLS.
 _TLS = ("InvalidCertificate", "invalid peer certificate", "InvalidContentType")
 _TLS_REASON = re.compile(r"\b(UnknownIssuer|NotValidForName|Expired|CaUsedAsEndEntity|InvalidContentType)")
-# Messages of the resolvers of Linux and macOS, musl and Windows on an unknown name.
+# Parts of the errors on an unknown host, by the resolvers of Linux and macOS, musl, and Windows.
 _NO_SUCH_HOST = ("not known", "does not resolve", "No such host is known")
 
 
@@ -58,24 +58,24 @@ class MissingObjectError(StorageError):
 
 
 class StoreGoneError(StorageError):
-    """The store has stopped answering: callers should end."""
+    """The store has stopped answering: callers should give up."""
 
     what = "no-answer"
 
 
 class StoppedError(Exception):
-    """A related call has failed, or an interrupt ends them all."""
+    """Waiting was ended by an error of another call, or by an interrupt."""
 
 
 class UnsettledError(Exception):
-    """The data read is inconsistent, as another process is writing: retry."""
+    """The data is inconsistent because another process is writing: retry."""
 
 
 def patience_s() -> float:
     """Seconds of failure after which a store is given up.
 
     Raises:
-        SettingsError: the variable is no number of seconds.
+        SettingsError: the environment variable is no number of seconds.
     """
     given = os.environ.get(PATIENCE_VARIABLE, "") or str(PATIENCE_S)
     try:
@@ -91,14 +91,14 @@ def patience_s() -> float:
     return seconds
 
 
-# Of each thread what ends its waiting; none in the main thread, where an interrupt does.
+# The event that ends this thread's waiting; the main thread has none, as an interrupt ends it.
 _thread = threading.local()
-# Stores that were given up in this process and have not answered since, with when they first did not: what
-# comes next does not wait for minutes again.
+# Host -> time of the first failure, for stores that this process gave up and that have not answered since:
+# further calls to them do not wait for minutes again.
 _given_up: dict[str, float] = {}
-# Stores that were reported as not answering.
+# Hosts for which the warning was printed.
 _reported: set[str] = set()
-# Stores that have answered to this process: they have names that are known.
+# Hosts that have answered this process, so their names are known.
 _answered: set[str] = set()
 
 
@@ -116,10 +116,10 @@ def _pause(seconds: float) -> None:
 
 
 def check_stopped() -> None:
-    """Raise an error if this thread's retries were ended.
+    """Raise an error if the event of `wait_until` is set.
 
     Raises:
-        StoppedError: the event of `wait_until` is set.
+        StoppedError: the event is set.
     """
     stop: threading.Event | None = getattr(_thread, "stop", None)
     if stop is not None and stop.is_set():
@@ -127,7 +127,7 @@ def check_stopped() -> None:
 
 
 def has_answered(url: str) -> bool:
-    """Whether the host of a URL has answered to this process, and so has a name that is known."""
+    """Whether the host of a URL has answered this process, so its name is known."""
     return _host(url) in _answered
 
 
@@ -146,19 +146,19 @@ def patiently(
     progress: Callable[[], object] = lambda: None,
     answers: Callable[[], object] | None = None,
 ) -> T:
-    """Call until it succeeds, fails for good, or has failed for too long.
+    """Repeat a call until it succeeds, fails for good, or fails for too long.
 
     Args:
         place: the URL that errors name.
-        call: is called again after each failure that may pass.
-        progress: how far the calls have come; the time without success restarts when it changes.
-        answers: another call; a store that answers to it is not gone.
+        call: the call; repeated after each failure that may pass.
+        progress: returns how far the calls have come; the limit of time restarts when the value changes.
+        answers: a small call to the same store; if it succeeds, only this file fails, not the store.
 
     Raises:
-        MissingObjectError: there is nothing at that place.
-        StoreGoneError: the store does not answer at all any more.
-        StorageError: it failed for good, or for too long; in one line.
-        OSError: of the machine's own disk.
+        MissingObjectError: nothing is at that place.
+        StoreGoneError: the store does not answer any more.
+        StorageError: the call failed for good, or for too long.
+        OSError: an error of the local disk.
     """
     since, wait_s, so_far, most_s = time.monotonic(), FIRST_WAIT_S, progress(), patience_s()
     host = _host(place)
@@ -181,7 +181,7 @@ def patiently(
 
 
 def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
-    """Print one warning per store and process, as a user may be waiting."""
+    """Print one warning per store and process, because a user may be waiting."""
     if failed_s >= TELL_AFTER_S and host not in _reported:
         _reported.add(host)
         _log.warning(
@@ -191,7 +191,7 @@ def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exceptio
 
 
 def _called(place: str, call: Callable[[], T]) -> T:
-    """Call the function; turn a panic of Rust, which is no Exception, into a message.
+    """Run a call; turn a panic of Rust, which is no `Exception`, into a message.
 
     Raises:
         StorageError: obstore panicked.
@@ -216,7 +216,7 @@ def _heard_of(host: str) -> None:
 def _given_up_for(
     place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
 ) -> StorageError:
-    """The error of a store that failed for too long, or of a file in one that answers otherwise."""
+    """The error after failing for too long; `StoreGoneError` if the store answers no other call either."""
     kind, since_s = StorageError, since
     if host in _given_up or not _has_answer(place, answers):
         kind, since_s = StoreGoneError, min(since, _given_up.setdefault(host, since))
@@ -232,15 +232,15 @@ def _has_answer(place: str, answers: Callable[[], object] | None) -> bool:
         return False
     try:
         _called(place, answers)
-    except FileNotFoundError:  # an answer, too
+    except FileNotFoundError:  # this is an answer
         return True
-    except Exception:  # of obstore's many kinds
+    except Exception:  # obstore has many kinds
         return False
     return True
 
 
 def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> None:
-    """Raise errors that a retry cannot change; `known`: the store has answered before."""
+    """Raise an error that a retry cannot solve; `known`: the store has answered before."""
     if isinstance(error, UnsettledError):
         return
     if "NoSuchBucket" in str(error):
@@ -249,7 +249,7 @@ def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> N
         ) from None
     if isinstance(error, FileNotFoundError):
         raise MissingObjectError(f"{place}: there is no such file; correct the URL") from None
-    if isinstance(error, ValueError):  # a name that no store may have
+    if isinstance(error, ValueError):  # an invalid name
         raise StorageError(f"{place}: {printable(str(error), REASON_CHARS)}", what="bad-address") from None
     if type(error).__module__.partition(".")[0] != "obstore":
         raise error
@@ -296,7 +296,7 @@ def _lasting(place: str, error: Exception) -> StorageError:
 
 
 def _reason(error: Exception) -> str:
-    """The reason in a few words: status and error code of the store, else the start of the first line."""
+    """The reason in a few words: HTTP status and the store's error code, or the start of the first line."""
     text = str(error)
     status, code = _STATUS.search(text), _CODE.search(text)
     if status:

@@ -1,4 +1,4 @@
-"""Downloads from web servers: from several addresses, resumable, and verified."""
+"""Download files from web servers: from several addresses, resumable, and verified."""
 
 import contextlib
 import errno
@@ -32,36 +32,36 @@ from kinectbench.core.store.attempts import (
 )
 from kinectbench.core.untrusted import COPIED_BYTES, printable
 
-# Until the next bytes come, and until all headers are here: as long as one request to a store may take.
+# Time limits: until the next bytes arrive, and until all headers have; as for one request to a store.
 NEXT_S, HEADERS_S = 30.0, 60.0
-# Fewer bytes in a minute are no download: 1 kB/s is a seventh of what a 56k modem brings.
+# A slower download is given up: 1 kB/s is a seventh of a 56k modem's rate.
 LEAST_BYTES, WITHIN_S = 64 << 10, 60.0
 # Browsers follow 20, curl 50; file servers need one or two.
 MOST_REDIRECTS = 5
 FULL = (errno.ENOSPC, errno.EDQUOT)
-# Of an archive: 46 times the average of Redwood's scans (4 TB by 10,933).
+# Largest download: 46 times the average of Redwood's scans (4 TB by 10,933).
 MOST_FILE_BYTES = 16 << 30
-# Ending of a partial download, which lies beside the file until that is complete.
+# Suffix of a partial download, which lies beside the final file.
 ENDING = ".part"
 
 
 class Content(NamedTuple):
-    """The expected content of a file: its size in bytes, SHA-256 as hex."""
+    """The expected content of a file: its size in bytes, and its SHA-256 as hex."""
 
     size: int
     sha256: str
 
 
 class _RefusedError(Exception):
-    """This address refuses the file for good."""
+    """This address will never deliver the file."""
 
 
 class _UnknownError(_RefusedError):
-    """The host is unknown: unknown server, or no network."""
+    """The host is unknown: a wrong name, or no network."""
 
 
 class _BrokenError(Exception):
-    """This address may deliver the file later."""
+    """This address does not deliver the file now, but may later."""
 
 
 def download(
@@ -76,21 +76,22 @@ def download(
 ) -> Content:
     """Download a file; it appears at `path` when it is complete and verified.
 
-    A partial download lies beside it, and the next call resumes it. All addresses are tried in order,
-    again and again for as long as a store may fail (`attempts.patience_s`).
+    A partial download lies beside `path`, and the next call resumes it. Addresses are tried in order and in
+    turn, until the time limit of a failing store (`attempts.patience_s`).
 
     Args:
         urls: addresses of the same file.
-        path: its folder is made.
-        sha256: of its content; None: any content is accepted.
-        size: its bytes, where they are known, too.
+        path: place of the file; its folder is created.
+        sha256: expected SHA-256; None: any content is accepted.
+        size: expected bytes; None: unknown.
         check: called with the complete file; if it raises, the next address is tried.
-        most_bytes: a larger one is refused.
-        room: called with the expected bytes in advance; if it raises, the call ends.
+        most_bytes: a larger file is refused.
+        room: called in advance with the bytes still to come; if it raises, the download ends.
 
     Raises:
-        StoreGoneError: none of the servers answers at all, in one line with the reasons.
-        StorageError: no address gives it, likewise; or the disk cannot be written.
+        StoreGoneError: no server answers; the message has the reasons.
+        StorageError: no address delivers the file; the message has the reasons. Or the disk cannot be
+            written.
     """
     order, furthest = list(urls), 0
 
@@ -109,7 +110,7 @@ def download(
                 unknown += isinstance(error, _UnknownError)
             except _BrokenError as error:
                 broken.append(f"{_host(url)}: {error}")
-            order.append(order.pop(0))  # the next attempt begins with one that has not failed
+            order.append(order.pop(0))  # the next attempt starts with another address
         if broken:
             raise UnsettledError("; ".join((*broken, *refused)))
         kind = StoreGoneError if unknown == len(order) else StorageError
@@ -131,7 +132,7 @@ def partial_downloads(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Download:
-    """One attempt to download from one address."""
+    """One attempt to download the file from one address."""
 
     url: str
     path: Path
@@ -146,8 +147,8 @@ class _Download:
         """Download the file to its place.
 
         Raises:
-            _RefusedError, _BrokenError: this address does not give it.
-            StorageError: the disk cannot be written, or `room` says no.
+            _RefusedError, _BrokenError: this address does not deliver the file.
+            StorageError: the disk cannot be written, or `room` raises it.
         """
         with _opened(self.url) as answer:
             size, mark = self._checked_size(answer), _mark(answer)
@@ -177,7 +178,7 @@ class _Download:
         return size
 
     def _goes_on(self, answer: http.client.HTTPResponse, at: int, size: int) -> int:
-        """Offset of an answer's first byte in the file; 0 if the server ignores the requested range."""
+        """The offset at which an answer starts in the file; 0 if the server ignores the requested range."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
                 raise _BrokenError("changed while it was fetched")
@@ -188,7 +189,7 @@ class _Download:
         return at
 
     def _copy(self, answer: http.client.HTTPResponse, part: Path, at: int, size: int) -> None:
-        """Write the bytes of an answer from an offset on, up to the expected size."""
+        """Append the bytes of an answer to a partial file, from offset `at` up to the expected size."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
             while at < size:
@@ -205,7 +206,7 @@ class _Download:
                     since, then = time.monotonic(), at
 
     def _taken(self, part: Path, size: int) -> Content:
-        """Move the download into place if it is as expected; else delete it."""
+        """Move a download to its place if its content is as expected; else delete it."""
         with storage_errors(self.path):
             content = Content(size, sha256_file(part))
             problem = ""
@@ -216,7 +217,7 @@ class _Download:
                     self.check(part)
                 except KinectBenchError as error:
                     if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL:
-                        raise  # the archive is well
+                        raise  # the archive is good, the disk is full
                     problem = str(error).removeprefix(f"{part}: ")
             if problem:
                 part.unlink()
@@ -226,7 +227,7 @@ class _Download:
 
 
 def _mark(answer: http.client.HTTPResponse) -> str:
-    """The validator of this content, which changes with it (RFC 9110, 8.8), or ""."""
+    """The validator of the content: changes if the content does (RFC 9110, 8.8); "" if there is none."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 
@@ -248,7 +249,7 @@ def _read(answer: http.client.HTTPResponse, most: int) -> bytes:
 
 @contextlib.contextmanager
 def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPResponse]:
-    """A server's answer, from a byte on if supported; redirections only lead to web servers."""
+    """Open a URL from byte `at` on, if the server supports it; follow redirects to web servers only."""
     headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
     if at:
         headers |= {"Range": f"bytes={at}-", "If-Range": mark}
@@ -265,10 +266,10 @@ def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPR
 
 
 def _any_answers(urls: Sequence[str]) -> None:
-    """Ask all servers for anything, whatever it is.
+    """Check that at least one server answers at all.
 
     Raises:
-        _BrokenError: none answers.
+        _BrokenError: no server answers.
     """
     for url in urls:
         with contextlib.suppress(_RefusedError, _BrokenError):
@@ -296,7 +297,7 @@ def _next(url: str, answer: http.client.HTTPResponse) -> str | None:
 def _joined(url: str, place: str) -> str:
     try:
         return urljoin(url, place)
-    except ValueError:  # brackets that hold no address
+    except ValueError:  # brackets without an address in it
         return place
 
 
@@ -316,7 +317,7 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         elif isinstance(cause, socket.gaierror) and not has_answered(request.full_url):
             kind = _UnknownError
         raise kind(_why(cause)) from None
-    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # a host or a port that is none
+    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # an invalid host or port
         raise _RefusedError(printable(str(error), 80)) from None
     except (OSError, http.client.HTTPException) as error:
         raise _BrokenError(_why(error)) from None

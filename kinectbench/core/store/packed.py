@@ -1,4 +1,4 @@
-"""Many small files as one object: a tar without compression, the same bytes from the same files."""
+"""Pack many small files into one object: an uncompressed tar, with equal bytes for equal files."""
 
 import tarfile
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from kinectbench.core.untrusted import below, copy_bounded, open_plain, printabl
 
 
 def pack_files(folder: Path, names: list[str], archive: Path) -> None:
-    """Write files of a folder as a tar: in this order, without times, owners and rights of their own."""
+    """Write files of a folder into a tar, in this order, without their times, owners and rights."""
     with storage_errors(archive), tarfile.open(archive, "w", format=tarfile.PAX_FORMAT) as tar:
         for name in names:
             entry = tarfile.TarInfo(name)
@@ -21,15 +21,15 @@ def pack_files(folder: Path, names: list[str], archive: Path) -> None:
 
 
 def unpack_files(archive: Path, folder: Path, sizes: Mapping[str, int]) -> None:
-    """Write the files of a tar into a folder: those that are named, at their sizes, and nothing else.
+    """Extract a tar that must hold exactly these files with these sizes.
 
     Args:
-        archive: from a store, untrusted.
-        folder: made if it is not there.
-        sizes: bytes of each file that it must hold, by name.
+        archive: tar from a store, untrusted.
+        folder: target; created if missing.
+        sizes: name -> bytes of each file.
 
     Raises:
-        StorageError: it holds something else, is damaged, or the disk cannot be written.
+        StorageError: the tar holds something else, is damaged, or the disk cannot be written.
     """
     left = dict(sizes)
     try:

@@ -1,4 +1,4 @@
-"""A store by its URL: files are read, listed, created or replaced, each atomically."""
+"""A store by its URL: read, list, create and replace files, each atomically."""
 
 import asyncio
 import itertools
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Of one request, with its answer: a part of 8 MB at 140 kB/s. A longer one is cut off and resumed.
+# Limit of one request with its answer: a part of 8 MB at 140 kB/s. A longer answer is cut off and resumed.
 REQUEST_TIMEOUT, CONNECT_TIMEOUT = "60s", "10s"
-# Until the next of what a store lists, longer than one request takes: a store may answer with empty pages for
-# ever, each of which says that there is more.
+# Seconds to wait for the next entries of a listing; longer than one request, because a store may send empty
+# pages for ever, each with a link to the next.
 LISTED_S = 65.0
-# Objects asked for at once: an S3 page.
+# Objects in one request: a page of S3.
 LISTED_AT_ONCE = 1000
-# S3 takes at least 5 MB as a part, and 10,000 of them: files up to 80 GB.
+# S3 accepts parts from 5 MB on, at most 10,000: files up to 80 GB.
 PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
-# Files that are read or put at a time.
+# Files that are read or written at a time.
 AT_ONCE = 8
-# Calls that wait for a thread: each is 1.7 kB in memory.
+# Calls that wait for a thread; each takes 1.7 kB of memory.
 WAITING = 256
-# Objects of one listing: twice those of a benchmark of ten thousand recordings; 500 bytes each in memory.
+# Most objects in a listing: twice those of a benchmark of ten thousand recordings; each takes 500 bytes.
 MOST_OBJECTS = 1_000_000
-# A file of a recording or of a stage (chosen here: S3's bound of one object is 5 TB, no recording's is near).
+# Largest file of a recording or a stage (chosen here: S3 allows 5 TB, and no recording comes near).
 MOST_OBJECT_BYTES = 1 << 40
 
 
@@ -50,10 +50,10 @@ class StoredObject:
     """An entry of a listing.
 
     Attributes:
-        name: relative to the store's URL, with "/" between folders; untrusted.
+        name: name relative to the store's URL, with "/" between folders; untrusted.
         size: bytes.
-        e_tag: another one where the content is another.
-        modified_s: seconds since 1970.
+        e_tag: changes if the content does.
+        modified_s: time of the last change, seconds since 1970.
     """
 
     name: str
@@ -64,37 +64,37 @@ class StoredObject:
 
 @dataclass(frozen=True)
 class Store:
-    """A folder in an object store, on a web server (read-only) or on a disk; picklable.
+    """A folder in an object store, on a web server (read-only) or on a disk; can be pickled.
 
-    Every file appears whole or not at all. What fails is tried again for some minutes; then, or where that
-    cannot help, it is a `StorageError` in one line.
+    Every file appears whole or not at all. A failed call is repeated for some minutes, unless that cannot
+    help; then a `StorageError` is raised.
 
     Attributes:
-        url: without a slash at its end.
+        url: URL without trailing slash.
     """
 
     url: str
 
     @property
     def can_list(self) -> bool:
-        """Whether its files can be listed."""
+        """Whether the store can list its files."""
         return not is_web(self.url)
 
     def place(self, name: str = "") -> str:
-        """A file's URL for messages."""
+        """A file's URL, for messages."""
         return printable(shown(joined(self.url, name) if name else self.url), 200)
 
     def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:
-        """The bytes of a file.
+        """Read the bytes of a file.
 
         Raises:
-            MissingObjectError: there is none.
-            StorageError: it is larger than `most_bytes`, or cannot be read.
+            MissingObjectError: the file does not exist.
+            StorageError: the file is larger than `most_bytes`, or cannot be read.
         """
         return self._try_read(name, lambda: self._content(name, most_bytes))
 
     def read_if_there(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes | None:
-        """`read`; None if there is no such file."""
+        """Read a file; None if it does not exist."""
         try:
             return self.read(name, most_bytes)
         except MissingObjectError:
@@ -104,18 +104,18 @@ class Store:
         """Download a file; it appears at `path` when it is complete.
 
         Raises:
-            MissingObjectError: there is none.
-            StorageError: it is larger than `most_bytes`, cannot be read, or the disk cannot be written.
+            MissingObjectError: the file does not exist.
+            StorageError: the file is larger than `most_bytes`, cannot be read, or the disk cannot be written.
         """
         with replaced_file(path) as temporary, temporary.open("wb") as out:
             first: list[ObjectMeta] = []
             self._try_read(name, lambda: self._append(name, out, first, most_bytes), out.tell)
 
     def put(self, name: str, content: bytes | Path) -> None:
-        """Write a file, replacing an existing one.
+        """Write a file; replace an existing one.
 
         Raises:
-            StorageError: it cannot be written.
+            StorageError: the file cannot be written.
         """
         options = {"chunk_size": PART_BYTES, "max_concurrency": PARTS_AT_ONCE}
 
@@ -127,28 +127,29 @@ class Store:
         self._try(name, put)
 
     def put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool] = bytes.__eq__) -> bool:
-        """Create a file, unless an equal one exists; of several writers one succeeds.
+        """Create a file unless it exists with equal content; of several concurrent writers one succeeds.
 
-        A lost answer is no failure if the file exists and is equal.
+        If the store's answer is lost, the call succeeds if the file exists with equal content.
 
         Args:
-            name: of the file.
+            name: name of the file.
             content: its bytes.
-            same: whether the existing content (its first argument) is equivalent to the new one.
+            same: compares the existing content (first argument) with the new one; true if they are
+                equivalent.
 
         Returns:
-            Whether it was written now.
+            Whether this call wrote the file.
 
         Raises:
-            StorageError: it holds something else, or cannot be written.
+            StorageError: the file has other content, or cannot be written.
         """
         return self._try(name, lambda: self._put_new(name, content, same))
 
     def objects(self, below: str = "", most: int = MOST_OBJECTS) -> list[StoredObject]:
-        """Every file below a folder, sorted by name.
+        """List every file below a folder, sorted by name.
 
         Raises:
-            StorageError: there are more than `most`, or they cannot be listed.
+            StorageError: there are more than `most` files, or they cannot be listed.
         """
         listed: list[StoredObject] = []
         furthest = 0
@@ -162,7 +163,7 @@ class Store:
         return sorted(listed, key=lambda each: each.name)
 
     def head(self, name: str) -> StoredObject | None:
-        """Size and metadata of a file without reading it; None if it does not exist."""
+        """Size and metadata of a file, without reading it; None if it does not exist."""
         try:
             return self._try_read(name, lambda: _object(_obstore().head(self._opened(), name)))
         except MissingObjectError:
@@ -175,7 +176,7 @@ class Store:
             self._try("", lambda: _obstore().delete(self._opened(), found))
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
-        """A writing call: a store that stops accepting data is treated as gone."""
+        """Run a call that writes; if it fails for too long, the store counts as gone."""
         require_usable(self.url, self.place(name))
         return patiently(self.place(name), call)
 
@@ -184,17 +185,17 @@ class Store:
         return patiently(self.place(name), call, progress, self._first_listed if self.can_list else None)
 
     def _first_listed(self) -> object:
-        """A small request that tests whether the store answers."""
+        """Send a small request, to test whether the store answers."""
         return next(self._chunks(None, None, 1), None)
 
     def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence["ObjectMeta"]]:
-        """Batches of a listing; each has the store's usual timeout.
+        """Yield a listing in batches; each request has a time limit.
 
         Raises:
-            StorageError: the next do not come.
+            StorageError: the next batch does not arrive in time.
         """
         pages = _obstore().list(self._opened(), prefix=below, offset=after, chunk_size=at_once).__aiter__()
-        # In a thread of its own: the caller's may run an event loop, as a notebook's does.
+        # In an extra thread, because the caller's thread may run an event loop, as in a notebook.
         with ThreadPoolExecutor(1, "listing") as pool:
             while True:
                 try:
@@ -231,7 +232,7 @@ class Store:
         except AlreadyExistsError:
             try:
                 stored = self._content(name, max(TEXT_BYTES, len(content)))
-            except FileNotFoundError:  # of two that write at once neither may have come through
+            except FileNotFoundError:  # of two concurrent writers both may have failed
                 raise UnsettledError from None
             if same(stored, content):
                 return False
@@ -242,7 +243,7 @@ class Store:
         return True
 
     def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
-        """Download the rest of a file; `first` keeps the metadata of its first answer."""
+        """Download the rest of a file; `first` keeps the metadata of the first answer."""
         at = out.tell()
         if first and at == first[0]["size"]:
             return
@@ -267,10 +268,10 @@ class Store:
             )
 
     def _list_on(self, below: str, most: int, listed: list[StoredObject]) -> None:
-        """Append the next part of a listing; an unordered listing starts again."""
+        """Append the next part of a listing; start again if the store does not list in order."""
         try:
             self._opened()
-        except FileNotFoundError:  # a folder of this machine; an object store has none, and so holds nothing
+        except FileNotFoundError:  # a missing local folder holds nothing
             return
         in_order = all(one.name < other.name for one, other in itertools.pairwise(listed))
         if not in_order or self.url.startswith(("file:", "memory:")):
@@ -297,9 +298,9 @@ def in_parallel(
     """Run calls in parallel. The first error cancels the calls that have not started.
 
     Args:
-        calls: of `Store`'s methods, by `functools.partial`.
-        done: called in this thread with the number that have ended.
-        at_once: so many.
+        calls: methods of `Store` with arguments, by `functools.partial`.
+        done: called in this thread with the number of finished calls.
+        at_once: number of calls that run at a time.
     """
     stop = threading.Event()
     with ThreadPoolExecutor(at_once, "store", initializer=wait_until, initargs=(stop,)) as pool:
@@ -319,10 +320,10 @@ def in_parallel(
 
 
 async def _next(pages: AsyncIterator[Sequence["ObjectMeta"]]) -> Sequence["ObjectMeta"] | None:
-    """The next objects of a listing; None at its end.
+    """The next objects of a listing; None at the end.
 
     Raises:
-        TimeoutError: they do not come.
+        TimeoutError: the objects do not arrive in time.
     """
     return await asyncio.wait_for(anext(pages, None), LISTED_S)
 
@@ -337,14 +338,14 @@ def _object(meta: "ObjectMeta") -> StoredObject:
     return StoredObject(meta["path"], meta["size"], meta["e_tag"] or "", meta["last_modified"].timestamp())
 
 
-# The process that opened the first store: the threads of obstore do not go with a fork, which would wait for
-# them for ever.
+# The process that opened the first store. A forked process would wait for ever for obstore's threads, which a
+# fork does not copy.
 _first_process: dict[str, int] = {}
 
 
 @cache
 def _opened(url: str, make: bool, process: int) -> "ObjectStore":
-    """Open a store once per process; `make` allows creating the folder of a file:// URL."""
+    """Open a store once per process; `make` creates the folder of a file:// URL."""
     from obstore.store import LocalStore, MemoryStore, from_url
 
     if url.startswith("memory:"):
@@ -360,12 +361,12 @@ def _opened(url: str, make: bool, process: int) -> "ObjectStore":
         "connect_timeout": CONNECT_TIMEOUT,
         "allow_http": plain,
     }
-    # Attempts are counted and bounded in one place, `attempts.patiently`.
+    # Retries are counted in one place, `attempts.patiently`.
     return from_url(url, client_options=client, retry_config={"max_retries": 0})
 
 
 def fetch_all(
     store: Store, files: Iterable[tuple[str, Path, int]], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files in parallel: (name in the store, local path, most bytes) of each."""
+    """Download files in parallel: for each its name in the store, local path, and most bytes."""
     in_parallel((partial(store.fetch, name, path, most) for name, path, most in files), done)

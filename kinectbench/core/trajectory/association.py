@@ -1,7 +1,7 @@
-"""Association in time: colour frames with depth frames, given poses with frames.
+"""Association in time: of colour frames with depth frames, and of given poses with frames.
 
-Depth and colour are paired one to one: as many pairs as possible, then the closest ones. A given trajectory
-is interpolated.
+Depth and colour are paired one to one: first as many pairs as possible, then the closest. A given trajectory
+is interpolated at the stamps of frames.
 """
 
 from bisect import bisect_left, bisect_right
@@ -14,9 +14,9 @@ from kinectbench.core.geometry import interpolate_rigid
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.types import Float64, Int64
 
-# Largest difference of a pair in the association tool of TUM RGB-D.
+# Largest time difference within a pair, as in the association tool of TUM RGB-D.
 TOLERANCE_NS = 20_000_000
-# A step longer than this many median steps contains a missing frame.
+# A step between frames longer than this many median steps contains a missing frame.
 MISSING_STEPS = 1.5
 
 
@@ -50,7 +50,8 @@ def associate(
     Returns:
         For each depth frame, the index of its colour frame, or None.
     """
-    # best[j]: the best matching of the depth frames so far with the colours before j; known up to `reach`.
+    # best[j]: the best matching of the depth frames so far with colour frames before j; complete up to
+    # `reach`.
     best = [_Matching(0, 0, None, None)] * (len(color_ns) + 1)
     reach = 0
     for i, stamp_ns in enumerate(depth_ns):
@@ -74,16 +75,16 @@ def associate(
 
 
 def half_step_ns(stamps_ns: Sequence[int] | Int64) -> int:
-    """Half the median step of a stream, nanoseconds; `TOLERANCE_NS` of less than two stamps."""
+    """Half the median step of a stream, nanoseconds; `TOLERANCE_NS` for fewer than two stamps."""
     steps = np.diff(np.unique(np.asarray(stamps_ns, np.int64)))
     return int(np.median(steps)) // 2 if len(steps) else TOLERANCE_NS
 
 
 def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int] | Int64) -> int:
-    """Largest difference of the stamps of a depth and a colour image of one frame, nanoseconds.
+    """Largest time difference of the depth and the colour image of one frame, nanoseconds.
 
-    It is half a frame of the faster stream, plus half the jitter of either stream. The nearest image is never
-    farther, and the next frame's image mostly is. It is never more than `TOLERANCE_NS`.
+    It is half a frame of the faster stream plus half the jitter of either stream, at most `TOLERANCE_NS`. The
+    nearest image is always within it, and the next frame's image mostly is not.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.

@@ -1,4 +1,4 @@
-"""Offset of a trajectory's clock against the clock of frames with poses of another source.
+"""The offset between a trajectory's clock and the clock of frames that have poses from another source.
 
 A motion capture system and a camera have separate clocks. In TUM's freiburg1 the depth stamps of the Kinect
 lag the motion capture by 28 ms, which doubles the absolute trajectory error there.
@@ -13,16 +13,16 @@ from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.compare import align_positions, has_pose
 from kinectbench.core.types import Float64, Int64
 
-# Lags that are tried: up to 0.2 s, for clocks that were synchronised by hand or by the network.
+# Lags to try: up to 0.2 s, for clocks that were synchronised by hand or over a network.
 STEP_NS = 10_000_000
 LAGS_NS = np.arange(-20, 21) * STEP_NS
-# Each half then has six frames, and an alignment has six unknowns.
+# Half of the frames are then six, as many as an alignment has unknowns.
 LEAST_FRAMES = 12
 # Positions are interpolated over gaps of this length, or of this many median steps, as in `inspect`.
 BRIDGED_S, BRIDGED_STEPS = 0.2, 2.5
-# An offset is reported if it lowers the error to this ratio, and both halves of the frames agree with it to
-# 20 ms or a fifth. Of 32 frames of freiburg1_xyz the halves give -34 and -4 ms, and all give -19 ms, where
-# the error falls by 16 %. An offset below 3 ms hardly matters: 1 mm at 0.3 m/s.
+# An offset is reported if it lowers the error to this ratio, and if both halves of the frames agree with it
+# to 20 ms or a fifth. On 32 frames of freiburg1_xyz the halves give -34 and -4 ms, and all frames -19 ms,
+# which lowers the error by 16 %. An offset below 3 ms hardly matters: 1 mm at 0.3 m/s.
 BETTER, AGREED_NS, AGREED_SHARE, LEAST_NS = 0.9, 20_000_000, 0.2, 3_000_000
 
 
@@ -31,9 +31,9 @@ class ClockOffset:
     """The offset of a trajectory's clock.
 
     Attributes:
-        late_s: its stamps are late by this, seconds; < 0: early.
-        ate_m: absolute trajectory error (rmse) as it is, over the frames that have a pose at every lag.
-        ate_moved_m: the same with stamps that are moved back by `late_s`.
+        late_s: delay of the trajectory's stamps, seconds; < 0: they are early.
+        ate_m: absolute trajectory error (rmse) without correction, over the frames with a pose at every lag.
+        ate_moved_m: the same error after the stamps are moved back by `late_s`.
     """
 
     late_s: float
@@ -42,18 +42,18 @@ class ClockOffset:
 
 
 def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTrajectory) -> ClockOffset | None:
-    """The lag of a reference's stamps that aligns its positions best with those of the frames.
+    """Estimate the clock offset of a reference: the lag that best aligns its positions with the frames'.
 
     At each lag the reference is interpolated, and the frames are aligned to it without scale. Near the best
     lag the mean squared distance is approximately a parabola.
 
     Args:
-        stamps_ns: (n,) int64, of the frames, increasing.
-        T_world_camera: (n, 4, 4) their poses by another source; NaN where there is none.
+        stamps_ns: (n,) int64, stamps of the frames, increasing.
+        T_world_camera: (n, 4, 4) the frames' poses from another source; NaN where unknown.
         reference: the trajectory whose clock offset is estimated, in any world frame.
 
     Returns:
-        None if there is no offset, or it cannot be determined: the frames have no stamps, the camera hardly
+        None if there is no offset or it cannot be determined: the frames have no stamps, the camera hardly
             moved, or another cause, such as drift, dominates the error.
     """
     posed = has_pose(T_world_camera)
@@ -70,13 +70,13 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
     agreed_ns = max(AGREED_NS, AGREED_SHARE * abs(late_ns))
     if any(half_ns is None or abs(half_ns - late_ns) > agreed_ns for half_ns in halves_ns):
         return None
-    ends_ns = np.array([*LAGS_NS[[0, -1]], 0, late_ns])  # with the end lags, so that the same frames are used
+    ends_ns = np.array([*LAGS_NS[[0, -1]], 0, late_ns])  # the end lags select the same frames
     as_it_is, moved = np.sqrt(_squares(frames_ns, positions, reference, ends_ns).mean(axis=1)[2:])
     return ClockOffset(late_ns / 1e9, float(as_it_is), float(moved)) if moved < BETTER * as_it_is else None
 
 
 def _best_ns(squares: Float64) -> int | None:
-    """The lag of the least mean of squares (lags, frames), refined by a parabola."""
+    """The lag with the least mean of `squares` (lags, frames), refined by a parabola."""
     means = squares.mean(axis=1)
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):
@@ -85,14 +85,14 @@ def _best_ns(squares: Float64) -> int | None:
 
 
 def steps_to_vertex(values: Float64, best: int) -> float:
-    """The vertex of the parabola through the best of evenly spaced values and its neighbours, in steps.
+    """The offset in steps from the extremum of evenly spaced values to the vertex of the parabola there.
 
     Args:
-        values: (n,), minimum or maximum at `best`.
-        best: neither the first nor the last.
+        values: (n,), with a minimum or maximum at `best`.
+        best: index, neither the first nor the last.
 
     Returns:
-        In [-1, 1]; 0 where the three lie on a line.
+        In [-1, 1]; 0 if the three values lie on a line.
     """
     before, at_best, after = values[best - 1 : best + 2]
     bend = before - 2 * at_best + after
@@ -100,8 +100,8 @@ def steps_to_vertex(values: Float64, best: int) -> float:
 
 
 def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, lags_ns: Int64) -> Float64:
-    """(lags, k) square distances, m^2, of the k frames that have a position at every lag."""
-    # Relative times, because nanoseconds since 1970 exceed the precision of a float.
+    """Square distances (lags, k), m^2, for the k frames that have a position at every lag."""
+    # Times relative to the first, because nanoseconds since 1970 exceed the precision of a float.
     known_ns = reference.stamps_ns - reference.stamps_ns[0]
     wanted_ns = frames_ns - reference.stamps_ns[0] + lags_ns[:, None]
     steps_ns = np.diff(known_ns)

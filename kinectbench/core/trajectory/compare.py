@@ -19,7 +19,7 @@ from kinectbench.core.trajectory.association import associate, half_step_ns
 from kinectbench.core.types import Bools, Float64, Int64
 
 MIN_MATCHED = 3
-# Drift is measured over pieces of path of this length, within a tenth.
+# Length of the pieces of path over which drift is measured, within a tenth.
 PIECE_M = 1.0
 PIECE_TOLERANCE_M = 0.1
 # Camera positions that spread less than this about a line do not determine a rotation between worlds.
@@ -28,7 +28,7 @@ MIN_SPREAD_M = 0.05
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Statistics of errors, all >= 0, in the unit that the field's name states."""
+    """Statistics of errors, all >= 0, in the unit that the field's name gives."""
 
     rmse: float
     mean: float
@@ -38,11 +38,11 @@ class ErrorStatistics:
 
 @dataclass(frozen=True)
 class TrajectoryError:
-    """An estimated trajectory against a reference, over the poses that both have.
+    """Errors of an estimated trajectory against a reference, over the poses that both have.
 
     Attributes:
         matched: number of these poses, n.
-        T_reference_estimate: (4, 4), from the estimate's world to the reference's (ATE's alignment).
+        T_reference_estimate: (4, 4), from the estimate's world to the reference's (the alignment of ATE).
         ate_m: distances of the aligned positions; its rmse is the absolute trajectory error.
         rpe_frame_m: relative translation errors between one pose and the next.
         rpe_frame_rad: relative rotation errors between one pose and the next.
@@ -67,10 +67,10 @@ def has_pose(T: Float64) -> Bools:
 
 
 def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]:
-    """Pair stamps, each at most once: equal ones first, then the closest within half a frame.
+    """Pair stamps one to one: first equal ones, then the closest within half a frame.
 
-    Half a frame is half the smaller of the two median intervals, so that nothing is paired with the
-    neighbour of its own frame. As many as possible are paired, as in `association.associate`.
+    Half a frame is half the smaller of the two median intervals, so that no stamp is paired with the
+    neighbour of its own frame. The number of pairs is as large as possible, as in `association.associate`.
 
     Args:
         estimate_ns: (k,) int64, any order.
@@ -84,7 +84,7 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
         np.setdiff1d(np.unique(stamps, return_index=True)[1], used)
         for stamps, used in ((estimate_ns, first), (reference_ns, second))
     )
-    # np.setdiff1d sorts by index; the association wants them by time.
+    # np.setdiff1d sorts by index; the association needs the order of time.
     unmatched = unmatched[np.argsort(estimate_ns[unmatched], kind="stable")]
     rest_reference = rest_reference[np.argsort(reference_ns[rest_reference], kind="stable")]
     half_ns = min(half_step_ns(estimate_ns), half_step_ns(reference_ns))
@@ -98,9 +98,9 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
 def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
     """Absolute and relative errors of matched poses.
 
-    ATE: the distances |p_i - S q_i| of the positions, with the rigid S of the least squares (Sturm et al., "A
+    ATE: the distances |p_i - S q_i| of the positions, with the rigid least-squares S (Sturm et al., "A
     benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991 without scale). RPE:
-    translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1) for j = i + 1, and for the pose j whose
+    translation and angle of E = (P_i^-1 P_j)^-1 (Q_i^-1 Q_j) (eq. 1), for j = i + 1, and for the pose j whose
     path from i along the reference is closest to 1 m (0.9 to 1.1 m).
 
     Args:
@@ -136,7 +136,7 @@ def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
 
 
 def align_positions(points_b: Float64, points_a: Float64) -> Float64:
-    """The rigid T_a_b with the least sum of squares |a_i - T_a_b b_i|^2.
+    """The rigid T_a_b that minimises the sum of |a_i - T_a_b b_i|^2.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters" (PAMI 1991), without scale.
 
@@ -152,8 +152,8 @@ def align_positions(points_b: Float64, points_a: Float64) -> Float64:
 def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
     """The transform from the estimate's world to the reference's, also for degenerate positions.
 
-    As for ATE. With fewer than three poses, or if the cameras stand still or move along a line (less than 5
-    cm rms about it), the rotation comes from the orientations.
+    The alignment is that of ATE. With fewer than three poses, or if the cameras stand still or move along a
+    line (less than 5 cm rms about it), the rotation comes from the orientations.
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n > 0.
@@ -190,7 +190,7 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """For each pose, the pose closest to a metre of path ahead, if it is within a tenth."""
+    """Pairs (first, last): for each pose the pose closest to 1 m of path ahead, if within a tenth."""
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)

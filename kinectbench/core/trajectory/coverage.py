@@ -8,11 +8,11 @@ from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transfor
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
-# Where optical axes never come close: from about as far people record furniture. Chosen by hand.
+# Distance of the focus where optical axes never meet: about that of recording furniture. Chosen by hand.
 TYPICAL_DISTANCE_M = 1.5
-# If the mean of the up vectors is shorter than this, they have no common direction.
+# Up vectors with a mean shorter than this have no common direction.
 MIN_UPRIGHT = 0.1
-# Enough for a few cameras side by side, whose rows do not determine up; little enough to find 119 of 120
+# Large enough for a few cameras side by side, whose rows do not determine up; small enough to find 119 of 120
 # degrees.
 LEAN_WEIGHT = 0.01
 # Above this cosine a camera looks straight up or down.
@@ -26,21 +26,21 @@ LOOKING_AT_RAD = np.pi / 4
 # The sweep turns by 0.12 of the arc, the others by 0.98 and 2.5.
 MEETS_BY_CHANCE = 2.0
 LEAST_TURN_SHARE = 0.75
-# Number of frames and pixel stride used for the median depth in the middle of the images.
+# Number of frames, and pixel stride, for the median depth in the middle of the images.
 MIDDLE_FRAMES, MIDDLE_STEP_PX = 40, 4
 # Depth is reduced to about this many columns; every eighth pixel of it becomes a test point.
 DEPTH_COLUMNS = 160
 POINT_STEP = 8
-# A point is seen where the depth agrees within this ratio: coarse, because the grid is coarse and poses have
+# A point is seen if the depth agrees within this ratio: coarse, because the grid is coarse and poses have
 # errors.
 SEEN_SHARE_OF_DEPTH = 0.05
 # Between consecutive frames the view changes by less than this ratio of the change between distant frames.
 # Measured: 0.01 to 0.15 for walks, even with a view every 15 degrees; 1 for views in no order.
 STEP_SHARE = 0.5
-# Views closer than this (1 m of distance counts as 1 rad of rotation) always count as consecutive: the steps
-# of a still camera are as large as its whole path. Chosen by hand.
+# Views closer than this (1 m of distance counts as 1 rad of rotation) are always consecutive: the steps of a
+# still camera are as large as its whole path. Chosen by hand.
 NEAR = 0.1
-# Fewer poses have no reliable median step.
+# With fewer poses the median step is unreliable.
 FEWEST = 6
 
 
@@ -80,7 +80,7 @@ def from_above(T_world_camera: Float64) -> Float64:
     square = rows.T @ rows / len(rows) - LEAN_WEIGHT * np.outer(upper, upper)
     up = np.linalg.eigh(square)[1][:, 0]
     up = up if up @ upper > 0 else -up
-    # For a camera that looks straight down, ahead is its up vector.
+    # If the camera looks straight down, the viewing direction from above is its up vector.
     ahead = first[:, 2] if abs(first[:, 2] @ up) < NEARLY_ALONG else -first[:, 1]
     right = np.cross(ahead, up)
     right = right / np.linalg.norm(right)
@@ -88,14 +88,14 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """`middle_depth_m` of a fixed selection of a recording's frames (n,) that have a pose."""
+    """`middle_depth_m` of a fixed selection of frames (n,), all with a pose."""
     some = frames[np.unique(np.linspace(0, len(frames) - 1, min(MIDDLE_FRAMES, len(frames))).astype(int))]
     thin = slice(None, None, MIDDLE_STEP_PX)
     return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
-    """The median depth in the middle of some images, metres; None without any.
+    """The median depth in the middle of images, metres; None without depth.
 
     Args:
         depths_m: (height, width) each, metres, 0 = none.
@@ -110,12 +110,12 @@ def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
 
 
 def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
-    """The point (3,) on which the cameras' axes converge, or else the mean point ahead of them.
+    """The point (3,) where the cameras' axes meet, or the mean point ahead of them if they meet by chance.
 
     The axes of a camera that hardly turns may cross anywhere, even in empty space close to it. Then the
     result is the mean of the points ahead of each camera, at the median depth in the middle of the images.
     Axes that turn as far as the cameras' arc around their meeting point do not meet by chance, whatever the
-    depth there: for a slender object or one with gaps the middle of most images shows the wall.
+    depth there: for a slender object, or one with gaps, the middle of most images shows the wall.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -139,7 +139,7 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
 
 def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | None:
-    """The arc of directions from which the cameras look at one point.
+    """The arc of directions, from above, from which the cameras look at one point.
 
     The directions are projected onto the horizontal plane. The arc is the full circle minus the largest gap
     between two of them.
@@ -162,7 +162,7 @@ def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | N
 
 
 def _looking_at(point: Float64, T_world_camera: Float64) -> Bools:
-    """Cameras (n,) with a world point (3,) within 45 degrees of their axis."""
+    """Whether each camera (n,) has a world point (3,) within 45 degrees of its axis."""
     towards = point - T_world_camera[:, :3, 3]
     ahead_m = (towards * T_world_camera[:, :3, 2]).sum(axis=1)
     return np.asarray(ahead_m > np.cos(LOOKING_AT_RAD) * np.linalg.norm(towards, axis=1))
@@ -177,7 +177,7 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """Covisibility of pairs of frames, from depth and poses alone.
+    """Covisibility of pairs of frames, from their depth and poses.
 
     A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
 
@@ -187,7 +187,7 @@ def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> 
         frames: (k,) indices of frames that have a pose.
 
     Returns:
-        (k, k), [i, j] is the ratio of the points of frame i that frame j sees; 0 for frames without depth.
+        (k, k): [i, j] is the ratio of the points of frame i that frame j sees; 0 for frames without depth.
     """
     step = max(1, round(sequence.camera.width / DEPTH_COLUMNS))
     depths_m = [sequence.depth_m(int(f))[::step, ::step] for f in frames]
@@ -208,12 +208,12 @@ def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> 
 
 
 def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: int) -> Bools:
-    """Points (m, 3) that agree with the depth on every `step`-th pixel: (m,)."""
+    """Whether each point (m, 3) agrees with the depth, read at every `step`-th pixel: (m,)."""
     height, width = depth_m.shape
     before = points_camera[:, 2] > 0
     pixels = np.full((len(points_camera), 2), -1.0)
     pixels[before] = sequence.camera.project(points_camera[before]) / step
-    # Far outside, pixels would not fit into integers.
+    # Clip first, because pixels far outside would overflow integers.
     u, v = np.rint(np.clip(pixels, -1, [width, height])).astype(np.int64).T
     inside = before & (u >= 0) & (v >= 0) & (u < width) & (v < height)
     seen = np.zeros(len(points_camera), dtype=bool)
@@ -225,8 +225,8 @@ def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: in
 def in_order_of_time(T_world_camera: Float64) -> bool:
     """Whether consecutive frames show similar views, as in a video.
 
-    Renderings and sets of views often have exact poses, but no order: a frame does not predict the next one.
-        Fewer than 6 poses count as a video.
+    Renderings and sets of views often have exact poses in no order, so a frame does not predict the next one.
+    Fewer than 6 poses count as a video.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where a frame has no pose.
@@ -240,7 +240,7 @@ def in_order_of_time(T_world_camera: Float64) -> bool:
 
 
 def views_apart(T_a: Float64, T_b: Float64) -> Float64:
-    """(n,) distance of views (n, 4, 4): metres between the cameras plus radians of rotation."""
+    """Distance (n,) between views (n, 4, 4): metres between the cameras plus radians of rotation."""
     apart_m = np.linalg.norm(T_a[:, :3, 3] - T_b[:, :3, 3], axis=1)
     turn_rad = rotation_angle_rad(np.swapaxes(T_a[:, :3, :3], 1, 2) @ T_b[:, :3, :3])
     return np.asarray(apart_m + turn_rad)

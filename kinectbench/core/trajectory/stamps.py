@@ -1,4 +1,4 @@
-"""Time stamps: exact conversion from text in seconds to integer nanoseconds, and faults of clocks.
+"""Time stamps: exact conversion from seconds in text to nanoseconds, and faults of clocks.
 
 Faults of a clock are repeated stamps, jumps, resets and steps back.
 """
@@ -16,22 +16,22 @@ from kinectbench.core.untrusted import printable
 
 NS_PER_S = 10**9
 LIMIT_NS = 2**63
-# Stamps of today: seconds from 2001 to 2096.
+# Range of stamps that count from 1970: seconds from 2001 to 2096.
 TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
-# Likely units: by the exponent of ten of stamps since 1970, and by the least step between frames.
+# The likely unit of stamps since 1970 by their power of ten, and of others by the least step between frames.
 UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
-# A longer pause is a jump, not a few dropped frames.
+# A pause longer than this is a jump of the clock, not a few dropped frames.
 JUMP_PERIODS, JUMP_NS = 10, 1_000_000_000
-# No depth camera is faster; values that decrease this often are no clock; fewer stamps are not judged. Chosen
-# by hand.
+# Stamps with a higher rate, or that decrease more often, are no times; fewer stamps are not judged. Chosen by
+# hand.
 FASTEST_HZ, BACK_SHARE, LEAST_STAMPS = 1000.0, 0.1, 10
 # A step back by more than this is a reset of the clock.
 RESET_NS = 1_000_000_000
 
 
 def parse_stamp_ns(text: str, where: str) -> int:
-    """Turn decimal seconds into nanoseconds without floats; digits beyond the ninth are rounded.
+    """Convert decimal seconds to nanoseconds without floats; digits beyond the ninth are rounded.
 
     Args:
         text: such as "1305031107.130308" or "1.305e9".
@@ -54,17 +54,17 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
-    """Check by the steps between images whether their stamps are in seconds, as they must be.
+    """Check by the steps between images that stamps are in seconds.
 
     Args:
-        stamps_ns: in the order of recording, as they were read.
+        stamps_ns: stamps in the order of recording, as read.
         where: file, for the message.
 
     Returns:
-        A warning if the steps may be milliseconds, or those of a slow series.
+        A warning if the stamps may be in milliseconds, or in seconds of a slow series.
 
     Raises:
-        RecordingError: the steps show that the stamps are micro- or nanoseconds.
+        RecordingError: the stamps are micro- or nanoseconds.
     """
     period_s = typical_period_ns(np.asarray(stamps_ns, np.int64)) / NS_PER_S
     unit = next((unit for least_s, unit in UNITS_OF_STEPS.items() if period_s >= least_s), None)
@@ -77,7 +77,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
 
 
 def no_times(stamps_ns: Sequence[int]) -> str:
-    """Why stamps are no times of frames, such as steps since the frame before; "" if they are times.
+    """Why stamps are no times of frames, such as the steps since the previous frame; "" if they are times.
 
     Args:
         stamps_ns: of images, in the order of recording, nanoseconds.
@@ -86,7 +86,7 @@ def no_times(stamps_ns: Sequence[int]) -> str:
         return ""
     steps = np.diff(np.asarray(stamps_ns, np.int64))
     back_share = float((steps < 0).mean())
-    # Rows of a list may be in any order.
+    # The rows of a list may be in any order.
     if back_share >= BACK_SHARE and not are_of_today(stamps_ns):
         return f"they go back in {back_share:.0%} of their steps"
     period_ns = typical_period_ns(np.sort(np.asarray(stamps_ns, np.int64)))
@@ -96,12 +96,12 @@ def no_times(stamps_ns: Sequence[int]) -> str:
 
 
 def are_of_today(stamps_ns: Sequence[int]) -> bool:
-    """Whether all stamps, nanoseconds, count from 1970: then they are times in any order."""
+    """Whether all stamps, nanoseconds, count from 1970; then they are times, in whatever order."""
     return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 
 def counted_ns(count: int) -> list[int]:
-    """Stamps for frames without stamps, nanoseconds: they count whole seconds."""
+    """Stamps, nanoseconds, for frames without stamps: they count whole seconds."""
     return [index * NS_PER_S for index in range(count)]
 
 
@@ -112,11 +112,11 @@ def format_stamp(stamp_ns: int) -> str:
 
 
 def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
-    """Order by stamp, each stamp once.
+    """Sort stamps and drop repeated ones.
 
     Returns:
-        Indices into `stamps_ns` with strictly increasing stamps (of equal ones the first given), and
-        how many were left out.
+        Indices into `stamps_ns` with strictly increasing stamps (the first of equal stamps), and the number
+        of dropped stamps.
     """
     _, first = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_index=True)
     return first.tolist(), len(stamps_ns) - len(first)
@@ -124,11 +124,11 @@ def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
 
 @dataclass(frozen=True)
 class StampFaults:
-    """Faults of the stamps of a stream, in the order of recording.
+    """Faults in the stamps of a stream, as indices in the order of recording.
 
     Attributes:
-        repeated: frames with the stamp of the one before.
-        backwards: frames that are up to a second earlier than the one before.
+        repeated: frames with the stamp of the previous frame.
+        backwards: frames up to a second earlier than the previous frame.
         jumps: frames before which time jumps ahead by more than a few dropped frames.
         resets: frames before which the clock goes back by more than a second.
     """
@@ -140,7 +140,7 @@ class StampFaults:
 
 
 def typical_period_ns(stamps_ns: Int64) -> int:
-    """The typical interval between frames, ignoring missing ones; 0: unknown.
+    """The typical interval between frames, ignoring gaps; 0: unknown.
 
     It is the median of the forward steps that are shorter than 1.5 times their lower quartile. Where every
     third frame is missing, the plain median would be two steps.

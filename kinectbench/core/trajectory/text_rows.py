@@ -1,4 +1,4 @@
-"""Reading small text files row by row; errors name the file and the line."""
+"""Read small text files row by row; errors name the file and the line."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,12 +11,12 @@ from kinectbench.core.untrusted import printable, read_plain_text
 
 # An hour of poses at 100 Hz, 80 characters each, is 29 MB in 360,000 lines.
 MOST_BYTES, MOST_ROWS, MOST_COLUMNS = 64 << 20, 500_000, 10_000
-# A matrix, with its comments.
+# A matrix with comments.
 MATRIX_BYTES = 1 << 20
-# Line ends of `splitlines`.
+# The line ends of `str.splitlines`.
 LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
 
-# Characters around the numbers of a matrix in text.
+# Characters that may surround the numbers of a matrix.
 PUNCTUATION = str.maketrans(dict.fromkeys(",;[]", " "))
 
 
@@ -25,10 +25,10 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
 
     Args:
         path: the file.
-        most_bytes: a larger one is refused.
+        most_bytes: a larger file is refused.
 
     Raises:
-        RecordingError: it cannot be read, is too large, or is not text.
+        RecordingError: the file cannot be read, is too large, or is not text.
     """
     try:
         return read_plain_text(path, most_bytes)
@@ -39,10 +39,10 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
 
 
 def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]:
-    """The rows of a text file without comments (#) and empty lines, as ("FILE, line N", row).
+    """The rows of a text file, without comments (#) and empty lines, as pairs ("FILE, line N", row).
 
     Raises:
-        RecordingError: it cannot be read, is not text, or is too large.
+        RecordingError: the file cannot be read, is not text, or is too large.
     """
     text = read_text(path, most_bytes)
     if sum(map(text.count, LINE_ENDS)) - text.count("\r\n") > MOST_ROWS:
@@ -61,10 +61,10 @@ def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]
 
 
 def parse_floats(words: Sequence[str], where: str) -> list[float]:
-    """Turn words into floats; NaN and infinity pass.
+    """Convert words to floats; NaN and infinity are accepted.
 
     Raises:
-        RecordingError: one is not a number.
+        RecordingError: a word is not a number.
     """
     numbers = []
     for word in words:
@@ -76,10 +76,10 @@ def parse_floats(words: Sequence[str], where: str) -> list[float]:
 
 
 def read_numbers(path: Path) -> list[float]:
-    """Every number of a small text file, row by row; commas, semicolons and brackets are ignored.
+    """Read all numbers of a small text file, row by row; commas, semicolons and brackets are ignored.
 
     Raises:
-        RecordingError: it cannot be read, is too large, or contains anything but numbers.
+        RecordingError: the file cannot be read, is too large, or contains anything but numbers.
     """
     rows = [
         parse_floats(row.translate(PUNCTUATION).split(), where)
@@ -89,10 +89,10 @@ def read_numbers(path: Path) -> list[float]:
 
 
 def read_matrix(path: Path, side: int) -> Float64:
-    """Read a square matrix (side, side) from a text file, row by row; NaN and infinity pass.
+    """Read a square matrix (side, side) from a text file, row by row; NaN and infinity are accepted.
 
     Raises:
-        RecordingError: it cannot be read, or does not hold side x side numbers.
+        RecordingError: the file cannot be read, or does not hold side x side numbers.
     """
     numbers = read_numbers(path)
     if len(numbers) != side * side:

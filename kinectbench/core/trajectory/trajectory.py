@@ -1,4 +1,4 @@
-"""The camera's trajectory: one pose per frame, or the reason for none; and its files."""
+"""The camera's trajectory, one pose per frame or the reason for none; and its files."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,9 +16,10 @@ from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64, Int64
 
 TRAJECTORY_TXT = "trajectory.txt"
-# Assumed error of a pose that no other frame checked: the largest plausible one. Given poses with a measured
-# error of 25 mm are left out (`tracking.max_disagreement_m`). With 25 mm here, aligning a view to the object
-# half-corrects a pose that is wrong by 85 mm and 4 degrees; with 20 mm it is refused.
+# Assumed error of a pose that no other frame checked: the largest plausible error. Given poses with a
+# measured error of 25 mm are left out (`tracking.max_disagreement_m`). With 25 mm here, the alignment of a
+# view with the object half-corrects a pose that is wrong by 85 mm and 4 degrees; with 20 mm it refuses the
+# pose.
 UNCHECKED_POSE_SIGMA_M = 0.02
 
 
@@ -29,11 +30,11 @@ class Trajectory:
     Attributes:
         stamps_ns: (n,) int64, the sequence's depth stamps.
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
-        source: "trust", "refine" or "tracked": the source of the poses.
-        pose_sigma_m: (n,) uncertainty of each pose, metres: how far its depth would move it; NaN where
-            unknown. None: unknown for all frames.
-        health: its figures without ground truth; None if they were not computed.
-        depth_calibration: of the recording's depth, as used to estimate or check the poses.
+        source: how the poses were obtained: "trust", "refine" or "tracked".
+        pose_sigma_m: (n,) uncertainty of each pose as displacement of its depth, metres; NaN if unknown. None
+            if unknown for all frames.
+        health: figures of quality that need no ground truth; None if not computed.
+        depth_calibration: the correction of depth that was used to estimate or check the poses.
     """
 
     stamps_ns: Int64
@@ -50,7 +51,7 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The rolling shutter that was undone for these poses, with the camera's motion; None: none."""
+        """The rolling shutter that was undone for these poses, with the camera's motion; None if none was."""
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None
         one_world = np.zeros(len(self.stamps_ns), np.int64)
@@ -76,7 +77,7 @@ def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
     """Write trajectory.txt (the good frames), depth_calibration.json and, if known, health.json.
 
     Args:
-        trajectory: its `pose_sigma_m` is stored in the health only.
+        trajectory: its `pose_sigma_m` is stored only in the health.
         folder: an existing folder.
     """
     good = trajectory.good_frames
@@ -89,10 +90,10 @@ def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
 
 
 def read_poses(folder: Path) -> GivenTrajectory:
-    """Read trajectory.txt of a trajectory's folder.
+    """Read trajectory.txt from a trajectory's folder.
 
     Raises:
-        StorageError: it is missing or damaged.
+        StorageError: the file is missing or damaged.
     """
     try:
         return read_tum(folder / TRAJECTORY_TXT)[0]
@@ -103,13 +104,13 @@ def read_poses(folder: Path) -> GivenTrajectory:
 
 
 def read_trajectory(folder: Path, stamps_ns: Int64) -> Trajectory:
-    """Read a stored trajectory back for the frames with these stamps (n,).
+    """Read a stored trajectory for the frames with these stamps (n,).
 
     Raises:
-        StorageError: the files do not belong to these frames, or are damaged.
+        StorageError: the files are damaged, or belong to other frames.
     """
     posed, health = read_poses(folder), TrajectoryHealth.read(folder)
-    # Earlier versions wrote no calibration.
+    # Earlier versions stored no calibration.
     stored = StoredDepthCalibration.read_if_there(folder)
     rows = np.searchsorted(stamps_ns, posed.stamps_ns)
     others = rows.max() >= len(stamps_ns) or (stamps_ns[rows] != posed.stamps_ns).any()

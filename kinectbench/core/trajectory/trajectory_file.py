@@ -1,4 +1,4 @@
-"""Trajectories in TUM text format (`t tx ty tz qx qy qz qw`, camera to world), in and out."""
+"""Read and write trajectories in TUM text format (`t tx ty tz qx qy qz qw`, camera to world)."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -16,14 +16,14 @@ from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.types import Float64
 
 HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world)\n"
-# Recorded rotation matrices have small errors; farther than this from SO(3) they are no rotations.
+# Recorded rotation matrices have small errors; a matrix farther than this from SO(3) is no rotation.
 RIGID_TOLERANCE = 0.05
-# Limit of positions and matrices; coordinates from the centre of the Earth stay below.
+# Limit of positions; coordinates relative to the centre of the Earth stay below.
 FARTHEST_M = 1e7
 
 
 class TimedPose(NamedTuple):
-    """One row: stamp (ns), translation (m), quaternion, and its file and line."""
+    """One row: stamp (ns), translation (m), quaternion, and the place (file and line)."""
 
     stamp_ns: int
     translation_m: tuple[float, ...]
@@ -34,13 +34,13 @@ class TimedPose(NamedTuple):
 def read_given(
     read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
 ) -> tuple[GivenTrajectory | None, list[str], str]:
-    """Read a recording's trajectory, tolerating faults: the frames are usable without it.
+    """Read a recording's trajectory; an unusable trajectory is no error, as the frames do not need it.
 
     Args:
-        read: returns the trajectory, and warnings.
+        read: returns the trajectory and warnings.
 
     Returns:
-        The trajectory or None, warnings, and why it cannot be used, or "".
+        The trajectory or None, warnings, and why the trajectory cannot be used, or "".
     """
     try:
         return *read(), ""
@@ -49,18 +49,18 @@ def read_given(
 
 
 def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTrajectory, list[str]]:
-    """Read a TUM trajectory file, camera to world, and put it in order.
+    """Read a TUM trajectory file, camera to world, and sort it by stamps.
 
     Args:
         path: the file.
-        frames: number of frames of a recording whose stamps are no times. Row i is then the pose of frame i.
+        frames: number of frames of a recording whose stamps are no times; row i is then the pose of frame i.
 
     Returns:
-        The trajectory, and warnings.
+        The trajectory and warnings.
 
     Raises:
-        RecordingError: a row is not eight finite numbers, a quaternion has no length, or no row is there; or
-            there are not as many rows as frames.
+        RecordingError: a row is not eight finite numbers, a quaternion has length zero, or the file has no
+            row or not as many rows as frames.
     """
     rows = []
     for where, row in text_rows(path):
@@ -87,14 +87,14 @@ def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTr
 
 
 def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTrajectory, list[str]]:
-    """Check timed poses (camera to world) and put them in order.
+    """Check timed poses (camera to world) and sort them by stamps.
 
     Args:
-        rows: in any order; the first row of equal stamps is kept.
+        rows: in any order; of rows with equal stamps the first is kept.
         name: the file or topic, for messages.
 
     Returns:
-        The trajectory, and warnings.
+        The trajectory and warnings.
 
     Raises:
         RecordingError: a value is not finite or too large, a quaternion has length zero, or there is no row.
@@ -121,7 +121,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
 
 
 def trajectory_text(trajectory: GivenTrajectory) -> str:
-    """Write a trajectory as TUM text: nine decimals of seconds, poses with every digit they have."""
+    """Write a trajectory as TUM text: stamps with nine decimals, poses with full precision."""
     rows = [HEADER]
     for stamp_ns, T in zip(trajectory.stamps_ns.tolist(), trajectory.T_world_camera, strict=True):
         numbers = [*T[:3, 3].tolist(), *quaternion_xyzw_from_rotation(T[:3, :3]).tolist()]
@@ -130,8 +130,8 @@ def trajectory_text(trajectory: GivenTrajectory) -> str:
 
 
 def rigid_or_none(matrix: Float64) -> Float64 | None:
-    """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is far from one."""
-    # False for NaN, too.
+    """Project a recorded (4, 4) matrix onto the rigid transforms; None if it is far from them."""
+    # The comparison is false for NaN, too.
     if not np.abs(matrix).max() <= FARTHEST_M or np.linalg.det(matrix[:3, :3]) <= 0:
         return None
     rotation = closest_rotation(matrix[:3, :3])
@@ -142,15 +142,15 @@ def rigid_or_none(matrix: Float64) -> Float64 | None:
 def trajectory_from_matrices(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Make a trajectory of the frames that have a usable (4, 4) camera-to-world matrix.
+    """Make a trajectory from the frames that have a usable (4, 4) camera-to-world matrix.
 
     Args:
         stamps_ns: stamp of each frame, strictly increasing.
-        matrices: its matrix as recorded, or None if it has none.
+        matrices: recorded matrix of each frame, or None.
         name: the recording, for messages.
 
     Returns:
-        The trajectory, or None if no frame has a usable matrix; and warnings, unless no frame has any matrix.
+        The trajectory, or None if no matrix is usable; and warnings, unless no frame has a matrix.
     """
     if all(matrix is None for matrix in matrices):
         return None, []

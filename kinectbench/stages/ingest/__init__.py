@@ -1,1 +1,1 @@
-"""Readers of recordings: one file per format, a registry, and the writing of a Sequence to disk."""
+"""Readers of recordings: one file per format, a registry, and writing a `Sequence` to disk."""

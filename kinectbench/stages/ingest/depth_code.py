@@ -1,10 +1,10 @@
-"""Lossless depth for the sequence folder: smaller than PNG, and read several times as fast.
+"""A lossless code for depth in the sequence folder: smaller than PNG, and several times as fast to read.
 
-A file holds `KBD1`, uint16 width and height, a byte that names the layout, and a zstd frame. Layout 1: a
-pixel without depth is 0, another one 1 + zigzag of the difference to the last depth above it in its column
-(at first 0), modulo 65536; of these 16-bit codes all low bytes come first, then all high bytes. Columns do
-not depend on each other, so that a whole row is decoded at once. Layout 0: the pixels as they are,
-little-endian, for images that hold the one difference that layout 1 lacks.
+A file contains `KBD1`, uint16 width and height, a byte for the layout, and a zstd frame. Layout 1: a pixel
+without depth is 0, any other is 1 + zigzag of its difference to the last depth above it in its column (at
+first 0), modulo 65536; the low bytes of these 16-bit codes come first, then the high bytes. Columns are
+independent, so a whole row is decoded at once. Layout 0: plain little-endian pixels, for images with the one
+difference that layout 1 cannot code.
 """
 
 import struct
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 MAGIC = b"KBD1"
 HEAD = struct.Struct("<4sHHB")
-# How the values are stored: the last byte of the head.
+# Layouts: the last byte of the header.
 PLAIN, DIFFERENCES = 0, 1
 # Higher levels save a tenth and take five times as long.
 LEVEL = 3
 
 
 def encode_depth(depth: NDArray[np.uint16]) -> bytes:
-    """Encode depth (height, width) uint16, sides below 65536: same pixels, same bytes."""
+    """Encode depth (height, width) uint16, sides below 65536; equal pixels give equal bytes."""
     import zstandard
 
     height, width = depth.shape
@@ -34,10 +34,10 @@ def encode_depth(depth: NDArray[np.uint16]) -> bytes:
 
 
 def decode_depth(data: bytes) -> NDArray[np.uint16]:
-    """Decode what `encode_depth` made: (height, width) uint16.
+    """Decode the result of `encode_depth`: (height, width) uint16.
 
     Raises:
-        ValueError: it is damaged or cut off.
+        ValueError: the data is damaged or truncated.
     """
     import zstandard
 
@@ -63,7 +63,7 @@ def decode_depth(data: bytes) -> NDArray[np.uint16]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _to_planes(depth: NDArray[np.uint16], low: NDArray[np.uint8], high: NDArray[np.uint8]) -> bool:
-    """Fill both bytes of the codes; False if a difference has none."""
+    """Fill the low and high bytes of the codes; return False if a difference has no code."""
     height, width = depth.shape
     last = np.zeros(width, np.int64)
     for row in range(height):

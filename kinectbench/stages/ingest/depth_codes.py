@@ -1,8 +1,7 @@
-"""Decode 16-bit depth whose values are no plain distances along the axis.
+"""Decode 16-bit depth whose values are not distances along the optical axis.
 
-Of rotated depth, as SUN3D and the Amazon Picking Challenge store it, the lowest three bits are the highest
-three of the depth in mm (`depthRead` of SUN3D's own tools): what is nearer than 8.192 m is stored as eight
-times its mm.
+Rotated depth, in SUN3D and the Amazon Picking Challenge, stores the highest three bits of the depth in mm as
+its lowest three (`depthRead` of SUN3D's own tools): depth below 8.192 m is stored as eight times its mm.
 """
 
 from collections.abc import Iterable
@@ -18,18 +17,18 @@ from kinectbench.core.types import DepthCode
 from kinectbench.stages.ingest.images import quantised
 
 UInt16 = NDArray[np.uint16]
-# SUN3D turns the 16 bits of its depth by three to the left.
+# SUN3D rotates the 16 bits of its depth by three to the left.
 BITS = 3
-# Nearly all depth is nearer than 2^13 mm; what is not lies nearer than 2^14, where the sensors' range ends.
+# Nearly all depth is below 2^13 mm, and the rest below 2^14, where the sensors' range ends.
 NEAR_SHARE, FARTHER_BITS = 0.95, 1
-# A picture of depth with 8 bits, eight times as bright, ends here.
+# The largest value of an 8-bit picture of depth, multiplied by eight.
 BRIGHTEST = 255 << BITS
-# Fewer values would have steps of eight by chance.
+# With fewer different values, multiples of eight may be a coincidence.
 LEAST_LEVELS = 16
-# Of rooms and shelves, metres; half way between depth and eight times that depth, by the logarithm, the two
-# readings of a recording are as likely: (1.5 m of a usual median) * sqrt(8).
+# At this median depth both readings of a recording are equally likely: the logarithmic middle between a usual
+# median depth of rooms and shelves and eight times that: 1.5 m * sqrt(8).
 EVEN_MEDIAN_MM = 4243.0
-# Evenly spread, and one pixel of so many along rows and columns: enough to tell a pattern.
+# Number of evenly spread images, and stride along rows and columns: enough to detect the pattern.
 SAMPLED_IMAGES, SAMPLED_EVERY_PX = 5, 3
 
 
@@ -37,12 +36,12 @@ def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
     """Decode stored depth into depth along the optical axis.
 
     Args:
-        code: how it is stored.
-        depth: (height, width) uint16 as it is stored, 0 = none.
-        camera: its intrinsics, for distances along the ray.
+        code: the code of the stored values.
+        depth: (height, width) uint16 as stored, 0 = none.
+        camera: intrinsics, to convert distances along the ray.
 
     Returns:
-        (height, width) uint16, 0 = none, in the recording's unit; of float16 in steps of 1 / FLOAT_SCALE m.
+        (height, width) uint16, 0 = none, in the recording's unit; float16 in steps of 1 / FLOAT_SCALE m.
     """
     if code == "rotated":
         return unrotated(depth)
@@ -54,23 +53,23 @@ def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
 
 
 def float16_m(depth: UInt16) -> NDArray[np.float32]:
-    """Metres of depth that is the bits of a float16, as CO3D stores it; any shape; 0 = none."""
+    """Depth in metres from the bits of a float16, as CO3D stores it; any shape; 0 = none."""
     metres = depth.view(np.float16).astype(np.float32)
     return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
 
 
 def ray_lengths(camera: Camera) -> NDArray[np.float64]:
-    """Ratio of ray length to axial depth at each pixel: (height, width), at least 1."""
+    """Ratio of the ray's length to the axial depth at each pixel: (height, width), at least 1."""
     return np.asarray(np.linalg.norm(camera.rays(), axis=-1))
 
 
 class Pattern(NamedTuple):
-    """The expected pattern of rotated depth.
+    """How far depth images show the pattern of rotated bits.
 
     Attributes:
-        possible: nearly all values are multiples of eight; where a layout has such bits, it has them here.
-        found: the values are those of rotated depth; depth in steps of 8 mm has them, too.
-        likely: and as they stand they would be farther than a room is deep.
+        possible: nearly all values are multiples of eight; enough in a layout that usually has rotated bits.
+        found: the values have all properties of rotated depth, which depth in steps of 8 mm has, too.
+        likely: the values, taken as plain depth, would also be farther than a room is deep.
     """
 
     possible: bool
@@ -79,17 +78,17 @@ class Pattern(NamedTuple):
 
 
 def unrotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Depth in mm of rotated depth: any shape, uint16 both; 0 stays 0."""
+    """Undo the rotation of bits: depth in mm, any shape, uint16; 0 stays 0."""
     return np.asarray((depth >> np.uint16(BITS)) | (depth << np.uint16(16 - BITS)), np.uint16)
 
 
 def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
-    """Whether these depth images (height, width) uint16, 0 = none, are rotated.
+    """Check whether depth images (height, width) uint16, 0 = none, have rotated bits.
 
-    At least 95 % of the values are multiples of eight, one of them an odd multiple; all others have 1 in
-    their low bits (8.2 to 16.4 m); and they are too many, and reach too high, for a picture with 8 bits.
-    Depth in steps of 8 mm looks the same: the median decides between them, which as it stands is beyond
-    4.24 m where bits are rotated.
+    Then at least 95 % of the values are multiples of eight, one of them an odd multiple; all others have 1 in
+    their low bits (8.2 to 16.4 m); and the values are too many and too large for an 8-bit picture. Depth in
+    steps of 8 mm looks the same. The median decides: read as plain depth it is beyond 4.24 m if the bits are
+    rotated.
     """
     values = _sampled(images)
     if not len(values):
@@ -108,7 +107,7 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
 
 
 def _sampled(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.uint16]:
-    """The measured values of every third pixel of every third row of those images that are whole."""
+    """The measured values at every third pixel of every third row, from the undamaged images."""
     samples = [np.zeros(0, np.uint16)]
     with suppress(RecordingError):
         for image in images:

@@ -1,4 +1,4 @@
-"""Depth images as people store them: PNG, .npy, .npz, TIFF, HDF5, floats in metres, two 8-bit channels."""
+"""Decode depth images of many kinds: PNG, .npy, .npz, TIFF, HDF5, floats, two 8-bit channels."""
 
 import io
 import struct
@@ -28,18 +28,18 @@ Channels = tuple[int, int]
 ZIP_MAGIC, KEY = b"PK", "depth"
 ARRAYS = frozenset({".npy", ".npz"})
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
-# Tags by their numbers in TIFF 6.0, and how many are read: images have some thirty.
+# Numbers of tags in TIFF 6.0, and most tags to read: images have some thirty.
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
 SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS
-# Floats beyond are no metres of a room, but millimetres.
+# Larger floats are not metres of a room, but millimetres.
 FARTHEST_M = 50.0
-# Of neighbours whose high bytes differ by one, depth in two channels differs by less in nearly all: surfaces
-# are smooth. A picture in false colours does not know of the other channel.
+# Between neighbours whose high bytes differ by one, depth in two channels mostly changes by less than
+# SMALL_STEP, because surfaces are smooth. In a false-colour picture the channels are not related like this.
 SMALL_STEP, SMALL_SHARE, LEAST_STEPS = 64, 0.8, 16
-# What an HDF5 file begins with (its file format specification, III.A).
+# Signature of HDF5 (its file format specification, III.A).
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-# What h5py raises for damaged files: by its own documentation no more than OSError, KeyError and ValueError;
-# RuntimeError where the library knows no more.
+# Errors of h5py on damaged files: by its documentation only OSError, KeyError and ValueError; RuntimeError
+# for unknown problems of the library.
 DAMAGED = (OSError, KeyError, ValueError, RuntimeError, TypeError)
 
 
@@ -47,16 +47,16 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
     """Decode a depth image.
 
     Args:
-        data: the file.
-        name: where it comes from, for messages.
-        channels: of a PNG with 8 bits a channel: those of the high and of the low byte (B, G, R).
+        data: bytes of the file.
+        name: source of the data, for messages.
+        channels: for a PNG with 8-bit channels: indices (B, G, R) of the high and of the low byte.
 
     Returns:
-        (height, width): uint16 in native units, or float32, 0 = none, not finite values as they are.
+        (height, width): uint16 in native units, or float32; 0 = none; values that are not finite stay.
 
     Raises:
-        DamagedImageError: it is damaged.
-        OddImageError: it is whole, but no depth image.
+        DamagedImageError: the image is damaged.
+        OddImageError: the image is intact, but no depth image.
     """
     if _is_array(data, name):
         return _as_depth(_array(data, name), name)
@@ -70,7 +70,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
 
 def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height of a depth image, pixels; raises as `decode_depth_file`."""
+    """Width and height of a depth image, pixels; raises as `decode_depth_file` does."""
     if _is_array(data, name):
         height, width = _array(data, name).shape
         return width, height
@@ -84,12 +84,12 @@ def _is_array(data: bytes, name: str) -> bool:
 
 
 def kind_of(depth: UInt16 | Float32) -> str:
-    """The content of a depth image: "whole numbers" or "floats"."""
+    """The type of a depth image's values, in words: "whole numbers" or "floats"."""
     return "whole numbers" if depth.dtype == np.uint16 else "floats"
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
-    """Units a metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers."""
+    """Units per metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers."""
     if depth.dtype == np.uint16:
         return None
     measured = depth[np.isfinite(depth) & (depth > 0)]
@@ -97,7 +97,7 @@ def units_a_metre(depth: UInt16 | Float32) -> float | None:
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """The channels (B, G, R) of a PNG with the high and the low byte of depth; None if not packed."""
+    """The channels (B, G, R) of a PNG that hold depth's high and low byte; None if it is not packed so."""
     if not data.startswith(PNG_MAGIC):
         return None
     try:
@@ -119,7 +119,7 @@ def packed_channels(data: bytes, name: str) -> Channels | None:
 
 
 def joined_channels(pixels: NDArray[np.generic], channels: Channels) -> UInt16:
-    """Depth of two of the channels of an image (height, width, 3 or 4) uint8: the high and the low byte."""
+    """Join the high and the low byte of depth from two channels of an image (height, width, 3 or 4) uint8."""
     high, low = (pixels[..., channel].astype(np.uint16) for channel in channels)
     return np.asarray(high << np.uint16(8) | low, np.uint16)
 
@@ -148,7 +148,7 @@ def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
 
 
 def _array(data: bytes, name: str) -> NDArray[np.generic]:
-    """The image in a .npy, .npz or HDF5 file, (height, width); nothing is unpickled."""
+    """Read the image in a .npy, .npz or HDF5 file, (height, width), without unpickling."""
     kind = Path(name).suffix or "NumPy"
     try:
         array = _stored(data, name)
@@ -163,7 +163,7 @@ def _array(data: bytes, name: str) -> NDArray[np.generic]:
 
 
 def _stored(data: bytes, name: str) -> NDArray[np.generic]:
-    """The array of a .npy, .npz or HDF5 file."""
+    """Read the array in a .npy, .npz or HDF5 file."""
     if data.startswith(HDF5_MAGIC):
         arrays = hdf5_arrays(data, name, (KEY,), MOST_PIXELS)
         if KEY not in arrays:
@@ -194,7 +194,7 @@ def _sides(array: NDArray[np.generic]) -> tuple[int, ...]:
 
 
 def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height by the first directory of a TIFF, pixels."""
+    """Width and height from the first directory of a TIFF, pixels."""
     order = TIFF_MAGICS[data[:4]]
     try:
         (place,) = struct.unpack_from(order + "I", data, 4)
@@ -216,16 +216,16 @@ def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
 def hdf5_arrays(
     data: bytes, name: str, keys: Iterable[str], most_values: int
 ) -> dict[str, NDArray[np.generic]]:
-    """The arrays of an HDF5 file that are there, by key; what lies in other files is not followed.
+    """Read existing arrays of an HDF5 file by key; arrays stored in other files are ignored.
 
     Args:
-        data: the file.
-        name: where it comes from, for messages.
-        keys: of its root that are asked for.
-        most_values: more numbers than that are refused in one array.
+        data: bytes of the file.
+        name: source of the data, for messages.
+        keys: keys to read, from the file's root.
+        most_values: largest number of values in an array.
 
     Raises:
-        DamagedImageError: it is damaged, or one of them is too large or holds no numbers.
+        DamagedImageError: the file is damaged, or an array is too large or not numeric.
         RecordingError: h5py is not installed.
     """
     try:
@@ -248,7 +248,7 @@ def hdf5_arrays(
 
 
 def _hdf5_array(h5py: ModuleType, file: "File", key: str, most_values: int) -> NDArray[np.generic]:
-    """One array; ValueError: it is none that is read."""
+    """Read one array; ValueError if it is not an array that may be read."""
     if not isinstance(file.get(key, getlink=True), h5py.HardLink):
         raise ValueError(f"'{key}' is a link")
     entry = file[key]

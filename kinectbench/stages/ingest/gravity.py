@@ -1,6 +1,7 @@
-"""Up in the depth camera's axes, by an accelerometer, at frames where the camera was still.
+"""Up in the depth camera's axes, from an accelerometer, at frames where the camera was still.
 
-At rest an accelerometer measures the reaction to gravity, which points up (ROS REP 145; librealsense, too).
+At rest an accelerometer measures the reaction to gravity, which points up (as in ROS REP 145 and
+librealsense).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,11 +15,11 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 # Standard gravity (3rd CGPM, 1901).
 GRAVITY_MPS2 = 9.80665
-# The mean over a fifth of a second is of a camera that is still, or moves evenly, if it differs from gravity
-# by no more: a sensor's bias and scale are off by up to 2 %. What is left of the hand's own
-# acceleration is as often to one side as to the other.
+# If the mean over a fifth of a second differs from gravity by no more than this, the camera is still or moves
+# evenly: a sensor's bias and scale are off by up to 2 %. The remaining acceleration of the hand has no
+# preferred direction.
 REACH_NS, STILL_MPS2 = 100_000_000, 0.5
-# Most frames, and most and least measurements at each: enough for the mean of them.
+# Most frames, and most and least measurements at each frame: enough for a mean.
 FRAMES, SAMPLES, LEAST_SAMPLES = 100, 20, 3
 
 
@@ -28,13 +29,13 @@ def up_at_rest(
     stamps_ns: Sequence[int],
     R_depth_imu: Float64,
 ) -> Iterator[UpSample]:
-    """Up at the frames, of at most 100, at which an accelerometer measures nothing but gravity.
+    """Yield the up direction at up to 100 frames where an accelerometer measures only gravity.
 
     Args:
-        times_ns: of the measurements, ascending.
-        measured: reads one, m/s^2, in the accelerometer's axes; DamagedImageError: it is damaged.
-        stamps_ns: of the depth frames, ascending.
-        R_depth_imu: (3, 3), accelerometer to depth camera.
+        times_ns: times of the measurements, ascending, nanoseconds.
+        measured: reads a measurement, m/s^2, in the accelerometer's axes; DamagedImageError: it is damaged.
+        stamps_ns: stamps of the depth frames, ascending, nanoseconds.
+        R_depth_imu: (3, 3), from accelerometer to depth camera.
     """
     chosen = np.unique(np.linspace(0, len(stamps_ns) - 1, min(FRAMES, len(stamps_ns))).astype(int))
     for stamp_ns in (stamps_ns[index] for index in chosen):
@@ -49,6 +50,6 @@ def up_at_rest(
         with np.errstate(over="ignore", invalid="ignore"):  # an untrusted file may hold any number
             mean = np.mean(found, axis=0) if len(found) >= LEAST_SAMPLES else np.full(3, np.nan)
             length = float(np.linalg.norm(mean))
-        if abs(length - GRAVITY_MPS2) <= STILL_MPS2:  # which NaN is not
+        if abs(length - GRAVITY_MPS2) <= STILL_MPS2:  # false for NaN
             x, y, z = (round(float(value), 6) for value in R_depth_imu @ mean / length)
             yield UpSample(int(stamp_ns), (x, y, z))

@@ -1,8 +1,8 @@
-"""Names of images: order of frames, numbers, and stamps in seconds, ms, us or ns.
+"""Read the names of images: order of frames, frame numbers, and stamps in s, ms, us or ns.
 
-A number in a name is a time only where it can be no frame number: it has decimals, counts from 1970, or
-goes in steps of thousands, as micro- and nanoseconds do. Whole milliseconds from 0 look like frame numbers,
-and are taken for these.
+A number in a name is a time only if it cannot be a frame number: it has decimals, counts from 1970, or has
+steps of thousands, as micro- and nanoseconds have. Whole milliseconds from 0 look like frame numbers, and are
+read as such.
 """
 
 import re
@@ -17,40 +17,40 @@ from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, TODAY_NS, no_
 
 # Longer numbers are no frame numbers.
 FRAME_NUMBER = re.compile(r"\d{1,9}")
-# Redwood's scans and SUN3D: frame number and stamp in microseconds, which differs between depth and colour.
+# Redwood and SUN3D: a frame number and a stamp in microseconds, different for depth and colour.
 NUMBER_AND_STAMP = re.compile(r"(\d{1,9})-(\d{12})")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-# A date and the time of day, and a part of the second. Digits without a gap are no stamp of nanoseconds:
-# these have 19, and 14 of a date leave 3, 6 or 9 for the part.
+# A date, the time of day, and the fraction of a second. Digits without separators are no stamp in
+# nanoseconds: that has 19 digits, and a date of 14 leaves 3, 6 or 9 for the fraction.
 DATE = re.compile(
     r"(?<!\d)((?:19[7-9]|20\d)\d)(\D?)(\d\d)\2(\d\d)\D{0,2}(\d\d)(\D?)(\d\d)\6(\d\d)"
     r"(?:\D(\d{1,9})|(\d{3}|\d{6}|\d{9})|)(?!\d)"
 )
-# Names hold few numbers, and a stamp no more digits than nanoseconds with decimals have.
+# Most numbers in a name, and most digits of a stamp: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
-# Units of time in nanoseconds, by how many there are in a second.
+# Units of time in nanoseconds: s, ms, us, ns.
 UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
-# Digits of a part of a second, at most; a part is taken for a count if its largest step is so many times
-# smaller then than that of decimals: where it is one, frames of each first tenth of a second are missed
-# there in the other reading, two frames or more from 10 Hz on.
+# Most digits of a fraction of a second. A fraction is read as a count if its largest step is then this many
+# times smaller than as decimals. If it is a count, reading it as decimals leaves a gap of two frames or more,
+# from 10 Hz on, in the first tenth of each second.
 PART_DIGITS, MORE_REGULAR = 9, 1.5
-# Parts that are nearer to each other count frames (333 Hz, as above).
+# Fractions closer to each other are counts of frames (333 Hz, as below).
 LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3
-# Steps between frames, if the unit is right: at most 2000 Hz, keyframes of up to 10 s.
+# Plausible steps between frames: at most 2000 Hz, and keyframes up to 10 s apart.
 LEAST_STEP_NS, MOST_STEP_NS = NS_PER_S // 2000, 10 * NS_PER_S
-# From so many units a step on a number is of milliseconds, micro- and nanoseconds: 3 ms are 333 Hz, and
-# keyframes are less than 3 s apart.
+# From this step on, a number is in nanoseconds, microseconds or milliseconds: 3 ms are 333 Hz, and keyframes
+# are less than 3 s apart.
 STEPS_OF_UNITS = ((3e6, UNITS_NS[3]), (3e3, UNITS_NS[2]), (3.0, UNITS_NS[1]))
 
 
 def counting_key(stem: str) -> list[tuple[int, str]]:
-    """A sort key in numeric order: 2 before 10."""
-    # A name may stand in an index, where it can have any length; Python refuses numbers of 4300 digits.
+    """A key for sorting by numbers: 2 before 10."""
+    # Names in an index may have any length, and Python refuses numbers of 4300 digits.
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
 def frame_key(stem: str) -> str:
-    """The key that pairs depth and colour: the name, without leading zeros of a number."""
+    """The key that pairs depth and colour: the name without leading zeros of numbers."""
     redwood = NUMBER_AND_STAMP.fullmatch(stem)
     if redwood:
         return str(int(redwood[1]))
@@ -58,13 +58,13 @@ def frame_key(stem: str) -> str:
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int] | None:
-    """The number of each name: the last one that differs between names.
+    """The frame number in each name: the last number that differs between names.
 
-    None if there is none, or if it does not rise from name to name: one that restarts, as in each second
-    or scene, is the number of no frame.
+    None if there is no such number, or if it does not rise from name to name: a number that starts again, as
+    in each second or scene, is no frame number.
 
     Args:
-        stems: of one stream, such as depth_0001, depth_0002.
+        stems: names of one stream without suffix, such as depth_0001, depth_0002.
     """
     columns = _columns(stems)
     for place, column in reversed(list(enumerate(columns))):
@@ -75,15 +75,15 @@ def frame_numbers(stems: Sequence[str]) -> list[int] | None:
 
 
 def times_of_names(stems: Sequence[str]) -> list[int] | None:
-    """Stamps in nanoseconds from a stream's names; None if the names hold none.
+    """Stamps in nanoseconds from the names of a stream; None if the names contain none.
 
-    Read are Redwood's NUMBER-MICROSECONDS; a date and the time of day, with or without a part of a second
-    after it, such as 20240115_103045_160407; seconds of today and their part, as a count or as decimals, such
-    as 1305031102_160407000; and one number that rises from name to name, with or without others beside it, in
-    the unit that its size and its steps tell. A number that restarts is a part of a time, and none itself.
+    Supported are Redwood's NUMBER-MICROSECONDS; a date with the time of day, and optionally a fraction of a
+    second, such as 20240115_103045_160407; seconds since 1970 with their fraction, as a count or as decimals,
+    such as 1305031102_160407000; and one number that rises from name to name, in the unit that its size and
+    steps suggest. A number that starts again is a part of a time, not a time.
 
     Args:
-        stems: names of the images of one stream, without what they end in.
+        stems: names of the images of one stream, without suffix.
     """
     redwood = [NUMBER_AND_STAMP.fullmatch(stem) for stem in stems]
     if stems and all(redwood):
@@ -106,7 +106,7 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds from names, else from frame numbers in seconds, else from the order."""
+    """Stamps in nanoseconds from names, else from frame numbers as seconds, else from the order."""
     times_ns = times_of_names(stems)
     if times_ns is not None:
         return times_ns
@@ -116,7 +116,7 @@ def stamps_of_names(stems: Sequence[str]) -> list[int]:
 
 
 def _columns(stems: Sequence[str]) -> list[list[str]]:
-    """The numbers in names by column; none if names have different forms."""
+    """The numbers in names, by column; empty if the names have different forms."""
     if not stems or len({NUMBER.sub("#", stem) for stem in stems}) > 1:
         return []
     rows = [NUMBER.findall(stem) for stem in stems]
@@ -126,7 +126,7 @@ def _columns(stems: Sequence[str]) -> list[list[str]]:
 
 
 def _rises(values: Sequence[int], left: Sequence[Sequence[str]]) -> bool:
-    """Whether the values of a column rise from name to name, in the order of the columns left of it."""
+    """Whether a column's values rise from name to name, in the order of the columns to its left."""
     names = zip(*([Decimal(text) for text in column] for column in left), values, strict=True)
     return all(first < second for (*_, first), (*_, second) in pairwise(sorted(names)))
 
@@ -136,7 +136,7 @@ def _are_parts(texts: Sequence[str]) -> bool:
 
 
 def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
-    """Stamps in nanoseconds of matches of DATE; none if a date is none."""
+    """Stamps in nanoseconds from matches of DATE; empty if a date is invalid."""
     try:
         times = [
             datetime(int(m[1]), int(m[3]), int(m[4]), int(m[5]), int(m[7]), int(m[8]), tzinfo=UTC)
@@ -148,15 +148,15 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
 
 
 def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds of whole seconds, each with a fraction that is a count or decimals.
+    """Stamps in nanoseconds from whole seconds, each with a fraction that is a count or decimals.
 
-    Padded with zeros the part is both. Else it is decimals where one begins with a zero; a count where the
-    longest are of nanoseconds and seconds are of today, as floats do not have so many decimals then; or what
-    makes the steps more regular.
+    Fractions padded with zeros are both. Otherwise they are decimals if one starts with a zero; a count if
+    the longest are nanoseconds and the seconds count from 1970, because floats do not have as many decimals;
+    or else whatever makes the steps more regular.
 
     Args:
-        whole: seconds.
-        fractions: up to 9 digits each.
+        whole: whole seconds.
+        fractions: up to 9 digits for each.
     """
     longest = max(map(len, fractions))
     unit_ns = 10 ** (PART_DIGITS - 3 * -(-longest // 3))
@@ -177,7 +177,7 @@ def _largest_step(stamps_ns: Sequence[int]) -> int:
 
 
 def _of_one_number(column: Sequence[str]) -> list[int] | None:
-    """Stamps in nanoseconds, if the numbers of a column are times."""
+    """Stamps in nanoseconds if the numbers of a column are times; else None."""
     if max(map(len, column)) > MOST_DIGITS:
         return None
     values, points = [Decimal(text) for text in column], [text.partition(".") for text in column]
@@ -190,20 +190,20 @@ def _of_one_number(column: Sequence[str]) -> list[int] | None:
 
 
 def _if_times(stamps_ns: list[int]) -> list[int] | None:
-    """Stamps, if all differ, and they are times of frames, in whatever order names are listed."""
+    """The stamps if all differ and are times of frames, in whatever order the names are listed; else None."""
     usable = 0 < len(set(stamps_ns)) == len(stamps_ns) and max(stamps_ns) < LIMIT_NS
     return stamps_ns if usable and not no_times(sorted(stamps_ns)) else None
 
 
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
-    """Stamps, if they are times and far enough apart for fractions of a second."""
+    """The stamps if they are times and far enough apart for fractions of a second; else None."""
     stamps = _if_times(stamps_ns)
     period_ns = typical_period_ns(np.array(sorted(stamps or []), np.int64))
     return stamps if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
 
 
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
-    """The unit of numbers that are times, nanoseconds; else None."""
+    """The unit, in nanoseconds, of numbers that are times; None for other numbers."""
     step = _step(values)
     for unit_ns in UNITS_NS:
         today = min(values) * unit_ns >= TODAY_NS[0] and max(values) * unit_ns < TODAY_NS[1]
@@ -217,7 +217,7 @@ def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
 
 def _step(values: list[Decimal]) -> float:
     """The typical increase between numbers; 0 for a single number."""
-    # In thousandths, and from the first: numbers of 19 digits are more than integers of 64 bits can hold.
+    # In thousandths and relative to the first, because numbers of 19 digits overflow 64-bit integers.
     first = min(values)
     thousandths = np.array(sorted(int((value - first) * 1000) for value in values), object)
     if len(thousandths) < 2 or thousandths[-1] >= LIMIT_NS:

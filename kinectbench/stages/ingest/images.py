@@ -1,4 +1,4 @@
-"""Decoding and checking encoded images; damage and excess are found before OpenCV sees them."""
+"""Decode encoded images, after checks that find damage and excessive size before OpenCV reads them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,31 +7,31 @@ from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded_image,
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Bools
 
-# Units per metre of depth that was float: it is kept in steps of 0.2 mm.
+# Units per metre for depth that was float: steps of 0.2 mm.
 FLOAT_SCALE = 5000.0
 
 
 class DamagedImageError(RecordingError):
-    """One image is missing or damaged; a few such frames of many can be left out."""
+    """One image is missing or damaged; if only a few are, their frames are left out."""
 
     what = "damaged-image"
 
 
 class OddImageError(DamagedImageError):
-    """One image is whole, but of another kind or size than the recording's depth."""
+    """One image is intact, but of another kind or size than the recording's depth."""
 
     what = "other-image"
 
 
 def image_header(data: bytes, name: str) -> tuple[str, int, int]:
-    """Read the type and size of a PNG or JPEG and check that it is whole and costs little to decode.
+    """Read the type and size of a PNG or JPEG; check that it is complete and cheap to decode.
 
     Args:
         data: the encoded image.
-        name: where it comes from, for messages.
+        name: source of the image, for messages.
 
     Returns:
-        (".png" or ".jpg", width, height), pixels.
+        (".png" or ".jpg", width, height), sizes in pixels.
 
     Raises:
         DamagedImageError: `image_head` refuses it.
@@ -41,7 +41,7 @@ def image_header(data: bytes, name: str) -> tuple[str, int, int]:
 
 
 def is_depth_png(data: bytes) -> bool:
-    """Whether the data begins like a grey PNG with 16 bits a pixel."""
+    """Whether the data starts like a grey PNG with 16 bits per pixel."""
     return len(data) > 25 and data.startswith(PNG_MAGIC) and data[24:26] == b"\x10\x00"
 
 
@@ -50,7 +50,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
 
     Raises:
         DamagedImageError: the image is damaged or not a PNG.
-        OddImageError: it is whole, but not 16-bit grey.
+        OddImageError: the image is intact, but not 16-bit grey.
     """
     if not data.startswith(PNG_MAGIC):
         kind = "is empty" if not data else "is not a PNG image"
@@ -66,7 +66,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Depth in metres (height, width) in steps of 1 / FLOAT_SCALE m: uint16; out of range becomes 0."""
+    """Convert depth in metres (height, width) to uint16 in 1 / FLOAT_SCALE m; out of range becomes 0."""
     native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
     fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
     return np.where(fits, native, 0).astype(np.uint16)
@@ -92,11 +92,11 @@ def decode_mask(data: bytes, name: str) -> Bools:
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16], *, fast: bool = False) -> bytes:
-    """Encode (height, width) or BGR (height, width, 3), 8 or 16 bits, as PNG: same pixels, same bytes.
+    """Encode (height, width) or BGR (height, width, 3), 8 or 16 bits, as PNG; equal pixels give equal bytes.
 
     Args:
-        image: what is encoded.
-        fast: of 640x480 pixels in 7 ms (depth) and 14 ms (colour) of a processor, not 14 and 27.
+        image: the pixels.
+        fast: takes 7 ms (depth) and 14 ms (colour) of CPU time for 640x480 pixels, instead of 14 and 27.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Intrinsics: of the recording and of the settings, and their check against the images."""
+"""Intrinsics from the recording and the settings, and their check against the images."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,19 +20,19 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
-# By how many numbers a file holds.
+# Shape of a matrix by the number of values in its file.
 MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
-# Focal lengths as shares of the image's side.
+# Limits of focal lengths as shares of the image's side.
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
-# What any camera's are, pixels.
+# Limits of focal lengths for any image, pixels.
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
-# Poses and intrinsics of 50,000 frames; how many values there may be is bounded apart.
+# Limit for poses and intrinsics of 50,000 frames; the number of values has its own limit.
 JSON_BYTES = 16 << 20
-# Of one frame among many: apps write a few kilobytes.
+# Limit for the JSON of one frame: apps write a few kilobytes.
 FRAME_JSON_BYTES = 256 << 10
-# No unit of depth images is so long: such a scale is in units a metre.
+# No unit of depth images is as long as this many mm: a larger scale is in units per metre.
 MOST_MM_A_UNIT = 100.0
-# Names of librealsense and of Record3D; and keys of a matrix in place of fx, fy, cx and cy.
+# librealsense's and Record3D's names of keys; and keys of a matrix instead of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
 HELD = "width, height, fx, fy, cx, cy"
@@ -40,9 +40,9 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Known values of a depth camera; None = unknown. Pixels; depth_scale in native units per metre.
+    """Known values of a depth camera, None = unknown. Pixels; depth_scale in native units per metre.
 
-    `notes` say how it was read, where that is not as it stands, a line each.
+    `notes` are lines on values that were read differently from how the file states them.
     """
 
     width: int | None = None
@@ -62,10 +62,10 @@ class Intrinsics:
         return cls(fx=fx, fy=fy, cx=cx, cy=cy, depth_scale=depth_scale)
 
     def overridden_by(self, settings: CameraSettings) -> "Intrinsics":
-        """A copy in which values of the settings replace its own.
+        """A copy in which the settings replace values of the recording.
 
-        Where they give all of fx, fy, cx and cy, the recording's image size no longer counts: it belongs to
-        the intrinsics that are replaced.
+        If the settings give all of fx, fy, cx and cy, the recording's image size is dropped, because it
+        belongs to the replaced intrinsics.
         """
         given = settings.model_dump(exclude_none=True, include={field.name for field in fields(self)})
         own = replace(self, width=None, height=None) if given.keys() >= set(NEEDED) else self
@@ -74,15 +74,15 @@ class Intrinsics:
     def camera(
         self, size_px: tuple[int, int], path: Path, beside: Callable[[Path], str] | None = None
     ) -> Camera:
-        """The camera, once it is complete and fits the images.
+        """The camera, if the values are complete and fit the images.
 
         Args:
             size_px: width and height of the depth images.
             path: the recording, for messages.
-            beside: a hint for messages about files that may hold missing values.
+            beside: returns a hint, for messages, on files that may contain missing values.
 
         Raises:
-            RecordingError: a value is missing, or another image size is declared or implied.
+            RecordingError: a value is missing, or the intrinsics are for another image size.
         """
         width, height = size_px
         missing = [name for name in NEEDED if getattr(self, name) is None]
@@ -116,12 +116,12 @@ class Intrinsics:
 
 
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
-    """Warnings on how intrinsics were read, and `scale_warnings`."""
+    """Warnings on how intrinsics were read, and those of `scale_warnings`."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
 def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings) -> list[str]:
-    """A warning if the settings and the recording have different depth scales."""
+    """A warning if the settings and the recording state different depth scales."""
     given = settings.depth_scale
     if said_scale is None or given is None or math.isclose(said_scale, given, rel_tol=1e-6):
         return []
@@ -134,11 +134,11 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
-    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered; or
-    a matrix in place of fx ... cy: `intrinsic_matrix` (nine numbers, column by column, as Open3D writes it),
-    `cam_K`, `camera_matrix`, `K` or `k` (row by row; or an object with these as `data`). A depth_scale beside
-    `cam_K` is BOP's, mm a unit; one below 1 is metres a unit, as librealsense has it, for no unit of depth
-    images is longer.
+    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
+    Instead of fx ... cy a matrix: `intrinsic_matrix` (nine numbers by columns, as Open3D writes it), `cam_K`,
+    `camera_matrix`, `K` or `k` (by rows; or an object with these as `data`). A depth_scale beside `cam_K` is
+    BOP's, mm per unit; one below 1 is in metres per unit, as in librealsense, because no unit of depth images
+    is longer.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
@@ -158,7 +158,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         values["color_registered"] = known["color_registered"]
     if "depth_scale" in values:
         values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
-    # Others have another thing under "k".
+    # Other programs store something else under "k".
     key = next((key for key in MATRIX_KEYS if key in known and (key != "k" or _is_matrix(known[key]))), None)
     if key is not None:
         matrix = pinhole(_open3d_matrix(known[key], path, key), path)
@@ -173,7 +173,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
 
 def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """A file's depth scale in units a metre, and a note if it is stated otherwise."""
+    """A file's depth scale in units per metre, and a note if the file states it in another way."""
     if of_bop and stated < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     elif stated < 1:
@@ -185,13 +185,13 @@ def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, obje
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:
-    """Read the relation of colour to depth from camera.json: `color_camera` and `T_color_depth`.
+    """Read the calibration of colour relative to depth from camera.json: `color_camera`, `T_color_depth`.
 
-    `color_camera` holds width, height, fx, fy, cx, cy and maybe `distortion` (Brown's coefficients);
-    `T_color_depth` four rows, metres, depth camera to colour camera.
+    `color_camera` has width, height, fx, fy, cx, cy and optionally `distortion` (Brown's coefficients);
+    `T_color_depth` has four rows, metres, depth camera to colour camera.
 
     Returns:
-        None if the file does not hold both.
+        The calibration; None if the file does not contain both.
 
     Raises:
         RecordingError: a value is invalid.
@@ -219,18 +219,18 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
 
 
 def json_numbers(value: object) -> Float64:
-    """The numbers in a (nested) JSON list; (0,) for other values."""
+    """The numbers of a (nested) JSON list; shape (0,) for other values."""
     try:
         return np.array(value, np.float64)
-    except (TypeError, ValueError, OverflowError):  # an integer may have a thousand digits
+    except (TypeError, ValueError, OverflowError):  # an integer may be too large
         return np.empty(0)
 
 
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
-    """Read a text file with a pinhole matrix row by row (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
+    """Read a text file with a pinhole matrix by rows (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
 
     Raises:
-        RecordingError: other numbers, or no pinhole matrix.
+        RecordingError: another number of values, or no pinhole matrix.
     """
     numbers = read_numbers(path)
     if len(numbers) == len(NEEDED):
@@ -249,12 +249,12 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
     """Refuse focal lengths that no camera with images of this size has (own bounds: 136 and 6 degrees).
 
     Args:
-        intrinsics: of the file.
+        intrinsics: intrinsics from the file.
         size_px: width and height of the depth images.
         file: for the message.
 
     Raises:
-        RecordingError: the field of view is wider or narrower.
+        RecordingError: the field of view is too wide or too narrow.
     """
     for focal, side in ((intrinsics.fx, size_px[0]), (intrinsics.fy, size_px[1])):
         if focal is None or focal <= 0 or LEAST_FOCAL * side <= focal <= MOST_FOCAL * side:
@@ -270,9 +270,9 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
 def rig_calibration(
     color: Intrinsics, color_px: tuple[int, int], color_to_rig: Float64, depth_to_rig: Float64, path: Path
 ) -> ColorCalibration | None:
-    """Relation of colour to depth from ScanNet's matrices, which place each camera in the rig.
+    """Calibration of colour relative to depth from ScanNet's matrices, which place each camera in the rig.
 
-    Both extrinsics are (4, 4), camera to rig, metres. It is None where one of them is no calibration, or of
+    Both extrinsics are (4, 4), camera to rig, metres. None if an extrinsic is no calibration, or is for
     images of another size.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
@@ -286,7 +286,7 @@ def rig_calibration(
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read a JSON object with a pinhole matrix, column by column, and the size of its images in pixels.
+    """Read a JSON object with a pinhole matrix by columns, and the size of its images in pixels.
 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.
@@ -302,7 +302,7 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
     Args:
         path: the file.
-        what: it must hold, for messages.
+        what: expected content, for messages.
         most_bytes: a larger file is refused.
 
     Raises:
@@ -312,10 +312,10 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """One frame's camera in a JSON object: its `keys` and "file", its name; None if there is none.
+    """Read one frame's camera from a JSON object: its `keys`, and the file's name as "file"; None if missing.
 
-    Each value is a number, None, a text, or an array of numbers: a list of anything takes many times the
-    memory of its text, and all frames are kept.
+    Each value is a number, None, a text, or an array of numbers: nested lists would take many times the
+    memory of their text, and the values of all frames are kept.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.
@@ -329,15 +329,15 @@ def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str
 
 
 def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
-    """Parse a JSON object; `where` it is and `what` it must hold, for messages.
+    """Parse a JSON object; `where` is its place and `what` its expected content, for messages.
 
     Raises:
-        RecordingError: it is not valid JSON, or no object.
+        RecordingError: not valid JSON, or no object.
     """
     if len(text) > JSON_BYTES:
         raise RecordingError(f"{where}: is larger than the {JSON_BYTES} bytes that it may have")
     try:
-        # Python writes NaN for a pose that was lost.
+        # Python writes NaN for the pose of a lost frame.
         raw = parsed_json(text if isinstance(text, str) else text.decode("utf-8-sig"), constants=True)
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{where}: is not valid JSON ({error})") from error
@@ -347,19 +347,19 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
 
 
 def number_of(value: object, where: str) -> float:
-    """A number of a JSON file; `where` it is, for the message.
+    """A number from a JSON file; `where` is its place, for the message.
 
     Raises:
-        RecordingError: it is not a finite number.
+        RecordingError: the value is not a finite number.
     """
-    with suppress(OverflowError):  # an integer may have a thousand digits
+    with suppress(OverflowError):  # an integer may be too large
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)
     raise RecordingError(f"{where} must be a number, not {quoted(value)}")
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
-    """Nine numbers by column (by row if only that makes a pinhole matrix), or three rows of three."""
+    """Nine numbers by columns (by rows if only that gives a pinhole matrix), or three rows of three."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers
@@ -374,10 +374,10 @@ def _is_matrix(value: object) -> bool:
 
 
 def pinhole(K: Float64, path: Path) -> Intrinsics:
-    """Intrinsics from a matrix (3, 3), pixels.
+    """Intrinsics from a pinhole matrix (3, 3), pixels.
 
     Raises:
-        RecordingError: it is not a pinhole matrix.
+        RecordingError: the matrix is no pinhole matrix.
     """
     if not np.isfinite(K).all() or K[0, 1] or K[1, 0] or K[2].tolist() != [0, 0, 1]:
         raise IntrinsicsError(

@@ -1,4 +1,4 @@
-"""Intrinsics in files beside the images: which files are read, and which only look like such."""
+"""Find intrinsics in files beside the images, and mention files that only look like intrinsics."""
 
 import re
 from collections.abc import Callable, Collection
@@ -26,35 +26,35 @@ from kinectbench.stages.ingest.recording import first_file, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
-# Files with other content under these names are ignored. ETH3D's calibration.txt: fx fy cx cy.
+# Files of these names with other content are ignored. ETH3D's calibration.txt has fx fy cx cy.
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
-# As OpenCV and ROS write cameras; RTAB-Map exports one of each image.
+# Cameras as OpenCV and ROS write them; RTAB-Map exports a file for each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
-# A camera's file is a few kB; of RTAB-Map's, one an image, the first ones tell all.
+# Most bytes of a camera's file, which has a few kB, and most files to read of many, such as RTAB-Map's.
 YAML_BYTES, MOST_YAML = 64 << 10, 200
 YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
-# Other programs have something else under these: they count where they hold as many numbers as a camera has.
+# Other programs use these keys for other things: they count only with as many numbers as a camera has.
 LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
 YAML_DISTORTIONS = ("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "D", "d")
 # ORB-SLAM's k1, k2, p1, p2.
 YAML_POLYNOMIAL = re.compile(r"^[ \t]*Camera\d?\.[kp]\d[ \t]*:[ \t]*([-+.\deE]{1,30})", re.MULTILINE)
 YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
-# As ORB-SLAM has them (Camera.fx), and many others.
+# Keys of focal lengths in ORB-SLAM (Camera.fx) and many other programs.
 YAML_FOCAL = re.compile(
     r"^[ \t]*(?:Camera\d?\.)?(fx|fy|cx|cy)[ \t]*:[ \t]*([-+.\deE]{1,30})[ \t]*(?:#.*)?$", re.MULTILINE
 )
-# What OpenCV and ROS write beside `data`.
+# Keys that OpenCV and ROS write beside `data`.
 OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
-# A key, and how many lines below it are read: 4x4 numbers, one a line, and what OpenCV writes before them.
+# A key, and the number of lines after it to read: 4x4 numbers, one per line, after OpenCV's header lines.
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
-# What may stand between the numbers of a value.
+# Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
-# Names of files that may hold intrinsics in a layout that is not read.
+# Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
-# In one message, and entries of a folder.
+# Most names in a message, and most entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
@@ -63,14 +63,14 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
 
     Args:
         path: the folder.
-        settings: what a person gives. If that is complete, files with loose names are not read: they may
-            be of another camera.
+        settings: intrinsics given by a person. If they are complete, files with ambiguous names are not read,
+            because these may describe another camera.
 
     Returns:
-        The intrinsics, as far as files have them; and the JSON file that they are from, or None.
+        The intrinsics as far as found; and the JSON file that they are from, or None.
 
     Raises:
-        RecordingError: the file does not hold what its name says.
+        RecordingError: a file does not contain what its name says.
     """
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
@@ -89,16 +89,16 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """A message part on files that look like intrinsics; "" if there are none."""
+    """A part of a message on files that look like intrinsics; "" without such files."""
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
-    """A message part on a folder's files with names like `wanted`; "" if there are none.
+    """A part of a message on files of a folder whose names are `wanted`; "" without such files.
 
     Args:
-        path: the recording; a file has none.
-        wanted: a predicate on names.
+        path: the recording; "" is returned if it is a file.
+        wanted: predicate on names.
         how: words before the names.
     """
     if not path.is_dir():
@@ -112,7 +112,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A line on files that were ignored because another one was read; none without such files."""
+    """A line on files that were ignored because another was read; empty without such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()
@@ -120,7 +120,7 @@ def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
 
 
 def _of_yaml(files: list[Path]) -> Intrinsics:
-    """The common camera of some YAML files; only the first of very many are read."""
+    """The camera that some YAML files share; only the first of very many are read."""
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
         intrinsics = _read_yaml(file)
@@ -136,10 +136,10 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
-    """The pinhole camera of a YAML file of OpenCV's, ROS's or others'; None if it holds none.
+    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; None if it has none.
 
     Raises:
-        RecordingError: it names a matrix that does not hold one, as where a file was cut off; or it holds two
+        RecordingError: the file names a matrix but does not contain it, as after truncation; or it has two
             cameras.
     """
     text = read_text(file, YAML_BYTES)
@@ -151,7 +151,7 @@ def _read_yaml(file: Path) -> Intrinsics | None:
     sizes["notes"] = (note,) if distorted else ()
     for key in (key for key in YAML_MATRICES if key in values):
         numbers = values[key]
-        if numbers is None:  # words: the name of another file, or another program's settings
+        if numbers is None:  # text: a file name, or another program's settings
             continue
         if len(numbers) == len(NEEDED):
             fx, fy, cx, cy = numbers
@@ -174,7 +174,7 @@ def _read_yaml(file: Path) -> Intrinsics | None:
 
 
 def _number(word: str) -> float | None:
-    """The number that a word is; None if it is none."""
+    """The number that a word stands for; None if it is no number."""
     try:
         return parse_floats([word], "")[0]
     except RecordingError:
@@ -189,10 +189,10 @@ def _two_cameras(file: Path, key: str) -> RecordingError:
 
 
 def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """The numbers under some keys, in lists of any kind, or in the `data` of OpenCV's; None: not numbers.
+    """The numbers under some keys, in lists of any form, or in `data` as in OpenCV; None: not numbers.
 
     Raises:
-        RecordingError: a key of a matrix is there twice, with other numbers.
+        RecordingError: the key of a matrix repeats with other numbers.
     """
     lines, by_key = text.splitlines(), dict[str, list[float] | None]()
     for at, line in enumerate(lines):

@@ -1,6 +1,6 @@
-"""Pair colour with depth images: by nearest time if there are stamps, else by name.
+"""Pair colour with depth images: by nearest time if they have stamps, else by name.
 
-All readers of two streams pair them here. What has no partner stays alone, and is counted in a warning.
+All readers of two streams use this. An image without partner stays alone, and a warning counts such images.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ class Partners:
     """The colour image of each depth image.
 
     Attributes:
-        of_depth: for each depth image the index of its colour image, or None; none has two partners.
-        warnings: missing images, and the pairing if not by time or by equal names.
+        of_depth: for each depth image the index of its colour image, or None; an index occurs at most once.
+        warnings: missing images, and the kind of pairing if neither by time nor by equal names.
     """
 
     of_depth: tuple[int | None, ...]
@@ -30,8 +30,8 @@ def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: f
 
     Args:
         depth_ns: stamps of depth, nanoseconds, strictly increasing.
-        color_ns: stamps of colour, likewise.
-        delay_s: the stamps of colour are late by this, as the settings say.
+        color_ns: stamps of colour, nanoseconds, strictly increasing.
+        delay_s: delay of the stamps of colour, from the settings, seconds.
         where: file or topic, for warnings.
     """
     delay_ns = round(delay_s * NS_PER_S)
@@ -45,22 +45,22 @@ def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: f
 def pair_images(
     depth: Sequence[str], color: Sequence[str], *, delay_s: float, where: str
 ) -> tuple[Partners, tuple[int, ...]]:
-    """Pair two streams whose images have names only.
+    """Pair two streams of images by their names alone.
 
-    By time where the names of both streams hold stamps. Else by name, where any agree; by number, where names
-    hold one; or in their order, where there are as many of both.
+    By time if the names of both streams contain stamps. Else by name, if any names agree; by number, if the
+    names contain one; or by order, if both streams have as many images.
 
     Args:
-        depth: names of the depth images without what they end in, in any order.
-        color: names of the colour images, in the order in which people count.
-        delay_s: as `pair_by_time` takes it.
+        depth: names of the depth images without suffix, in any order.
+        color: names of the colour images without suffix, in numeric order.
+        delay_s: delay of the stamps of colour, from the settings, seconds.
         where: folder or file, for messages.
 
     Returns:
-        The partners; and the stamps of colour as the names hold them, nanoseconds, if it was paired by time.
+        The partners; and, if paired by time, the stamps of colour in the names, nanoseconds.
 
     Raises:
-        RecordingError: there is nothing to pair them by.
+        RecordingError: the names allow no pairing.
     """
     depth_ns, color_ns = times_of_names(depth), times_of_names(color)
     if depth_ns is not None and color_ns is not None:
@@ -69,14 +69,14 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning if depth frames have no partner; nothing without colour."""
+    """A warning if depth frames have no partner; no warning without colour."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()
 
 
 def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, where: str) -> Partners:
-    """Like `pair_by_time`, for stamps in any order."""
+    """Pair as `pair_by_time`, but with stamps in any order."""
     depth_order, color_order = (
         sorted(range(len(stamps_ns)), key=stamps_ns.__getitem__) for stamps_ns in (depth_ns, color_ns)
     )
@@ -114,13 +114,13 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
 
 
 def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
-    """For each depth image the colour image of the same key, each at most once."""
+    """For each depth image the colour image with the same key, used at most once; else None."""
     index = {key: place for place, key in enumerate(color)}
     return tuple(index.pop(key, None) for key in depth)
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:
-    """An explanation of numbers that differ; "" without images, or if both have the same range."""
+    """A note that the numbers of both streams differ; "" without images, or if the ranges are equal."""
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is None or color_numbers is None:
         return ""

@@ -1,6 +1,6 @@
-"""A sequence that was begun while its recording was made, and goes on in its build.
+"""Continue a sequence in a build that was started during the recording.
 
-What was written of a frame depends on its files alone. It counts only if these are the same files, unchanged.
+The stored frame depends only on the files of the frame. It is used only if these files are unchanged.
 """
 
 import os
@@ -15,31 +15,31 @@ from typing import TypeAlias
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, ListedFrame, Recording
 from kinectbench.stages.ingest.sequence_writer import SequenceWriter, Watch
 
-# Of a frame: its stamp, and of each of its files the name, the size and when it was changed.
+# For a frame: its stamp; and for each of its files the name, the size and the time of the last change.
 FrameMark: TypeAlias = tuple[int, tuple[tuple[str, int, int], ...]]
 
 
 @dataclass(frozen=True)
 class PartialSequence:
-    """The first frames of a recording, as `ingest` stores them.
+    """The first frames of a recording, already stored as `ingest` does.
 
     Attributes:
-        writer: has taken them.
-        marks: of each of them, from before it was read.
+        writer: the writer that has taken these frames.
+        marks: mark of each of these frames, made before the frame was read.
     """
 
     writer: SequenceWriter
     marks: tuple[FrameMark | None, ...]
 
 
-# Asked for when the recording is to be stored.
+# Returns the earlier sequence; called when the recording is to be stored.
 Ask: TypeAlias = Callable[[], PartialSequence | None]
 _ask: ContextVar[Ask | None] = ContextVar("partial_sequence", default=None)
 
 
 @contextmanager
 def using_partial_sequence(ask: Ask) -> Iterator[None]:
-    """Within the block, the next recording that is stored goes on from what was written, if it is of it."""
+    """Within the block, let the next stored recording continue the earlier sequence if the frames match."""
     token = _ask.set(ask)
     try:
         yield
@@ -48,14 +48,14 @@ def using_partial_sequence(ask: Ask) -> Iterator[None]:
 
 
 def partial_sequence() -> PartialSequence | None:
-    """What was written so far; None: nothing. It is given out once."""
+    """The earlier sequence; None without one. It is returned only once."""
     ask = _ask.get()
     _ask.set(None)
     return ask() if ask else None
 
 
 def frame_mark(place: ListedFrame) -> FrameMark | None:
-    """Tells whether a frame's files are those of before; None without own files, or if one is gone."""
+    """Identify a frame's files by name, size and time; None if a file is missing or the frame has none."""
     if not isinstance(place, FrameFiles):
         return None
     files = [file for file in (place.depth, place.color, place.mask) if file is not None]
@@ -67,12 +67,12 @@ def frame_mark(place: ListedFrame) -> FrameMark | None:
 
 
 def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | None = None) -> None:
-    """Take over what was written before, if it is of the writer's recording.
+    """Take over the earlier sequence if it belongs to the writer's recording.
 
     Args:
-        partial: of its first frames.
-        writer: has taken nothing.
-        watch: is shown those of these frames that it wants.
+        partial: the earlier sequence.
+        writer: a writer that has taken no frame yet.
+        watch: sees the frames that it wants.
     """
     before, recording = partial.writer, writer.checks.recording
     if not _is_of(partial, recording):
@@ -82,7 +82,7 @@ def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | 
             for name in (row.depth, row.color, row.mask):
                 if name is not None:
                     _same_file(before.folder / name, writer.folder / name)
-    except OSError:  # they are gone, or the disk is full: whoever writes them says so
+    except OSError:  # files are gone or the disk is full: writing them reports it
         return
     writer.rows, writer.taken = before.rows, before.taken
     writer.checks = before.checks
@@ -94,7 +94,7 @@ def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | 
 
 
 def _same_file(source: Path, target: Path) -> None:
-    """Give a file a second name, or copy it where the disk keeps no second names."""
+    """Hard-link a file, or copy it if the disk has no hard links."""
     target.parent.mkdir(exist_ok=True)
     try:
         os.link(source, target)
@@ -103,7 +103,7 @@ def _same_file(source: Path, target: Path) -> None:
 
 
 def _is_of(partial: PartialSequence, recording: Recording) -> bool:
-    """Whether the frames that were taken are the recording's first ones."""
+    """Whether the frames of the earlier sequence are the recording's first ones."""
     if stored_by(partial.writer.checks.recording) != stored_by(recording):
         return False
     places, marks = recording.places[: partial.writer.taken], partial.marks
@@ -113,7 +113,7 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """What the stored frames depend on besides their files."""
+    """Everything that the stored frames depend on besides their files."""
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())
     codes: tuple[object, ...] = ()

@@ -1,4 +1,4 @@
-"""Plausibility of a recording, checked frame by frame while it is written."""
+"""Check each frame of a recording, and the whole recording, while it is written."""
 
 import math
 
@@ -10,25 +10,25 @@ from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.stages.ingest.images import OddImageError, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# `track` needs as many poses.
+# `track` needs at least this many poses.
 MIN_FRAMES = 3
-# A recording may lose fewer than this share of its frames to damage.
+# The share of damaged frames must be below this.
 MAX_DAMAGED = 0.05
-# The median depth of an indoor recording lies in between, metres; typical is the centre of the logarithms.
+# Range of an indoor recording's median depth, metres; the typical value is its logarithmic middle.
 NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
-# Units a metre of public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
+# Units per metre in public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
 COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
-# Frames, and one pixel of so many along rows and columns: enough for a median.
+# Number of frames, and stride along rows and columns, for the median depth.
 SAMPLED_FRAMES, SAMPLED_EVERY_PX = 50, 4
 
 
 class FrameChecks:
-    """Checks each frame against the recording's camera and gathers data for checks at the end.
+    """Checks each frame against the recording's camera, and gathers data for the checks at the end.
 
-    Damaged frames are left out, and counted.
+    Damaged frames are left out and counted.
 
     Attributes:
-        recording: of the frames; more of it may be known later.
+        recording: recording of the frames; its facts may be completed later.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -41,7 +41,7 @@ class FrameChecks:
         self._last_stamp_ns: int | None = None
 
     def check(self, frame: RawFrame) -> str | None:
-        """Check one frame; the suffix that its colour image should have, None if it has no colour.
+        """Check one frame; return the suffix that its colour image should have, None without colour.
 
         Raises:
             DamagedImageError: the colour image is damaged, or an image has the wrong size.
@@ -59,15 +59,15 @@ class FrameChecks:
         return suffix
 
     def leave_out(self, why: str) -> None:
-        """Leave out one frame; `why` names it and the damage."""
+        """Leave out one frame; `why` names the frame and the damage."""
         self._left_out.append(why)
 
     def verdict(self) -> list[str]:
-        """Judge the recording as a whole, after the last frame; returns warnings, one per frame left out.
+        """Judge the recording after the last frame; return warnings, one for each frame left out.
 
         Raises:
-            RecordingError: 5 % or more of the recording are left out, or fewer than three frames are left;
-                no depth at all, or an absurd depth scale.
+            RecordingError: 5 % or more of the frames are left out, fewer than three frames are left, no frame
+                has depth, or the depth scale is absurd.
         """
         lost, frames = len(self._left_out), len(self.recording)
         if lost and lost >= MAX_DAMAGED * frames:
@@ -117,7 +117,7 @@ class FrameChecks:
 
 
 def scale_problem(median: float, depth_scale: float) -> str:
-    """A message if the median depth, native units, is no room's at this scale; "" if it is plausible."""
+    """A message if the median depth, native units, is implausible for a room at this scale; else ""."""
     if NEAREST_M <= median / depth_scale <= FARTHEST_M:
         return ""
     return (
@@ -127,7 +127,7 @@ def scale_problem(median: float, depth_scale: float) -> str:
 
 
 def suggested_scale(median: float) -> float:
-    """The usual depth scale with which a median depth in native units is most like a room's."""
+    """The usual depth scale that makes a median depth in native units most plausible for a room."""
     return min(COMMON_SCALES, key=lambda scale: abs(math.log(median / scale / TYPICAL_M)))
 
 
@@ -135,7 +135,7 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
     """Refuse a frame whose depth has another size than the recording's camera.
 
     Raises:
-        OddImageError: it has.
+        OddImageError: the size differs.
     """
     (height, width), camera = frame.depth.shape, recording.camera
     if (width, height) != (camera.width, camera.height):
@@ -146,11 +146,11 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
 
 
 def check_color(frame: RawFrame, recording: Recording) -> str | None:
-    """The suffix that the colour image of a frame should have; None if it has no colour.
+    """The suffix that a frame's colour image should have; None without colour.
 
     Raises:
         DamagedImageError: the colour image is damaged.
-        OddImageError: it has another size than depth, to which it is registered.
+        OddImageError: colour that is registered to depth has another size.
     """
     if frame.color is None:
         return None
@@ -165,7 +165,7 @@ def check_color(frame: RawFrame, recording: Recording) -> str | None:
 
 
 def trajectory_problem(recording: Recording) -> str:
-    """Why a recording's trajectory cannot be used, one line; "" if it can, or there is none."""
+    """Why a recording's trajectory cannot be used, in one line; "" if it can, or if there is none."""
     trajectory, stamps_ns = recording.given_trajectory, recording.stamps_ns
     if trajectory is None or not len(stamps_ns):
         return recording.trajectory_error

@@ -1,4 +1,4 @@
-"""The interface of recordings: frames one by one, a camera, an optional trajectory."""
+"""The interface of recordings: frames one by one, a camera, and optionally a trajectory."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -28,13 +28,13 @@ from kinectbench.stages.ingest.images import (
     quantised,
 )
 
-# Damaged images or messages that are tried in search of one that is whole: five minutes at 30 frames a
-# second; an index may begin long before the images that were kept of it.
+# Most damaged images or messages to try until an undamaged one: five minutes at 30 frames a second. An index
+# may start long before the images that were kept.
 MOST_TRIED = 10_000
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-# On what a reader was tried: a real recording, one whose licence lets it be copied, or files that a writer
-# made here by the format's own description.
+# What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
+# project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
 
 
@@ -43,11 +43,11 @@ class RawFrame:
     """One recorded frame.
 
     Attributes:
-        name: where it comes from, for messages.
+        name: source of the frame, for messages.
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: (height, width) uint16 in native units, 0 = no measurement.
         color: (".jpg" or ".png", the encoded image), or None.
-        mask: (height, width) bool, the pixels that a given mask says are the object, or None.
+        mask: (height, width) bool, the object's pixels by a given mask, or None.
     """
 
     name: str
@@ -59,11 +59,11 @@ class RawFrame:
 
 @dataclass(frozen=True)
 class ColorCalibration:
-    """The calibration that maps unregistered colour onto depth pixels.
+    """The calibration for mapping unregistered colour onto depth pixels.
 
     Attributes:
         camera: intrinsics of the colour images, pixels.
-        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6]] of the colour images (Brown 1971); empty: none.
+        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6]] of the colour images (Brown 1971); empty: no distortion.
         T_color_depth: (4, 4) float64, depth camera to colour camera, metres.
     """
 
@@ -72,7 +72,7 @@ class ColorCalibration:
     T_color_depth: Float64
 
     def lies_on(self, depth: Camera) -> bool:
-        """Whether colour has the depth camera's pixels, so that it is already registered."""
+        """Whether colour has the depth camera's pixels, so that colour is already registered."""
         return (
             self.camera == depth
             and not self.distortion
@@ -81,7 +81,7 @@ class ColorCalibration:
 
 
 class ListedFrame(Protocol):
-    """An entry of the frame list, in a form private to the reader."""
+    """An entry of the list of frames, in a form private to the reader."""
 
     @property
     def stamp_ns(self) -> int:
@@ -91,29 +91,30 @@ class ListedFrame(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(ABC):
-    """A recording that was opened: its camera is known, its frames are read when asked for.
+    """An opened recording: its camera is known, and its frames are read on demand.
 
     Attributes:
         path: the folder or file.
-        format: name of the format, as in the registry.
-        looks_for: what a folder or file must hold to be taken for this format.
-        suffixes: how names of such files end; what an id of a recording does without.
-        evidence: the best kind of thing that the reader was tried on.
-        verified: what that was, files of other programs too; "" if it was only files that were written here.
-        up_world: (3,) unit: up in the frame of the given trajectory, where the format's is aligned with
-            gravity; None: gravity is unknown.
-        places: where each frame lies, damaged ones included; stamps are strictly increasing.
+        format: name of the format, as in FORMATS.
+        looks_for: what a folder or file must contain to be recognised.
+        suffixes: suffixes of such files, which ids of recordings omit.
+        evidence: the best kind of data that the reader was tested on.
+        verified: that data, including files of other programs; "" if only files made here.
+        up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
+            None: unknown.
+        places: list of frames, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
         color_registered: colour pixels lie on depth pixels.
-        color_calibration: how colour can be registered, where it is not and that is known; or None.
-        given_trajectory: the trajectory that came with it, or None.
-        trajectory_error: why the trajectory that came with it cannot be used, or "".
-        color_delay_s: taken off the stamps of colour, as the settings say, seconds.
-        trajectory_delay_s: taken off the stamps of given poses, as the settings say, seconds.
-        warnings: what its user should know, one line each.
-        recorded: stamps of depth and of colour in the order of recording, where that is known.
-        up_cameras: up in some frames' own axes, by an accelerometer.
+        color_calibration: calibration of unregistered colour relative to depth, or None if unknown.
+        given_trajectory: the trajectory that came with the recording, or None.
+        trajectory_error: why the trajectory that came with the recording cannot be used, or "".
+        color_delay_s: delay that was subtracted from the stamps of colour, by the settings, seconds.
+        trajectory_delay_s: delay that was subtracted from the stamps of given poses, by the settings,
+            seconds.
+        warnings: lines for the user.
+        recorded: stamps of depth and of colour in the order of recording, if known.
+        up_cameras: up in the axes of some frames' cameras, by an accelerometer.
     """
 
     format: ClassVar[str]
@@ -139,59 +140,59 @@ class Recording(ABC):
     @classmethod
     @abstractmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder or file has this format's layout; reads a few bytes at most."""
+        """Whether the folder or file has this format's layout; reads only a few bytes."""
 
     @classmethod
     def files_beside(cls, path: Path) -> tuple[Path, ...]:
-        """Files outside the folder that belong to the recording, such as intrinsics of several sequences."""
+        """Files outside the folder that belong to the recording, such as intrinsics shared by sequences."""
         return ()
 
     @classmethod
     @abstractmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Open the recording; settings override its own values.
+        """Open the recording; the settings override its values.
 
         Raises:
-            RecordingError: it cannot be used; the message says what is wrong and where.
+            RecordingError: the recording is unusable; the message says what is wrong and where.
         """
 
     def __len__(self) -> int:
-        """Number of frames listed, damaged ones included."""
+        """Number of listed frames, damaged ones included."""
         return len(self.places)
 
     @property
     def stamps_ns(self) -> Int64:
-        """Stamp of each frame listed, nanoseconds, strictly increasing; nothing is decoded for it."""
+        """Stamp of each listed frame, nanoseconds, strictly increasing, without decoding any image."""
         return np.array([place.stamp_ns for place in self.places], np.int64)
 
     @property
     def recorded_stamps_ns(self) -> tuple[Int64, Int64]:
-        """Stamps of every depth and every colour image, in recorded order.
+        """Stamps of every depth and every colour image, in the order of recording.
 
-        They can repeat or go back, and colour need not have a partner; a format without stamps of its own for
-        colour gives none.
+        They may repeat or decrease, and colour images may lack a partner. The stamps of colour are empty for
+        a format without them.
         """
         depth_ns, color_ns = self.recorded or (self.stamps_ns, ())
         return np.array(depth_ns, np.int64), np.array(color_ns, np.int64)
 
     @abstractmethod
     def frame(self, index: int) -> RawFrame:
-        """Read any frame.
+        """Read and decode a frame.
 
         Raises:
-            DamagedImageError: its depth is damaged.
+            DamagedImageError: the depth image is damaged.
         """
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The files of one frame.
+    """The files of a frame.
 
     Attributes:
         stamp_ns: stamp of the depth image, nanoseconds.
-        depth: 16-bit PNG.
+        depth: 16-bit PNG, or another depth file.
         color: JPEG or PNG, or None.
-        mask: PNG, not 0 where the object is, or None.
+        mask: PNG, nonzero on the object, or None.
     """
 
     stamp_ns: int
@@ -202,14 +203,14 @@ class FrameFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class FileRecording(Recording):
-    """A recording whose every image is a file; the folder formats derive from it.
+    """A recording with a file for each image; base of the formats in folders.
 
     Attributes:
-        often_rotated: depth in this layout usually has rotated bits.
-        depth_code: how its values are to be read (`core.types.DepthCode`).
-        float_scale: units a metre of the files, where depth is float; None: its values are those stored.
-        channels: of depth in two 8-bit channels: those of the high and of the low byte; None: it is in one.
-        kind: "floats" or "whole numbers", and a file that holds such; None: files are not compared.
+        often_rotated: whether depth in this layout usually has rotated bits.
+        depth_code: how to read the values (`core.types.DepthCode`).
+        float_scale: units per metre in the files, if depth is float; None: depth is in integers.
+        channels: channels of the high and the low byte, if depth has two 8-bit channels; None: one channel.
+        kind: "floats" or "whole numbers", and an example file; None: files are not compared.
     """
 
     often_rotated: ClassVar[bool] = False
@@ -221,7 +222,7 @@ class FileRecording(Recording):
     kind: tuple[str, Path] | None = None
 
     def frame(self, index: int) -> RawFrame:
-        """Read the files of a frame."""
+        """Read and decode the files of a frame."""
         files = self.places[index]
         stored = decode_depth_file(read_image_file(files.depth), str(files.depth), self.channels)
         kind = kind_of(stored)
@@ -241,31 +242,31 @@ class FileRecording(Recording):
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
-        """The mask in a file, on the pixels of its depth image (height, width) in native units."""
+        """Read a mask, on the pixels of its depth image (height, width) in native units."""
         return decode_mask(read_image_file(file), str(file))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame as it was encoded: (suffix, bytes), or None."""
+        """Colour of a frame as encoded in its file: (suffix, bytes), or None."""
         file = self.places[index].color
         return None if file is None else (file.suffix, read_image_file(file))
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Give invalid pixels of a frame the value 0."""
+        """Set invalid pixels of a frame to 0."""
         return depth
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning if only some frames have a colour image of their name."""
+    """A warning if only some frames have a colour image with their name."""
     alone = sum(frame.color is None for frame in files)
     line = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
     return (line,) if 0 < alone < len(files) else ()
 
 
 def read_image_file(path: Path) -> bytes:
-    """Read a file whole.
+    """Read a whole image file.
 
     Raises:
-        DamagedImageError: it is missing or cannot be read.
+        DamagedImageError: the file is missing or unreadable.
     """
     try:
         return read_plain(path, IMAGE_BYTES)
@@ -276,11 +277,11 @@ def read_image_file(path: Path) -> bytes:
 
 
 def mask_beside(depth: Path, recording: Path) -> Path | None:
-    """A person's mask of a depth image: of its name in a folder masks/ beside the image's; or None.
+    """A person's mask of a depth image: the file of its name in masks/ beside the image's folder; or None.
 
     Args:
-        depth: the image.
-        recording: the recording's folder; a mask outside of it does not belong to it.
+        depth: path of the image.
+        recording: the recording's folder; a mask outside it does not belong to the recording.
     """
     if depth.parent == recording:
         return None
@@ -288,7 +289,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A line with the number of masks in a recording's masks/ that match no frame, if any."""
+    """A line with the number of masks in a recording's masks/ that belong to no frame; empty if none."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / "masks", "*.png") if mask not in used)
     if not others:
@@ -299,7 +300,7 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
 
 
 def visible(folder: Path, pattern: str) -> list[Path]:
-    """The files of a folder whose names match; hidden ones are no part of a recording."""
+    """The files of a folder that match a pattern, except hidden files, which are no part of a recording."""
 
     def matches(name: str) -> bool:
         return fnmatchcase(name, pattern) and not name.startswith(".")
@@ -313,10 +314,10 @@ def first_file(candidates: Iterable[Path]) -> Path | None:
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
-    """The result of `read` for the first undamaged image or message; tries only the first of very many.
+    """The result of `read` for the first undamaged image or message; only the first of very many are tried.
 
     Raises:
-        DamagedImageError: all are damaged; the message is about the first.
+        DamagedImageError: all of them are damaged; the message is about the first.
     """
     complaint: DamagedImageError | None = None
     for item in islice(items, MOST_TRIED):
@@ -328,12 +329,12 @@ def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result
 
 
 def tried(count: int) -> str:
-    """The number of images that `first_whole` tried, as text."""
+    """The number of images that `first_whole` tries, as text."""
     return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 
 def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
-    """Width and height in pixels of the first colour image that is whole, or None."""
+    """Width and height in pixels of the first undamaged colour image, or None."""
     with suppress(DamagedImageError):
         colors = (frame.color for frame in files if frame.color is not None)
         return first_whole(lambda file: image_header(read_image_file(file), str(file))[1:], colors)
@@ -341,10 +342,10 @@ def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
 
 
 def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
-    """Width and height in pixels of the first depth image that is whole.
+    """Width and height in pixels of the first undamaged depth image.
 
     Raises:
-        RecordingError: none of them is; the message is about the first.
+        RecordingError: all images are damaged; the message is about the first.
     """
     try:
         return first_whole(

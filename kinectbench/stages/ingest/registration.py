@@ -1,4 +1,4 @@
-"""Register colour to depth pixels by projecting each point into the colour camera."""
+"""Register colour to depth pixels by projecting each depth pixel's point into the colour camera."""
 
 import numba
 import numpy as np
@@ -9,21 +9,21 @@ from kinectbench.core.types import Bools, Float32
 from kinectbench.stages.ingest.recording import ColorCalibration
 from kinectbench.stages.ingest.undistortion import Undistortion
 
-# What lies farther behind the nearest surface on its ray, as a share of the distance, is hidden.
+# A point farther than this share of its distance behind the nearest surface on its ray is occluded.
 HIDDEN_SHARE = 0.02
-# A depth pixel covers about this many pixels of the z-buffer in each direction, so that it has no holes.
+# A depth pixel covers this many pixels of the z-buffer in each direction, so that the z-buffer has no holes.
 SPLAT_PX = 1
 
 
 class ColorRegistration:
-    """Maps colour images of one camera, `color_px` large, onto another's depth by a z-buffer."""
+    """Maps colour images of one camera, of size `color_px`, onto another camera's depth by a z-buffer."""
 
     def __init__(self, depth: Camera, calibration: ColorCalibration) -> None:
-        """Prepare for images of these cameras.
+        """Prepare for images of these two cameras.
 
         Args:
             depth: intrinsics of the depth images, pinhole.
-            calibration: of the colour images.
+            calibration: calibration of the colour images.
         """
         self._rays = depth.rays().astype(np.float32)
         self._color = calibration.camera
@@ -31,20 +31,20 @@ class ColorRegistration:
         distorted = bool(calibration.distortion)
         self._pinhole = Undistortion(calibration.camera, calibration.distortion) if distorted else None
         self._T = np.asarray(calibration.T_color_depth, np.float32)
-        # The z-buffer has pixels at least as wide as depth pixels are in the colour image.
+        # Pixels of the z-buffer are at least as wide as depth pixels in the colour image.
         self._shrink = max(1.0, calibration.camera.fx / depth.fx, calibration.camera.fy / depth.fy)
 
     def __call__(self, depth_m: Float32, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Colour of every depth pixel.
+        """Compute the colour of every depth pixel.
 
         Args:
-            depth_m: (height, width), metres, 0 = none; such a pixel is taken to be as far as its nearest
-                neighbour with depth, and hides nothing.
+            depth_m: (height, width), metres, 0 = none; such a pixel gets the depth of its nearest neighbour,
+                but occludes nothing.
             bgr: (colour height, colour width, 3), as recorded.
 
         Returns:
-            (height, width, 3); black where the colour camera does not see the point: it is outside the image,
-            or hidden behind another surface.
+            (height, width, 3); black if the colour camera does not see the point, because it is outside the
+            image or occluded.
         """
         import cv2
 
@@ -61,7 +61,7 @@ class ColorRegistration:
         return np.where(seen[..., None], sampled, np.uint8(0)).astype(np.uint8)
 
     def _project(self, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
-        """Each pixel's point in the colour image (pixels), and its depth there (metres)."""
+        """Project each pixel's point into the colour image (pixels); also return its depth there (metres)."""
         points = self._rays * depth_m[..., None] @ self._T[:3, :3].T + self._T[:3, 3]
         z = np.ascontiguousarray(points[..., 2], np.float32)
         near = np.maximum(z, 1e-3)
@@ -71,7 +71,7 @@ class ColorRegistration:
 
 
 def _filled(depth_m: Float32) -> Float32:
-    """Depth with holes filled from the nearest pixel."""
+    """Fill holes in depth from the nearest pixel."""
     import cv2
 
     holes = (depth_m <= 0).astype(np.uint8)
@@ -86,7 +86,7 @@ def _filled(depth_m: Float32) -> Float32:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuffer: Float32) -> None:
-    """Enter the nearest depth into every z-buffer pixel that a depth pixel covers."""
+    """Enter depth into every z-buffer pixel that a depth pixel covers, keeping the nearest."""
     height, width = zbuffer.shape
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
@@ -104,7 +104,7 @@ def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuf
 def _find_seen(
     u: Float32, v: Float32, z: Float32, shrink: float, zbuffer: Float32, size: Float32, seen: Bools
 ) -> None:
-    """Whether each point is in the colour image and unoccluded there."""
+    """Set `seen` where a point is in the colour image and not occluded there."""
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
             x, y, depth = u[row, column], v[row, column], z[row, column]

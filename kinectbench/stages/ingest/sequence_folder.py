@@ -1,9 +1,9 @@
-"""A Sequence on disk: written from a recording frame by frame, read at random.
+"""A Sequence on disk: written from a recording frame by frame, and read at random.
 
 camera.json           `CameraFile`: the camera, and facts about the whole recording
-frames.json           `FramesFile`: where each frame lies
-depth/000000.kbd      uint16 in native units, 0 = no measurement, as `depth_code` packs it; PNG in version 1
-color/000000.jpg|png  as it was encoded; a PNG where it was brought onto the pixels of depth
+frames.json           `FramesFile`: the list of frames
+depth/000000.kbd      uint16 in native units, 0 = no measurement, packed by `depth_code`; PNG in version 1
+color/000000.jpg|png  as encoded; PNG if it was registered to depth
 mask/000000.png       0 or 255 = the object; only if the recording has masks
 given_trajectory.txt  TUM text, camera to world; only if the recording has one
 """
@@ -42,22 +42,22 @@ def write_sequence(
     watch: Watch | None = None,
     partial: PartialSequence | None = None,
 ) -> list[str]:
-    """Write a recording into an empty folder, holding one frame at a time, and check it on the way.
+    """Write a recording into an empty folder, one frame at a time, and check it meanwhile.
 
     Args:
-        recording: what to write; its damaged frames are left out while they are less than 5 %.
-        folder: is made if it is not there.
-        progress: called with (frames done, frames in all) after each.
-        needs_trajectory: refuse a recording whose given trajectory is broken or of another time; else it is
-            left out with a warning.
-        watch: is shown each frame that is whole, as it was recorded, and adds its warnings.
-        partial: what was written of the recording before; used if it is of these frames.
+        recording: the recording; damaged frames are left out if they are fewer than 5 %.
+        folder: the folder; created if missing.
+        progress: called with (finished frames, all frames) after each frame.
+        needs_trajectory: whether to refuse a recording whose given trajectory is broken or of another time;
+            otherwise the trajectory is dropped with a warning.
+        watch: sees each undamaged frame as recorded, and adds its warnings.
+        partial: an earlier sequence of the first frames; used if it is of this recording.
 
     Returns:
-        Warnings, one line each; they are stored in camera.json too.
+        Warnings, one line each; camera.json has them, too.
 
     Raises:
-        RecordingError: the recording cannot be used; the message says what is wrong and where.
+        RecordingError: the recording is unusable; the message says what is wrong and where.
         StorageError: the folder cannot be written.
     """
     problem = trajectory_problem(recording)
@@ -85,7 +85,7 @@ def write_sequence(
 def _head(
     recording: Recording, frames: int, warnings: list[str], scale_warnings: list[str], trajectory_error: str
 ) -> CameraFile:
-    """Facts about the whole recording; empty keys are left out."""
+    """Facts about the whole recording for camera.json; empty keys are omitted."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
     if scale_warnings:
@@ -107,10 +107,10 @@ def _head(
 
 
 def read_sequence(folder: Path) -> Sequence:
-    """Open a folder that `write_sequence` made; images are read when asked for.
+    """Open a folder written by `write_sequence`; images are read on demand.
 
     Raises:
-        StorageError: the folder is incomplete, damaged or of another format version.
+        StorageError: the folder is incomplete, damaged, or of another format version.
     """
     head, listed = CameraFile.read(folder), FramesFile.read(folder)
     try:
@@ -135,11 +135,11 @@ def read_sequence(folder: Path) -> Sequence:
 
 @dataclass(frozen=True)
 class FolderFrames:
-    """Frames that lie in a sequence folder.
+    """The frames in a sequence folder.
 
     Attributes:
         folder: the sequence folder.
-        rows: where each frame lies in it.
+        rows: rows of frames.json.
     """
 
     folder: Path
@@ -159,7 +159,7 @@ class FolderFrames:
             raise StorageError(f"{name}: is damaged ({error}); {AGAIN}") from error
 
     def mask(self, index: int) -> Bools | None:
-        """The mask that came with a frame: (height, width) bool, or None.
+        """The mask of a frame that came with the recording: (height, width) bool, or None.
 
         Raises:
             StorageError: the image is missing or damaged.
@@ -173,7 +173,7 @@ class FolderFrames:
             raise StorageError(f"{self.folder / name}: is damaged; {AGAIN}") from error
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame as it was encoded: (suffix, bytes), or None.
+        """Colour of one frame as encoded: (suffix, bytes), or None.
 
         Raises:
             StorageError: the image is missing.
@@ -182,7 +182,7 @@ class FolderFrames:
         return None if name is None else (Path(name).suffix, self._bytes(name))
 
     def digest(self, index: int) -> bytes:
-        """Tells frames apart by what is stored of them: packed depth, and encoded colour.
+        """A digest of a frame's stored depth and colour, equal for equal bytes.
 
         Raises:
             StorageError: an image is missing.

@@ -1,4 +1,4 @@
-"""Writing the frames of a sequence one by one: each is decoded, checked, packed and stored."""
+"""Write the frames of a sequence one by one: decode, check, pack and store each."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -24,14 +24,14 @@ DEPTH_SUFFIX = ".kbd"
 
 
 class Watch(Protocol):
-    """Observes frames while they are written."""
+    """Observes frames while they are written, and collects warnings."""
 
     def wants(self, index: int) -> bool:
-        """Whether `see` looks at a frame of the recording."""
+        """Whether `see` wants the frame with this index."""
         ...
 
     def see(self, index: int, frame: RawFrame) -> None:
-        """Check a frame of the recording."""
+        """Examine a frame of the recording."""
         ...
 
     def warnings(self) -> list[str]:
@@ -39,25 +39,25 @@ class Watch(Protocol):
         ...
 
     def scale_warnings(self) -> list[str]:
-        """Evidence against depth_scale and intrinsics, one line each."""
+        """Evidence against the depth scale and the intrinsics, one line each."""
         ...
 
 
 class SequenceWriter:
-    """Writes frames; a pickled copy goes on elsewhere, with the same result.
+    """Writes frames; a pickled copy continues elsewhere, with the same result.
 
     Attributes:
-        folder: of the sequence.
-        checks: of the frames that were taken.
-        rows: of the frames that were written.
-        taken: how many frames of the recording, damaged ones included.
+        folder: folder of the sequence.
+        checks: checks of the frames taken so far.
+        rows: rows of the frames written so far.
+        taken: number of frames taken from the recording, damaged ones included.
     """
 
     def __init__(self, recording: Recording, folder: Path) -> None:
-        """Make the folders of images.
+        """Create the folders of images.
 
         Raises:
-            StorageError: they cannot be made.
+            StorageError: the folders cannot be created.
         """
         with storage_errors(folder):
             for name in ("depth", "color"):
@@ -69,14 +69,14 @@ class SequenceWriter:
         self._register = onto_depth(recording)
 
     def take(self, count: int, progress: Progress | None = None, watch: Watch | None = None) -> None:
-        """Write the next frames of the recording, up to this number of all.
+        """Write the next frames, until `count` frames of the recording are taken.
 
         Raises:
-            RecordingError: a frame cannot be used; damaged ones are left out.
+            RecordingError: a frame is unusable; damaged frames are left out instead.
             StorageError: the folder cannot be written.
         """
-        # Readers are not thread-safe: a video or a database has a position.
-        # Damage is noted here alone, in the order of the frames: those after them are checked ahead.
+        # Readers are not thread-safe: a video or a database has a position. Damage is recorded only here, in
+        # the order of the frames, because later frames are checked ahead.
         checked = _checked_frames(self.checks, range(self.taken, count), progress)
         for packed in ahead(partial(_packed, self._register), checked):
             self.taken += 1
@@ -89,7 +89,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """The registration of a frame's colour onto depth; None if already registered or unknown."""
+    """The registration of colour to depth; None if colour is already registered, or uncalibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)
@@ -97,7 +97,7 @@ def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
 
 
 def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
-    """A frame whose colour is brought onto its depth."""
+    """The frame with its colour registered to depth."""
     if frame.color is None:
         return frame
     bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
@@ -112,21 +112,21 @@ def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame
 
 @dataclass(frozen=True)
 class _Damaged:
-    """A frame that is left out; `why` names it and the damage."""
+    """A frame that is left out; `why` names the frame and the damage."""
 
     why: str
 
 
 @dataclass(frozen=True)
 class _Checked:
-    """A frame on its way to disk.
+    """A checked frame that is to be written.
 
     Attributes:
-        index: its place in the recording.
-        frame: as it was recorded.
-        color_suffix: of its colour image; None: it has none.
-        written: as it is written: with its colour on its depth.
-        depth: packed.
+        index: index in the recording.
+        frame: the frame as recorded.
+        color_suffix: suffix of its colour image; None without colour.
+        written: the frame to write, with colour registered to depth.
+        depth: packed depth.
     """
 
     index: int
@@ -139,7 +139,7 @@ class _Checked:
 def _checked_frames(
     checks: FrameChecks, indices: Iterable[int], progress: Progress | None
 ) -> Iterator[_Checked | _Damaged]:
-    """Frames one after another, or what damages them."""
+    """Yield the frames in order, or their damage."""
     recording = checks.recording
     for index in indices:
         try:
@@ -155,7 +155,7 @@ def _checked_frames(
 def _packed(
     register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
 ) -> _Checked | _Damaged:
-    """Pack a frame's depth, and bring its colour onto it."""
+    """Pack a frame's depth, and register its colour."""
     if isinstance(checked, _Damaged):
         return checked
     depth = encode_depth(checked.frame.depth)
@@ -169,7 +169,7 @@ def _packed(
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
-    """Write one frame; its row."""
+    """Write one frame, and return its row."""
     frame = checked.written
     depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
     color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"

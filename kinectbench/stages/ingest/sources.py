@@ -1,4 +1,4 @@
-"""The files of a recording: plain ones, a bounded number, links only if allowed."""
+"""List the files of a recording: plain files only, a limited number, links only if allowed."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import printable, scanned
 
-# Two hours at 30 frames a second.
+# Most frames: two hours at 30 frames a second.
 MOST_FRAMES = 250_000
-# Depth, colour, a mask and a confidence of each frame.
+# Most files: depth, colour, a mask and a confidence image for each frame.
 MOST_FILES = 4 * MOST_FRAMES
-# No recording's folders lie deeper in each other.
+# Deepest nesting of folders; recordings have less.
 MOST_DEPTH = 32
-# Links to folders that are followed: a few that link to each other are a tree without end.
+# Most links to folders to follow: a few that link to each other form an endless tree.
 MOST_LINKED = 1000
 MISSING = "there is no such file or folder; correct the recording's `path:`"
 # Characters of a path that a message quotes.
@@ -20,19 +20,19 @@ QUOTED = 300
 
 
 def check_there(path: Path, missing: str = MISSING) -> None:
-    """Refuse a missing recording, or a missing file of it.
+    """Refuse a missing recording, or a missing file of a recording.
 
     Args:
         path: the file or folder.
-        missing: the message if there is none.
+        missing: the message if it is missing.
 
     Raises:
-        RecordingError: there is none, or no such name can be.
+        RecordingError: the path is missing or invalid.
     """
     shown = printable(str(path), QUOTED)
     try:
         exists = path.exists()
-    except OSError as error:  # a name that is too long, a link to itself
+    except OSError as error:  # such as a name that is too long, or a link to itself
         raise RecordingError(
             f"{shown}: cannot be read ({error.strerror}); correct its path", what="unreadable"
         ) from error
@@ -41,10 +41,10 @@ def check_there(path: Path, missing: str = MISSING) -> None:
 
 
 def check_count(path: Path, frames: int) -> None:
-    """Refuse a recording that has more frames than one may have.
+    """Refuse a recording with more than `MOST_FRAMES` frames.
 
     Raises:
-        RecordingError: it has.
+        RecordingError: it has more frames.
     """
     if frames > MOST_FRAMES:
         raise RecordingError(
@@ -54,16 +54,16 @@ def check_count(path: Path, frames: int) -> None:
 
 
 def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
-    """Every file in a folder and below that is not hidden, sorted.
+    """List every file in a folder and below it, except hidden ones, sorted.
 
-    A folder that a link leads back to, from inside of it, is passed over.
+    A link back to a folder that contains it is skipped.
 
     Args:
-        folder: may be a link itself.
-        follow_links: files and folders may be links, too.
+        folder: the folder; it may itself be a link.
+        follow_links: whether files and folders in it may be links, too.
 
     Raises:
-        RecordingError: one is a link that is not to be followed, or no plain file; or there are too many.
+        RecordingError: an entry is a link that must not be followed, or no plain file; or there are too many.
         OSError: a folder cannot be read.
     """
     files: list[Path] = []
@@ -81,10 +81,10 @@ def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:
 
 
 def check_link(path: Path, *, follow_links: bool) -> None:
-    """Refuse a link that is not to be followed.
+    """Refuse a link, unless links are followed.
 
     Raises:
-        RecordingError: it is one.
+        RecordingError: the path is a link.
     """
     if not follow_links and path.is_symlink():
         raise RecordingError(
@@ -98,13 +98,13 @@ def check_link(path: Path, *, follow_links: bool) -> None:
 def _entries(
     folder: Path, above: frozenset[tuple[int, int]], follow_links: bool, links: Iterator[int]
 ) -> Iterator[tuple[Path, bool]]:
-    """Everything in a folder and below, sorted, and whether it is a plain file.
+    """Yield everything in a folder and below it, sorted, with whether it is a plain file.
 
     Args:
-        folder: listed with all below.
-        above: the folders on the way to it.
-        follow_links: links are resolved.
-        links: one for each link to a folder that may still be followed.
+        folder: the folder to list.
+        above: the folders that contain it, by device and inode.
+        follow_links: whether to follow links.
+        links: yields an item for each further link to a folder that may be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino
@@ -116,7 +116,7 @@ def _entries(
             what="too-large",
         )
     entries = [entry for entry in scanned(folder, MOST_FILES) if not entry.name.startswith(".")]
-    # By their names: to sort paths takes ten times as long.
+    # Sorted by name, because sorting paths takes ten times as long.
     for entry in sorted(entries, key=lambda entry: entry.name):
         path = folder / entry.name
         if entry.is_symlink():

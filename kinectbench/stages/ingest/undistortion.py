@@ -1,4 +1,4 @@
-"""Taking the distortion of a lens out of images."""
+"""Remove the distortion of a lens from images."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -12,15 +12,15 @@ Pixel = TypeVar("Pixel", np.uint8, np.uint16)
 
 
 class Undistortion:
-    """Maps distorted images of a camera to the pinhole images with the same intrinsics."""
+    """Maps distorted images of a camera to pinhole images with the same intrinsics."""
 
     def __init__(self, camera: Camera, coefficients: Sequence[float]) -> None:
         """Prepare the maps.
 
         Args:
-            camera: intrinsics of the distorted images, kept for the pinhole ones.
-            coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], as ROS's plumb_bob and rational_polynomial and OpenCV
-                order them (Brown 1971).
+            camera: intrinsics of the distorted images, and of the pinhole images.
+            coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]] (Brown 1971), in the order of OpenCV, and of ROS's
+                plumb_bob and rational_polynomial.
         """
         import cv2
 
@@ -29,13 +29,13 @@ class Undistortion:
         self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
 
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
-        """(height, width): the depth of the nearest pixel; 0 outside the distorted image."""
+        """Undistort depth (height, width) by the nearest pixel; 0 outside the distorted image."""
         import cv2
 
         return self._map(image, cv2.INTER_NEAREST)
 
     def color(self, bgr: NDArray[Pixel]) -> NDArray[Pixel]:
-        """(height, width, 3): interpolated colour; black outside the distorted image."""
+        """Undistort colour (height, width, 3) by interpolation; black outside the distorted image."""
         import cv2
 
         return self._map(bgr, cv2.INTER_LINEAR)

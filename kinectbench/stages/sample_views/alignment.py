@@ -1,4 +1,4 @@
-"""Aligning the full shape to a view: the trajectory's pose, corrected by ICP of the view's own depth."""
+"""Align a view with the full shape: correct the trajectory's pose by ICP on the view's own depth."""
 
 from dataclasses import dataclass
 
@@ -11,54 +11,55 @@ from kinectbench.core.geometry.gauss_newton import NormalEquations
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
-# Farther depth is not used: a Kinect's noise is 19 mm there.
+# Farther depth is ignored: a Kinect's noise is 19 mm there.
 MAX_DEPTH_M = 3.5
-# A point farther from the measurement at its pixel met another surface.
+# A point farther than this from the measurement at its pixel belongs to another surface.
 OUTLIER_M = 0.15
-# Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
+# Larger residuals get less weight: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
-# Pixels that are nearer share their noise; farther ones lie beside thin parts.
+# Distance of the pixels for normals: nearer pixels share their noise, farther ones lie beside thin parts.
 NORMAL_REACH_PX = 4
-# Most steps of Gauss-Newton.
+# Largest number of Gauss-Newton steps.
 ITERATIONS = 12
-# Of the object's pixels every second to every fourth along rows and columns, so that about so many are left
-# (chosen by hand, for time).
+# The stride on the object's pixels is 2 to 4, so that about this many points are left (chosen by hand, for
+# time).
 WANTED_POINTS, MIN_STRIDE_PX, MAX_STRIDE_PX = 4000, 2, 4
 # Fewer points may fit by chance.
 MIN_POINTS = 100
-# Along the surface depth says little: on 9 simulated scans keeping every slightly better fit put poses off
-# across the view, by up to 0.8 mm in a scan's median and 5 mm in single views.
+# A correction must lower the residual to this ratio. Depth constrains motion along the surface weakly: on 9
+# simulated scans, accepting every slightly better fit shifted poses across the view by up to 0.8 mm in a
+# scan's median, and by 5 mm in single views.
 MUST_FALL_TO = 0.9
-# Depth farther from the rendered object is not taken for the object's.
+# Depth farther than this from the rendered object does not count as the object's.
 NEAR_M = 0.06
-# How far off a pose may be at least, however well it was found to agree.
+# Least uncertainty of a pose, however well it agrees with the depth.
 LEAST_SIGMA_M = 0.001
-# A pose off by 10 mm at the object is off by about 0.01 rad, at a metre.
+# A pose that is off by 10 mm at the object is also off by about 0.01 rad, at a metre.
 RAD_PER_M = 0.75
-# A motion that is larger is not explained by the pose's uncertainty.
+# The pose's uncertainty does not explain larger motions.
 MAX_SIGMAS = 2.5
 
 
 @dataclass(frozen=True)
 class OrientedPoints:
-    """Points of one frame, camera frame: (m, 3) metres, normals (m, 3), depth sigma (m,) metres."""
+    """Points of a frame, in the camera frame: (m, 3) metres, normals (m, 3), depth sigma (m,) metres."""
 
     points: Float64
     normals: Float64
     sigma_m: Float64
 
     def every_second(self, start: int) -> "OrientedPoints":
-        """Every second point, from the first (0) or the second (1) on."""
+        """Every second point, starting from the first (start 0) or the second (start 1)."""
         return OrientedPoints(self.points[start::2], self.normals[start::2], self.sigma_m[start::2])
 
 
 def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> OrientedPoints:
-    """Points with normals from a depth image, camera frame.
+    """Compute points with normals from a depth image, in the camera frame.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
-        stride_px: every n-th pixel along rows and columns; normals are from pixels four to either side.
+        stride_px: stride along rows and columns; normals come from the pixels four to either side.
     """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)
@@ -90,14 +91,14 @@ def normal_equations(
     """Gauss-Newton terms of the residuals n . (q - T p), Huber-weighted, in units of sigma.
 
     Args:
-        surface: the source frame's points p and normals n.
-        depth_m: (height, width) float32, the target's depth; q lies on the pixel that T p falls on.
+        surface: points p and normals n of the source frame.
+        depth_m: (height, width) float32, metres, depth of the target; q is measured at the pixel of T p.
         T_target_source: (4, 4), T.
-        camera: of the target.
+        camera: intrinsics of the target.
 
     Returns:
-        A (6, 6), b (6,) for a twist (rotation, translation) in the source frame, and the residuals (m,)
-        in metres; NaN of points that met no measurement within 0.15 m.
+        A (6, 6), b (6,) for a twist (rotation, translation) in the source frame, and the residuals (m,) in
+            metres; NaN for points without a measurement within 0.15 m.
     """
     p, n = surface.points, surface.normals
     no_normals = np.zeros((0, 0, 3), np.float32)
@@ -113,12 +114,12 @@ def normal_equations(
 
 @dataclass(frozen=True)
 class ViewAlignment:
-    """The pose of a view.
+    """The pose of a view after alignment.
 
     Attributes:
-        T_world_camera: (4, 4), corrected where that helped, else as the trajectory says.
-        moved_m: how far the view's points on the object moved, median, metres; 0 if not corrected.
-        turned_rad: by how much the camera turned, radians.
+        T_world_camera: (4, 4), the corrected pose, or the trajectory's if the correction did not help.
+        moved_m: median displacement of the view's points on the object, metres; 0 if not corrected.
+        turned_rad: rotation of the camera, radians; 0 if not corrected.
     """
 
     T_world_camera: Float64
@@ -133,22 +134,22 @@ def align_view(
     renderer: DepthRenderer,
     pose_sigma_m: float,
 ) -> ViewAlignment:
-    """Correct a view's pose by ICP of its depth to the object.
+    """Correct a view's pose by ICP of its depth against the object.
 
-    Every second point on the object is fitted, with the trajectory's pose as a prior, so that a motion that
-    the object does not constrain stays near zero. The pose is corrected only if the mean residual of the
-    other points falls to less than 90 %, and their median move is at most 2.5 times `pose_sigma_m` (of 1 mm
-    at least).
+    Every second point on the object is used for the fit, with the trajectory's pose as a prior, so that
+    motions that the object does not constrain stay near zero. The pose is corrected only if the mean residual
+    of the remaining points falls below 90 %, and their median displacement is at most 2.5 times
+    `pose_sigma_m` (at least 1 mm).
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
         T_world_camera: (4, 4), the trajectory's pose.
         renderer: renders the object's closed mesh.
-        pose_sigma_m: standard deviation of that pose, metres.
+        pose_sigma_m: standard deviation of the trajectory's pose, metres.
 
     Returns:
-        The corrected pose, or the trajectory's, and how far it moved.
+        The corrected pose, or the trajectory's, and the displacement.
     """
     given = ViewAlignment(T_world_camera, 0.0, 0.0)
     rendered_m = renderer.depth_m(camera, T_world_camera)
@@ -171,15 +172,14 @@ def align_view(
 
 
 def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, prior: Float64) -> Float64:
-    """The motion (4, 4) of points that fits a depth image best, with a prior towards no motion.
+    """Find the motion (4, 4) of points that best fits a depth image, with a prior for no motion.
 
-    Gauss-Newton on the residuals of `normal_equations` and on the motion's twist, of which the prior says how
-    sure it is to be 0.
+    Gauss-Newton minimises the residuals of `normal_equations` and, weighted by the prior, the motion's twist.
 
     Args:
-        surface: points of one frame, near where they belong.
-        depth_m: (height, width) float32, metres, that they are fitted to.
-        camera: of the image.
+        surface: points of a frame, near their final place.
+        depth_m: (height, width) float32, metres, the depth to fit.
+        camera: intrinsics of the depth.
         prior: (6, 6) information of the twist (rotation, translation), in 1 / rad^2 and 1 / m^2.
     """
 
@@ -195,10 +195,10 @@ def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: 
     """Whether a motion brings held-out points clearly nearer to the rendered object.
 
     Args:
-        points: held out, camera frame.
-        rendered_m: (height, width) float32, metres, the object; 0 = not on it.
-        motion: (4, 4) of the points.
-        camera: of the image.
+        points: points that the fit did not use, camera frame.
+        rendered_m: (height, width) float32, metres, depth of the object; 0 = not on it.
+        motion: (4, 4) motion of the points.
+        camera: intrinsics of the image.
     """
     before_m, after_m = (
         np.abs(normal_equations(points, rendered_m, T, camera)[2]) for T in (np.eye(4), motion)

@@ -1,4 +1,4 @@
-"""Masks of a view: rendered object with agreeing depth, the recording's own, or a person's."""
+"""The object's mask in a view: from rendered depth, from the recording, or drawn by a person."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -15,36 +15,36 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.types import Bools, Float32
 
-# Generous, so that the mask leaves the sensor's noise in the input.
+# Wide, so that the sensor's noise stays in the network's input.
 AGREEMENT_SIGMAS = 5.0
-# Along edges a sensor's depth wanders by a pixel or two: by so much the silhouette is eroded, and so far away
-# depth may agree. Beside the silhouette one pixel is enough.
+# Depth at edges is off by a pixel or two: the silhouette is eroded by the first, and depth may agree with a
+# pixel as far away as the second. Beside the silhouette one pixel suffices.
 ERODE_PX, WITHIN_PX, FRINGE_PX = 2, 2, 1
-# What lies so many standard deviations of the depth above the floor is not the floor.
+# A point this many standard deviations of its depth above the floor is not on the floor.
 CLEAR_SIGMAS = 3.0
-# What was measured lower than this is the floor: feet are drawn square to the floor, and round ones are
+# A point lower than this is on the floor: the solid's feet are square to the floor, and round feet are
 # narrower there.
 FLOOR_M = 0.002
-# How the names of a person's PNGs end, in the order in which they are applied.
+# Endings of the names of a person's PNGs, in the order in which they are applied.
 KINDS = ("", ".include", ".exclude")
 MASK_NAME = re.compile(r"(frame_)?([0-9]{1,9})(|\.include|\.exclude)\.(?i:png)")
-# A view's number has so many or more, a frame's any.
+# A view's number has at least this many digits; a frame's number any.
 VIEW_DIGITS = 3
-# Names in one line.
+# Names to list in one line.
 MOST_NAMED = 5
 
 
 def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
-    """Pixels whose depth agrees with the object rendered at or near them, within max(5 sigma, tolerance).
+    """Pixels whose depth agrees, within max(5 sigma, tolerance), with the rendered object at or near them.
 
-    Generous on purpose: a tight mask would delete the sensor's noise from the input and leak the truth
-    into it.
+    The tolerance is wide on purpose: a tight mask would remove the sensor's noise from the input and so leak
+    the truth into it.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
-        tolerance_m: least difference allowed, metres.
-        beside_px: up to so many rows and columns away any rendered pixel may agree.
+        tolerance_m: least tolerance, metres.
+        beside_px: a pixel may agree with any rendered pixel up to this many rows and columns away.
     """
     allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m).astype(np.float32)
     agrees: Bools = _agrees(measured_m, rendered_m, allowed_m, beside_px)
@@ -77,19 +77,18 @@ def object_mask(
     tolerance_m: float,
     clear_m: float,
 ) -> Bools:
-    """The object in a view: pixels whose depth agrees with the rendering, and the edge pixels.
+    """The object's mask in a view: pixels whose depth agrees with the rendering, and edge pixels.
 
-    The sensor's depth wanders along edges, and a solid made of noisy depth is often a pixel too narrow in the
-    image. So a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it
-    may do so one pixel away, if it certainly lies above the floor. What was measured at the floor's height
-    belongs to the floor.
+    Depth at edges is off by a pixel or two, and a solid made from noisy depth is often a pixel too narrow. So
+    a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it may agree one
+    pixel away, if it is certainly above the floor. A point at the floor's height belongs to the floor.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
-        heights_m: (height, width) metres, of the measured points above the floor.
-        tolerance_m: least difference allowed, metres.
-        clear_m: lower pixels may be the floor, metres.
+        heights_m: (height, width) metres, height of the measured points above the floor.
+        tolerance_m: least tolerance, metres.
+        clear_m: pixels lower than this may be the floor, metres.
     """
     on_object = rendered_m > 0
     within = agreement_mask(measured_m, rendered_m, tolerance_m, WITHIN_PX) & on_object
@@ -105,24 +104,24 @@ def recorded_mask(
     box: OrientedBox,
     margin_m: float,
 ) -> Bools:
-    """The object in a view by the mask that came with the recording.
+    """The object's mask in a view, from the mask that came with the recording.
 
-    Its pixels with depth whose points lie in the object's box: along outlines a mask also covers pixels whose
-    depth is that of the background.
+    It contains the recorded mask's pixels whose points are inside the object's box: at outlines a mask also
+    covers pixels with the background's depth.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
         recorded: (height, width), the mask that came with the recording.
         points_floor: (height, width, 3) metres, the measured points.
-        box: of the object.
-        margin_m: by how much the box is grown on every side, metres.
+        box: the object's box.
+        margin_m: the box grows by this on every side, metres.
     """
     inside: Bools = recorded & (measured_m > 0) & box.grown(margin_m).contains(points_floor)
     return inside
 
 
 def inner_silhouette(rendered_m: Float32) -> Bools:
-    """The rendered silhouette, eroded by 2 pixels, within which depth should be the object's."""
+    """The rendered silhouette, eroded by 2 pixels; depth inside it should be the object's."""
     import cv2
 
     silhouette = (rendered_m > 0).astype(np.uint8)
@@ -131,12 +130,12 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """The parts of a person's mask's name.
+    """The parts of the name of a person's mask.
 
     Attributes:
-        number: of the frame in the sequence, or of the view.
-        of_frame: whether it is the frame's; masks named by views are older, and views change.
-        kind: "" replaces the mask, ".include" adds to it, ".exclude" takes away.
+        number: index of the frame in the sequence, or number of the view.
+        of_frame: whether the number is a frame's. Older masks are named by views, whose numbers change.
+        kind: "" replaces the mask, ".include" adds to it, ".exclude" removes from it.
     """
 
     number: int
@@ -145,11 +144,11 @@ class MaskName(NamedTuple):
 
 
 def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
-    """The parts of a name such as frame_000024.exclude.png; None if it is no mask.
+    """Parse a name such as frame_000024.exclude.png; None if the file is no mask.
 
     Args:
-        file: the name.
-        plain_of_frame: a number alone is that of a frame, with `segment_by: masks`; else that of a view.
+        file: name of the file.
+        plain_of_frame: whether a plain number means a frame, as with `segment_by: masks`, and not a view.
     """
     match = MASK_NAME.fullmatch(file)
     if match is None or not (match[1] or plain_of_frame or len(match[2]) >= VIEW_DIGITS):
@@ -159,12 +158,12 @@ def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
 
 @dataclass(frozen=True)
 class GivenMasks:
-    """A person's masks: `frame_<index>.png`, `.include.png`, `.exclude.png`; older ones: `<view>.png`, ….
+    """A person's masks: `frame_<index>.png`, `.include.png`, `.exclude.png`; or by views, `<view>.png`, ….
 
     Attributes:
-        folder: where they are, for messages.
-        names: of the files that are there, sorted.
-        read: the mask of one of these names, (height, width) bool; raises SegmentationError for a bad file.
+        folder: the folder, for messages.
+        names: names of the existing files, sorted.
+        read: reads a mask by name, (height, width) bool; raises SegmentationError for a bad file.
     """
 
     folder: str
@@ -180,10 +179,10 @@ class GivenMasks:
         return by_mask
 
     def of_image(self, view: str, frame: int, kind: str) -> str | None:
-        """The name of an image's mask of one kind, or None.
+        """The name of the mask of this kind for a view or its frame; None if there is none.
 
         Raises:
-            SegmentationError: there are several.
+            SegmentationError: there are several such masks.
         """
         of_view = [
             name for name in self._of.get(MaskName(int(view), False, kind), ()) if name == f"{view}{kind}.png"
@@ -200,16 +199,16 @@ class GivenMasks:
 def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bools:
     """Apply a person's masks, if any, to the automatic mask of a view.
 
-    `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` takes them away.
+    `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` removes them.
 
     Args:
-        mask: (height, width), the automatic one.
-        given: the person's.
-        view: its name.
-        frame: its frame's index in the sequence.
+        mask: (height, width), the automatic mask.
+        given: the person's masks.
+        view: name of the view.
+        frame: index of the view's frame in the sequence.
 
     Raises:
-        SegmentationError: one cannot be read, or is not of the depth image's size; there are two of a kind.
+        SegmentationError: a mask is unreadable or has another size than depth, or two masks are of one kind.
     """
     result = mask
     for kind in KINDS:
@@ -228,11 +227,11 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
 
 
 def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
-    """Warnings of files that are not used: no mask has such a name, or its frame is no view.
+    """Warnings about unused files: the name is no mask's, or the frame is no view.
 
     Args:
         given: a person's masks.
-        views: the frame of each view.
+        views: view -> its frame.
     """
     frames, lines, waiting = set(views.values()), [], []
     of_views = {f"{view}{kind}.png" for view in views for kind in KINDS}
@@ -251,6 +250,6 @@ def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """Some names in one line, and the number of others."""
+    """The first of some names in one line, and the number of the others."""
     more = len(names) - MOST_NAMED
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,4 +1,4 @@
-"""The fit of a view's depth to the object, and its sufficiency for a view."""
+"""How well a view's depth fits the object, and whether the frame is usable as a view."""
 
 from dataclasses import dataclass, replace
 
@@ -16,23 +16,23 @@ from kinectbench.settings.models import FitLimits, ViewSettings
 from kinectbench.stages.sample_views.masks import inner_silhouette
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# The outline beyond the image is looked for this far around it, in image sizes, at every n-th pixel.
+# The outline beyond the image is searched this far around it, in image sizes, with this stride.
 AROUND, OUTLINE_STRIDE_PX = 1, 8
 
 
 @dataclass(frozen=True)
 class ViewFit:
-    """The fit of a view's depth to the object. Shares are in [0, 1].
+    """How well a view's depth fits the object. Shares are in [0, 1].
 
     Attributes:
         pixels: valid depth pixels on the object.
-        visible_share: of the rendered silhouette, what carries valid depth of the object.
-        border_share: of the silhouette's pixels, those within 1 px of the image border.
-        dropped_share: valid depth inside the eroded silhouette that the mask leaves out.
-        containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie
-            in the full shape, dilated once.
+        visible_share: share of the rendered silhouette with valid depth of the object.
+        border_share: share of the silhouette's pixels within 1 px of the image border.
+        dropped_share: share of the valid depth inside the eroded silhouette that the mask leaves out.
+        containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie in
+            the full shape, dilated once.
         residual_m: median absolute difference of measured and rendered depth there, metres.
-        truncated_share: share of the object's outline beyond the image.
+        truncated_share: share of the object's outline outside the image.
     """
 
     pixels: int
@@ -53,16 +53,16 @@ def fit_of_view(
     model: ObjectModel,
     renderer: DepthRenderer,
 ) -> ViewFit:
-    """The fit of a view's depth to the object.
+    """Measure how well a view's depth fits the object.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
-        rendered_m: (height, width) float32, the object as it should be seen, 0 = not on it.
-        mask: (height, width) bool, by depth or as recorded; a person's PNGs do not count.
+        rendered_m: (height, width) float32, depth of the rendered object, 0 = not on it.
+        mask: (height, width) bool, by depth or from the recording, without a person's PNGs.
         sequence: the recording.
         T_world_camera: (4, 4), the view's pose.
         model: the object.
-        renderer: of its mesh.
+        renderer: renderer of the object's mesh.
     """
     silhouette = rendered_m > 0
     inner = inner_silhouette(rendered_m) & (depth_m > 0)
@@ -88,15 +88,16 @@ def fit_of_view(
 def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRenderer) -> float:
     """The share of an object's outline that the image border cuts off.
 
-    Counted at every 8th pixel of an image three times as wide and high, the camera's own in its middle.
+    The outline is sampled at every 8th pixel of an image three times as wide and high, centred on the
+    camera's.
 
     Args:
         camera: intrinsics.
         T_world_camera: (4, 4).
-        renderer: of the object's mesh.
+        renderer: renderer of the object's mesh.
 
     Returns:
-        In [0, 1]; 0 if no ray meets the object.
+        In [0, 1]; 0 if no ray hits the object.
     """
     step = OUTLINE_STRIDE_PX
     across, down = camera.width // step, camera.height // step
@@ -114,7 +115,7 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
 
 
 def refusal(fit: ViewFit, settings: ViewSettings, pairs: FitLimits) -> str | None:
-    """Why a frame is no view, or None if it is one."""
+    """Why a frame is not usable as a view; None if it is usable."""
     if fit.pixels < settings.min_pixels:
         return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"
     if fit.residual_m > pairs.max_residual_m:

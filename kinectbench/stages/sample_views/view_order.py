@@ -14,11 +14,11 @@ from kinectbench.settings.models import MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.masks import agreement_mask
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# Finer strata would hold a frame or two of a usual recording.
+# Size of the strata; smaller ones would hold a frame or two of a usual recording.
 SECTOR_RAD, BAND_RAD = np.radians(30), np.radians(15)
-# Bounds of the thirds of the visible share.
+# Bounds of the three classes of the visible share.
 SHARES = (0.0, 0.5, 0.8, 1.0)
-# The share is only sorted into thirds: every eighth pixel along rows and columns tells it.
+# The share only needs one of three classes, so every eighth pixel along rows and columns suffices.
 STRIDE_PX = 8
 
 Stratum = tuple[int, int, int]
@@ -32,12 +32,12 @@ def frame_order(
     settings: ViewSettings,
     segmentation: MaskCuts,
 ) -> list[tuple[int, str]]:
-    """All good frames in the order of trial, each with the reason.
+    """All good frames in the order in which they are tried as views, each with the reason.
 
-    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: the frames are sorted into
-    sectors of 30 degrees about the object, those into heights of 15 degrees, and those into thirds of the
-    visible share (up to 50 %, up to 80 %, more); the sectors take turns, in a sector the heights, in a height
-    the thirds, and within one it is the order of `random`.
+    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are divided into sectors of 30
+    degrees about the object, then into heights of 15 degrees, then into three classes of the visible share
+    (up to 50 %, up to 80 %, more). Sectors take turns; within a sector heights do, and within a height
+    classes. Frames of one class are in the order of `random`.
     """
     order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames).tolist()
     if settings.strategy == "random":
@@ -54,7 +54,10 @@ def frame_order(
 
 
 def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
-    """The sector (0 to 11, from the floor's x axis) and the height (from -6 to 5) that a camera stands in."""
+    """A camera's 30-degree sector (0 to 11) and 15-degree height band (-6 to 5) around the object.
+
+    Sectors count from the floor's x axis.
+    """
     x, y, z = transform_points(model.floor.T_floor_world, T_world_camera[:3, 3]) - model.box.center_m
     azimuth_rad, height_rad = np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
     return int(azimuth_rad / SECTOR_RAD) % 12, min(5, int(np.floor(height_rad / BAND_RAD)))
@@ -76,12 +79,12 @@ def visible_share(
 
 
 def share_class(share: float) -> int:
-    """0, 1 or 2: up to 50 %, up to 80 %, more."""
+    """The class of a visible share: 0 up to 50 %, 1 up to 80 %, 2 above."""
     return int(np.searchsorted(SHARES[1:-1], share, side="right"))
 
 
 def stratum_text(stratum: Stratum) -> str:
-    """Sector, height and visible share in words."""
+    """Describe sector, height and visible share in words."""
     sector, band, share = stratum
     return (
         f"coverage: azimuth {30 * sector} to {30 * sector + 30} deg, "
@@ -91,7 +94,7 @@ def stratum_text(stratum: Stratum) -> str:
 
 
 def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
-    """Frames that alternate between sectors, within sectors between heights, and so on; else in order."""
+    """Frames in an order in which sectors alternate, within sectors heights, and so on; else in order."""
     if depth == 3:
         return list(frames)
     groups: dict[int, list[int]] = {}

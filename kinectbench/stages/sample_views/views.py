@@ -1,6 +1,6 @@
-"""The stage `sample-views`: 50 frames of the recording, with the object's mask in each; how they are stored.
+"""The stage `sample-views`: 50 frames with the object's mask in each; and how they are stored.
 
-On disk they are views.json with depth, colour and mask images.
+They are stored as views.json with depth, colour and mask images.
 """
 
 import hashlib
@@ -39,9 +39,9 @@ from kinectbench.stages.sample_views.view_order import frame_order
 from kinectbench.stages.segment.find.floor import low_cut_m
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# Only of colour that was not recorded as JPEG (chosen by hand: blocks are hardly seen).
+# Only for colour that was not recorded as JPEG (chosen by hand: artefacts are hardly visible).
 JPEG_QUALITY = 90
-# Shares and metres of a view's fit: views.json calls them the same.
+# Figures of a view's fit that have the same names in views.json.
 FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
 
 
@@ -50,16 +50,16 @@ class View:
     """One sampled view.
 
     Attributes:
-        name: zero-padded index, "000" on.
+        name: zero-padded number, from "000" on.
         frame: index of the frame in the sequence.
-        stamp_ns: its depth stamp.
-        reason: why it was chosen.
+        stamp_ns: stamp of its depth.
+        reason: why the frame was chosen.
         alignment: its pose, corrected by its own depth.
         mask: (height, width) bool, the object, in depth pixels.
-        fit: figures of the mask before a person's PNGs.
-        blur: of the colour against the recording's sharpest frames, as health.json has it; None if unknown.
+        fit: figures of the mask before a person's PNGs are applied.
+        blur: blur of the colour relative to the recording, as in health.json; None if unknown.
         pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
-        too_far_share: of its pixels with depth, those too far for the depth image.
+        too_far_share: share of its depth pixels beyond the range of the depth image.
     """
 
     name: str
@@ -76,7 +76,7 @@ class View:
 
 @dataclass(frozen=True)
 class Views:
-    """The views of one recording, the frames that were refused (frame, why), and warnings."""
+    """The views of one recording, the refused frames as (frame, reason), and warnings."""
 
     views: list[View]
     refused: list[tuple[int, str]]
@@ -93,20 +93,20 @@ def sample_views(
     masks: GivenMasks | None = None,
     progress: Progress | None = None,
 ) -> Views:
-    """Walk the good frames, in the order of the strategy, until enough of them fit the object.
+    """Try good frames, in the order of the strategy, until enough of them fit the object.
 
-    With `random` every good frame is equally likely (paper, Sec. 3.6: 50 random views of the trajectory).
-    Refused frames do not shrink the set as long as others are left.
+    With `random` every good frame is equally likely (paper, Sec. 3.6: 50 random views of the trajectory). A
+    refused frame is replaced by another good frame, if any is left.
 
     Args:
         sequence: the recording.
-        trajectory: its poses.
-        model: floor, closed mesh.
-        settings: how many, which strategy and seed; whether masks that came with the recording are the
+        trajectory: poses of the frames.
+        model: the object: floor and closed mesh.
+        settings: number of views, strategy and seed; and whether masks that came with the recording are the
             object's, in the frames that have one.
-        segmentation: tolerance of the masks, and how near to the floor they reach.
+        segmentation: tolerance of the masks, and their least height above the floor.
         pairs: least containment, largest residual, least visible share.
-        masks: a person's, or None.
+        masks: a person's masks, or None.
         progress: called with (views found, views wanted).
 
     Raises:
@@ -151,14 +151,14 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> View:
-    """A chosen frame (its index, and why it was chosen) as a view without a name or a person's mask."""
+    """Make a view from a chosen frame (index, reason), without a name and without a person's mask."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
     too_far_share = too_far_for_mm(depth_m)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:
-        # Things before the object or touching it do not affect its fit.
+        # Things in front of the object, or touching it, do not affect the fit.
         depth_m = np.where(recorded, depth_m, np.float32(0))
     pose_sigma_m = trajectory.assumed_pose_sigma_m(frame)
     alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m)
@@ -221,7 +221,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
 
 def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
-    """The images of a view by file suffix: depth (uint16 mm), colour if available."""
+    """The images of a view by file suffix: depth (uint16 mm), and colour if available."""
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
     return {"depth.png": png(depth_in_mm(sequence.depth_m(frame))), **color}
@@ -245,7 +245,7 @@ def _row(view: View) -> ViewRow:
 
 
 def read_views(folder: Path) -> list[View]:
-    """Read the views and their masks back.
+    """Read stored views and their masks.
 
     Raises:
         StorageError: a file is missing or damaged.
@@ -278,7 +278,7 @@ def _view(row: ViewRow, folder: Path) -> View:
 
 
 def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
-    """The images of `pictures_of`, read from the folder of views.
+    """Read the images of a view as `pictures_of` makes them.
 
     Raises:
         StorageError: a picture is missing or cannot be read.
@@ -294,12 +294,12 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
 
 
 def picture_digest(pictures: Mapping[str, bytes]) -> str:
-    """SHA-256 of a view's images: every pixel of its depth in mm, and its colour file if available.
+    """SHA-256 of a view's images: every pixel of depth in mm, and the colour file if available.
 
-    Another zlib packs the same depth into other bytes; colour is kept as it was recorded where it can be.
+    The depth file itself may differ with the version of zlib; colour is usually stored as recorded.
 
     Args:
-        pictures: as `pictures_of` gives them.
+        pictures: images as from `pictures_of`.
 
     Raises:
         StorageError: the depth image is damaged.
@@ -316,7 +316,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
 
 
 def read_masks(folder: Path) -> GivenMasks:
-    """The masks that a person drew: PNGs with nonzero pixels inside, each read on request."""
+    """A person's masks in a folder: PNGs with nonzero pixels inside; each is read on request."""
 
     def read(name: str) -> Bools:
         mask = _read_mask(folder / name)
@@ -331,7 +331,7 @@ def read_masks(folder: Path) -> GivenMasks:
 
 
 def _read_mask(path: Path) -> Bools | None:
-    """The nonzero pixels of a picture; None if it is missing or damaged."""
+    """Read a picture's nonzero pixels as a mask; None if the picture is missing or damaged."""
     import cv2
 
     try:
@@ -343,7 +343,7 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as JPEG: as recorded if it is one, else encoded once."""
+    """Colour as a JPEG: the recorded file if it is one, else encoded once."""
     import cv2
 
     if suffix in (".jpg", ".jpeg"):

@@ -1,4 +1,4 @@
-"""Estimate a Trajectory from frames: one pose per frame, or the reason for none."""
+"""Estimate a `Trajectory` from frames: one pose per frame, or the reason for none."""
 
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.stages.track.track import track

@@ -25,7 +25,7 @@ from kinectbench.stages.track.tracked import Constraint, State, Tracked
 NO_POSE = "the given trajectory has no pose at its time"
 NO_DEPTH = f"it has no depth between {MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m"
 CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
-# In words; the others are counted.
+# Most jumps to describe; further jumps are only counted.
 MAX_JUMPS_REPORTED = 5
 # If a larger ratio of frames disagrees, the cause affects all frames.
 MANY = 0.2
@@ -38,12 +38,12 @@ class GivenCheck:
     """A given trajectory, and how well the depth agrees with it.
 
     Attributes:
-        T_given: (n, 4, 4), NaN where there is none.
+        T_given: (n, 4, 4), NaN where a frame has no given pose.
         frames: each frame compared with its neighbours.
-        distant: distant frames, registered from the given poses.
-        figures: as in health.json. Without refined poses, the residual "with refined poses" between distant
-            frames is that of the pairwise registrations.
-        sharpness: of the colour, by frame index, where colour was read.
+        distant: constraints between distant frames, registered from the given poses.
+        figures: figures for health.json. Without refined poses, the residual "with refined poses" between
+            distant frames is that of the pairwise registrations.
+        sharpness: sharpness of the colour, by frame index, where colour was read.
         calibration: the depth correction under which the frames agree best; all figures use it.
     """
 
@@ -56,7 +56,7 @@ class GivenCheck:
 
     @property
     def agrees(self) -> Bools:
-        """(n,) whether a frame's depth was compared with other frames and agrees with them."""
+        """Whether each frame's depth was compared with other frames and agrees with them: (n,)."""
         return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
@@ -67,8 +67,8 @@ def check_given(
 
     Args:
         sequence: the recording, n frames.
-        T_given: (n, 4, 4), NaN where there is none.
-        settings: what counts as disagreement.
+        T_given: (n, 4, 4), NaN where a frame has no given pose.
+        settings: the limits for disagreement.
         progress: called with (done, total).
     """
     maps, every = MapCache(sequence), settings.check_stride_px

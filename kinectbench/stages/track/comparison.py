@@ -13,13 +13,13 @@ from kinectbench.stages.track.pictures import comparison_picture, timeline
 
 @dataclass(frozen=True)
 class TrajectoryComparison:
-    """A trajectory against a reference.
+    """The errors of a trajectory against a reference.
 
     Attributes:
-        frames: of the recording.
-        tracked: of these, frames with a pose.
-        error: over the poses that both have.
-        clock: by how much the reference's clock is late; None if that is unknown or negligible.
+        frames: number of frames of the recording.
+        tracked: number of frames with a pose.
+        error: errors over the poses that both trajectories have.
+        clock: delay of the reference's clock; None if unknown or negligible.
     """
 
     frames: int
@@ -28,11 +28,11 @@ class TrajectoryComparison:
     clock: ClockOffset | None = None
 
     def row(self) -> dict[str, float | int | None]:
-        """The figures as they are printed and written as JSON: millimetres and degrees.
+        """The figures as printed and written as JSON, in millimetres and degrees.
 
-        Relative errors (rmse) are given from one matched frame to the next, and over a metre of path. The
-        latter are None if the path is shorter. `clock_late_ms` is None where no clock offset is found. Then
-        `ate_rmse_moved_mm`, the error without that offset, is None, too.
+        Relative errors (rmse) are from one matched frame to the next, and over a metre of path; the latter
+        are None if the path is shorter. `clock_late_ms`, and `ate_rmse_moved_mm`, the error without the clock
+        offset, are None if no offset is found.
         """
         error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
         return {
@@ -53,7 +53,7 @@ class TrajectoryComparison:
 
 
 def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[TrajectoryComparison, bytes]:
-    """Compare all frames that both have a pose for.
+    """Compare the poses of all frames that the reference has a pose for, too.
 
     Returns:
         The figures, and a picture (PNG file).

@@ -12,25 +12,25 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps
 
-# Level of the thumbnails.
+# Resolution level of the thumbnails.
 COARSEST = 2
-# They tell a share of 0.3 to within 0.03 (one standard deviation of a binomial).
+# Points per keyframe: they determine a share of 0.3 to within 0.03 (one standard deviation of a binomial).
 POINTS = 200
 # Depth tolerance, which includes drift: a measurement farther off than this is another surface.
 TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
 # Only keyframes whose point centroids lie within this ratio of the mean depth are compared.
 NEAR_SHARE = 0.8
-# Nearest ones first: the others cost time.
+# Most keyframes to compare with, the nearest ones; more would cost time.
 MAX_NEIGHBOURS = 60
 
 
 @dataclass(frozen=True)
 class KeyframeThumbnail:
-    """A keyframe in small: a depth thumbnail and a few points, enough to compute shared views.
+    """A depth thumbnail of a keyframe and a few points, enough to compute shared views.
 
     Attributes:
         depth_m: (height, width) float32 at the coarsest level, about 80 x 60.
-        intrinsics: (4,) of that level.
+        intrinsics: (4,) fx, fy, cx, cy of that level.
         points: (m, 6) float64, at most 200, position and normal, camera frame.
     """
 
@@ -40,7 +40,7 @@ class KeyframeThumbnail:
 
 
 def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
-    """Make the thumbnail from the maps of a keyframe."""
+    """Make the thumbnail of a keyframe from its maps."""
     level = maps[COARSEST]
     chosen = np.linspace(0, len(level.points) - 1, min(POINTS, len(level.points))).astype(int)
     return KeyframeThumbnail(
@@ -49,7 +49,7 @@ def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
 
 
 def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> float:
-    """Ratio of b's points that a sees, at about their depth and from their front; 0 to 1."""
+    """Ratio of b's points that a sees, at about their depth and from the front; 0 to 1."""
     if not len(b.points):
         return 0.0
     return float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
@@ -62,8 +62,8 @@ def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list
     with their number.
 
     Args:
-        thumbnails: of the keyframes.
-        T_world: (k, 4, 4) their poses, NaN where unknown.
+        thumbnails: thumbnails of the keyframes.
+        T_world: (k, 4, 4) poses of the keyframes, NaN where unknown.
     """
     known = [i for i in range(len(thumbnails)) if np.isfinite(T_world[i]).all() and len(thumbnails[i].points)]
     if len(known) < 2:

@@ -28,14 +28,14 @@ from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
 from kinectbench.stages.track.registration import CORRELATED_POINTS
 
-# Points used of each pair.
+# Points that each pair contributes.
 POINTS_PER_PAIR = 1500
 # Prior standard deviation of the correction: 1 % of the depth at 4 m; less for higher degrees.
 PRIOR_PER_M = 0.0025
-# Points farther from the measurement, or whose normals differ by more than 90 degrees (the cosine of half of
-# it), met another surface; residuals beyond so many standard deviations count less.
+# Points farther from the measurement, or whose normals differ by more than 90 degrees (compared as the cosine
+# of half the angle), belong to another surface; residuals beyond HUBER_SIGMAS standard deviations count less.
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
-# Of fewer pairs the halves, which must explain each other, tell nothing.
+# With fewer pairs, validating one half by the other is unreliable.
 MIN_PAIRS = 6
 # Least shared view of a pair of frames, and the largest number of pairs.
 MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400
@@ -56,21 +56,21 @@ def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
     """Estimate the correction under which pairs of frames agree best; each pair's motion is free.
 
     Args:
-        views: in the order of time, with depth as recorded, not yet corrected.
+        views: pairs in the order of time, with depth as recorded, not yet corrected.
     """
     return _accepted([unexplained for _, unexplained in _all_sums(views)])
 
 
 def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
-    """Estimate the correction under which frames of known poses agree best; pairs may still move.
+    """Estimate the correction under which frames of known poses agree best; their motions are also estimated.
 
     Given poses may contain the error of a hand-eye calibration, or come from the same distorted depth. Then
     correct depth fits them worse. The correction is therefore accepted only if frames agree clearly better at
     the given poses.
 
     Args:
-        maps: of the recording, depth as recorded.
-        T_world_camera: (n, 4, 4), of all frames.
+        maps: maps of the recording, depth as recorded.
+        T_world_camera: (n, 4, 4), poses of all frames.
         frames: (k,) frames to compare, ascending; all have poses.
     """
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
@@ -85,19 +85,19 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
 
 
 def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """At most 400 of the pairs, evenly spread, in their order."""
+    """Choose at most 400 of the pairs, evenly spread, in their order."""
     rows = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(int)
     return [pairs[row] for row in rows]
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The solution, if the estimate of either half of the pairs improves the other half; or none."""
+    """The correction, if the estimate from either half of the pairs improves the other half; else none."""
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
 
 def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
-    """Worst-case cross-validated ratio of squared residuals between the two halves of the pairs."""
+    """The worse cross-validated ratio of squared residuals, with to without correction, of the two halves."""
     half = len(solved) // 2
     return max(
         _falls_to(judged[half:], _solved(solved[:half])), _falls_to(judged[:half], _solved(solved[half:]))
@@ -105,7 +105,7 @@ def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
 
 
 def _falls_to(products: Sequence[Float64], coefficients_per_m: Float64) -> float:
-    """Ratio of the squared residuals with these coefficients to those without."""
+    """Ratio of the squared residuals with these coefficients to those without correction."""
     one, whole = np.append(coefficients_per_m, 1.0), np.sum(products, axis=0)
     return 1 + float(one @ whole @ one - whole[-1, -1]) / max(float(whole[-1, -1]), 1e-12)
 
@@ -121,9 +121,9 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Products (k + 1, k + 1) of a pair's rows, the residual last: at its pose, and with the motion free.
+    """Products (k + 1, k + 1) of a pair's rows, residual last: at its pose, and with its motion eliminated.
 
-    None if too little overlaps.
+    None if the frames overlap too little.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -134,7 +134,7 @@ def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
 
 
 def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
-    """Rows (m, 6 + k) of residual + row @ (twist, coefficients), the residuals (m,) and weights (m,)."""
+    """Rows (m, 6 + k) with residual + row @ (twist, coefficients), the residuals (m,), and weights (m,)."""
     source, target = view.source, view.target
     every = max(1, len(source.points) // POINTS_PER_PAIR)
     points = source.points[::every].astype(np.float64)

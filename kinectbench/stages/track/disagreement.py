@@ -1,6 +1,6 @@
 """Disagreement between the depth of frames and their given poses.
 
-Drift of a given trajectory shows between distant frames that see the same place.
+Drift of a given trajectory appears between distant frames that see the same place.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from kinectbench.stages.track.odometry import ENOUGH_INLIERS, is_accepted
 from kinectbench.stages.track.registration import PLACED, Registration, measure, register
 from kinectbench.stages.track.tracked import Constraint
 
-# This many standard deviations of a shift are attributed to the registration.
+# The part of a shift up to this many standard deviations may be an error of the registration.
 SIGMAS = 3.0
 # Frames that overlap less than this are not compared.
 MIN_OVERLAP = 0.05
-# A given pose counts as good as the registered one if as many points agree, as closely, and with colours as
-# similar. Along a flat face a registration may slide by a metre and fit as well. The margins are checked by
-# correct poses of box-like objects in no order of time, and by poses with known errors.
+# A given pose counts as good as the registered one if nearly as many points agree, nearly as closely, with
+# similar colours. Along a flat face a registration may slide by a metre and fit as well. The margins were
+# checked with correct poses of box-like objects in no order of time, and with poses of known errors.
 AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_SIMILAR = 0.03, 1.1, 0.5, 0.1
 # Points used to measure how far a motion moves the visible surface.
 MOVED_POINTS = 1000
@@ -38,23 +38,23 @@ MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 MIN_APART = 1 / 6
 # Frames with a smaller predicted shared view are not registered.
 MIN_SHARED_VIEW = 0.3
-# Shifts above this are checked again: far more than registrations of correct poses leave.
+# Larger shifts are checked again; registrations of correct poses have far smaller ones.
 RECHECKED_SHIFT_M = 0.05
-# No ratio is reported of fewer pairs.
+# With fewer pairs no ratio is reported.
 MIN_TRIED = 8
-# Fewer residuals than this are not used.
+# Fewer residuals have no reliable median.
 MIN_RESIDUALS = 100
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """The motion of a frame that would make it agree with others.
+    """The motion that would make a frame agree with others.
 
     Attributes:
-        registration: of the frame to the first of the others, started at its given pose.
-        shift_m: how far its points move, median, metres.
-        certain_shift_m: the part of the shift that exceeds the registration's uncertainty.
-        turn_rad: by how much the camera turns, radians.
+        registration: registration of the frame to the first of the others, started at its given pose.
+        shift_m: median displacement of the frame's points, metres.
+        certain_shift_m: the part of the shift that exceeds the registration's uncertainty, metres.
+        turn_rad: rotation of the camera, radians.
     """
 
     registration: Registration
@@ -71,16 +71,16 @@ def check_pose(
     every: int,
     recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others, started at its given pose; None if they overlap too little.
+    """Register a frame to others from its given pose; None if they overlap too little.
 
-    A frame that moves far but fitted equally well before has slid along a surface. It does not disagree.
+    A frame that moves far although it fitted as well before has slid along a surface; it does not disagree.
 
     Args:
         source: the frame.
         targets: one or more other frames, fixed relative to each other.
-        T_targets_source: (4, 4) each, by the given poses.
+        T_targets_source: (4, 4) for each target, by the given poses.
         coarsest: level to start at. Level 0 finds less than half of a shift of 100 mm, level 2 all of it.
-        every: only every n-th point is used.
+        every: stride of the points used.
         recheck_above_m: above this shift the fit at the given pose is measured as well.
     """
     registration = register(source, targets, T_targets_source, coarsest, PLACED, every)
@@ -97,7 +97,7 @@ def check_pose(
 def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
     """Whether a frame fits others at its given pose as well as at the registered one.
 
-    The overlap does not count: frames of two sides of an object share little, and still fit.
+    The overlap does not count: frames from two sides of an object overlap little and still fit.
 
     Args:
         as_given: the figures at the given pose.
@@ -120,7 +120,7 @@ def disagreement(source: FrameMaps, T_target_source: Float64, registration: Regi
     Args:
         source: the frame.
         T_target_source: (4, 4), by the given poses.
-        registration: its registration to the same target.
+        registration: registration of the frame to the same target.
     """
     off = invert_rigid(T_target_source) @ registration.T_target_source
     points = source[0].points[:, :3].astype(np.float64)
@@ -133,15 +133,15 @@ def disagreement(source: FrameMaps, T_target_source: Float64, registration: Regi
 
 
 def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
-    """Point-to-plane distances (m,) of all points within 0.1 m of the measurement they project to.
+    """Point-to-plane distances (m,), metres, of all points within 0.1 m of their measurement in the target.
 
     Unlike a registration's residuals they are not truncated at the noise, so they measure a pose error.
 
     Args:
         source: the frame.
-        target: the finest level of the other.
+        target: the finest level of the other frame.
         T_target_source: (4, 4).
-        every: only every n-th point is used.
+        every: stride of the points used.
     """
     points, T = source[0].points[::every], np.ascontiguousarray(T_target_source)
     residuals: Float64 = projective_residuals(
@@ -156,14 +156,14 @@ def distant_constraints(
     """Register distant frames that see the same place under the given poses.
 
     Args:
-        maps: of the recording, n frames.
-        T_given: (n, 4, 4).
+        maps: maps of the recording, n frames.
+        T_given: (n, 4, 4), NaN where a frame has no given pose.
         frames: (k,) frames with a pose, ascending.
-        every: only every n-th point is used.
+        every: stride of the points used.
 
     Returns:
-        The accepted registrations, as loop constraints; (m,) how far each moves b's points from the given
-        pose, metres; the ratio of pairs that should see the same place but do not fit, NaN of few pairs.
+        The accepted registrations, as loop constraints; the displacement (m,) of b's points from the given
+        pose by each, metres; and the ratio of pairs that should overlap but do not fit, NaN for few pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])
@@ -187,7 +187,7 @@ def distant_constraints(
 
 
 def _fits(as_given: Registration) -> bool:
-    """Whether depth agrees at the given pose although no registration is accepted."""
+    """Whether depth agrees at the given pose, although no registration is accepted."""
     return (
         as_given.overlap >= MIN_OVERLAP
         and as_given.inlier_share >= ENOUGH_INLIERS
@@ -198,12 +198,12 @@ def _fits(as_given: Registration) -> bool:
 def distant_residual_m(
     maps: MapCache, constraints: tuple[Constraint, ...], every: int, T_world_camera: Float64 | None = None
 ) -> float:
-    """Median over constraints of the median absolute residual from b to a, metres; NaN if unknown.
+    """Median over the constraints of the median absolute residual from b to a, metres; NaN if unknown.
 
     Args:
-        maps: of the recording, n frames.
-        constraints: between distant frames.
-        every: only every n-th point is used.
+        maps: maps of the recording, n frames.
+        constraints: constraints between distant frames.
+        every: stride of the points used.
         T_world_camera: (n, 4, 4), NaN where a frame has no pose; None: use the constraints' own poses.
     """
     medians = []

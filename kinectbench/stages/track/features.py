@@ -1,11 +1,11 @@
-"""Relative pose of two frames without a prediction: ORB features, matched and lifted to 3-D.
+"""Relative pose of two frames without an initial guess: ORB features, matched and lifted to 3-D.
 
 ORB: Rublee et al. 2011; the pose by P3P (Ke & Roumeliotis 2017) in RANSAC, then EPnP (Lepetit et al. 2009)
 of all inliers. Where colour is not registered to depth, the features are found in a shaded image of the
 depth. Its appearance is stable while the camera turns by less than about 30 degrees.
 
-Similar keyframes are found by a bag of binary ORB words of the recording itself, whatever the odometry
-estimates: Sivic & Zisserman 2003 ("Video Google"), as in Galvez-Lopez & Tardos 2012.
+Similar keyframes are found by bags of ORB words, independently of the odometry (Sivic & Zisserman 2003,
+"Video Google"; Galvez-Lopez & Tardos 2012). The words come from the recording itself.
 """
 
 from collections import OrderedDict
@@ -19,25 +19,26 @@ from kinectbench.core.geometry import Camera, invert_rigid, rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 
-# More features cost time.
+# More features would cost time.
 MAX_FEATURES = 600
 # A third of OpenCV's default: shaded depth has little contrast.
 FAST_THRESHOLD = 7
 # Largest distance ratio of the best candidate match to the second best (Lowe 2004).
 RATIO = 0.85
-# Fewer may fit a pose by chance.
+# Fewer matches or inliers may fit a pose by chance.
 MIN_MATCHES, MIN_INLIERS = 12, 10
-# A feature of a coarser octave is found no more exactly, in working pixels.
+# Largest reprojection error, working pixels; the same for all octaves, as coarser features are not more
+# exact.
 REPROJECTION_PX = 2.5
-# Of 600 features with 72 bytes each: 43 MB.
+# A frame has up to 600 features of 72 bytes: 43 MB in all.
 CACHED_FRAMES = 1000
-# Only keyframes of one recording are compared, so that a small vocabulary is enough.
+# A small vocabulary is enough, because only keyframes of one recording are compared.
 WORDS = 400
 
 
 @dataclass(frozen=True)
 class Features:
-    """Features of one frame that have depth.
+    """The features of one frame that have depth.
 
     Attributes:
         pixels: (m, 2) float64, u and v at working resolution.
@@ -58,7 +59,7 @@ class FeatureCache(OrderedDict[int, Features]):
         self.maps = maps
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickled with its maps."""
+        """Pickled by its maps alone."""
         return type(self), (self.maps,), None, None, iter(self.items())
 
     def __missing__(self, index: int) -> Features:
@@ -69,7 +70,7 @@ class FeatureCache(OrderedDict[int, Features]):
 
 
 def find_features(maps: FrameMaps) -> Features:
-    """ORB features with depth, found in the intensity, or in the depth's shading if there is none."""
+    """Find ORB features with depth, in the intensity, or in the shaded depth without intensity."""
     import cv2
 
     level = maps[0]
@@ -87,14 +88,14 @@ def find_features(maps: FrameMaps) -> Features:
 
 
 def shading(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(height, width) grey, 0 to 255, of normals (height, width, 3): lit obliquely from above."""
+    """Shade normals (height, width, 3), lit obliquely from above: (height, width) grey, 0 to 255."""
     light = np.array([0.45, -0.55, -0.70], np.float32)
     lit = normals @ light
     return np.asarray(np.where(normals[..., 2] == 0, 0.0, 60 + 195 * np.clip(lit, 0, 1)), np.float32)
 
 
 def match(source: Features, target: Features) -> NDArray[np.int64]:
-    """(k, 2) indices of features of the source and of the target that match: mutual and clearly best."""
+    """Indices (k, 2) of matching features in source and target: mutual and clearly best matches."""
     import cv2
 
     if len(source.descriptors) < 2 or len(target.descriptors) < 2:
@@ -113,12 +114,12 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 
 
 def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
-    """T_target_source (4, 4) by PnP of the matches, and the number of inliers; None if too few match.
+    """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers, None if too few match.
 
     Args:
-        source: its pixels are the observations.
-        target: its points are the known 3-D points.
-        camera: of the source, at working resolution.
+        source: features whose pixels are the observations.
+        target: features whose points are the known 3-D points.
+        camera: intrinsics of the source, at working resolution.
     """
     import cv2
 
@@ -142,7 +143,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
 
 
 def similarity(features: Sequence[Features]) -> NDArray[np.float64]:
-    """(k, k) cosine between the tf-idf weighted word counts of keyframes; the diagonal is 0."""
+    """Cosine similarity (k, k) of the keyframes' tf-idf weighted word counts; the diagonal is 0."""
     import cv2
 
     k = len(features)

@@ -1,7 +1,7 @@
 """Check whether each frame's depth agrees with nearby frames under the given poses.
 
 Registration to other frames leaves a correct pose in place and moves a wrong one. Drift moves distant frames
-against each other, but hardly moves consecutive ones: see `disagreement.distant_constraints`.
+relative to each other, but hardly consecutive frames: see `disagreement.distant_constraints`.
 """
 
 from collections.abc import Iterable
@@ -26,13 +26,13 @@ from kinectbench.stages.track.odometry import is_accepted
 from kinectbench.stages.track.outliers import find_outliers
 from kinectbench.stages.track.registration import Registration, measure, register, registration_score, search
 
-# Number of frames that others are compared with, evenly spread.
+# Number of frames, evenly spread, that all frames are compared with.
 COMPARED_FRAMES = 60
-# A frame is checked again if it moves by half the limit and by this many times the median shift.
+# A frame is checked again if its shift exceeds half the limit and this many times the median shift.
 RECHECK_TIMES = 2.0
 # A frame that disagrees is compared with this many agreeing frames before it and after it.
 NEXT_IN_TIME = 3
-# Minimum inlier ratio at any pose; below it the frame shows a different scene.
+# Least inlier ratio at any pose; a frame below it shows a different scene.
 MIN_INLIERS = 0.65
 # Typical quality is this percentile over the frames, minus these margins.
 TYPICAL_PERCENTILE, INLIER_SLACK, CORRELATION_SLACK = 10, 0.03, 0.1
@@ -42,20 +42,20 @@ CLEARLY_BETTER = 0.05
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """The agreement of a recording's frames under given poses; NaN if unknown.
+    """How well a recording's frames agree under given poses; NaN if unknown.
 
     Attributes:
-        compared: (k,) the frames that others were compared with.
-        shift_m: (n,) how far each frame's points move to agree with others, metres.
-        turn_rad: (n,) by how much the camera turns, radians.
-        residual_m: (n,) median absolute point-to-plane residual as given, metres.
+        compared: (k,) the frames that all frames were compared with.
+        shift_m: (n,) displacement of each frame's points until it agrees with others, metres.
+        turn_rad: (n,) rotation of the camera until the frame agrees, radians.
+        residual_m: (n,) median absolute point-to-plane residual at the given pose, metres.
         noise_m: (n,) the residual expected from a Kinect's depth noise at the median depth, metres.
-        inlier_share: (n,) inlier ratio of its points after registration.
+        inlier_share: (n,) inlier ratio of the frame's points after registration.
         degenerate: (n,) bool, the depth has an unobservable direction of motion.
-        disagrees: (n,) bool.
+        disagrees: (n,) bool, the shift or the turn exceeds its limit.
         outlier: (n,) bool, within the limits, but far worse than nearly all frames.
-        blind: (n,) bool, it has no depth that could be compared.
-        jumps: where the trajectory jumps: the frame after the jump, and its size, metres.
+        blind: (n,) bool, the frame has no depth to compare.
+        jumps: jumps of the trajectory: the frame after the jump, and its size, metres.
     """
 
     compared: Int64
@@ -76,14 +76,14 @@ def check_frames(
 ) -> FrameCheck:
     """Compare every frame that has a pose with frames of similar views.
 
-    A frame that disagrees is checked again against the agreeing frames before it and after it in time. Next
-    to a jump it agrees with one side. This also keeps one wrong frame from rejecting its correct neighbours.
-    Views in no order of time are checked against the most similar views, and have no jumps.
+    A frame that disagrees is checked again against agreeing frames before and after it in time; next to a
+    jump it agrees with one side. So one wrong frame does not make its correct neighbours disagree. Views in
+    no order of time are checked against the most similar views, and have no jumps.
 
     Args:
-        maps: of the recording, n frames.
-        T_given: (n, 4, 4), NaN where there is none.
-        settings: how many points and neighbours, and what counts as disagreement.
+        maps: maps of the recording, n frames.
+        T_given: (n, 4, 4), NaN where a frame has no given pose.
+        settings: number of points and neighbours, and limits for disagreement.
         progress: called with (done, total).
     """
     posed = np.flatnonzero(has_pose(T_given))
@@ -100,12 +100,12 @@ def check_frames(
 
 
 def evenly_spread(frames: Int64) -> Int64:
-    """Choose from frames (k,) those that others are compared with."""
+    """Choose from frames (k,) those that all frames are compared with."""
     return frames[np.unique(np.linspace(0, len(frames) - 1, COMPARED_FRAMES).astype(np.int64))]
 
 
 class _Checker:
-    """Collects the figures frame by frame."""
+    """Collects the figures of `FrameCheck` frame by frame."""
 
     def __init__(self, maps: MapCache, T_given: Float64, settings: TrackingSettings, compared: Int64) -> None:
         n = len(T_given)
@@ -118,7 +118,7 @@ class _Checker:
         self.blind = np.zeros(n, bool)
 
     def compare(self, frame: int) -> None:
-        """Compare a frame with the frames of the most similar views."""
+        """Compare a frame with the compared frames of the most similar views."""
         self.blind[frame] = len(self.maps[frame][0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
         checked = self._check(frame, near, coarsest=0) if near else None
@@ -126,17 +126,17 @@ class _Checker:
             return
         self.found[frame] = checked
         self.residual_m[frame] = self._residual_m(frame, near)
-        # A residual is the difference of two measurements.
+        # A residual is the difference of two noisy measurements.
         self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
-        """Compare a frame with the frame before it."""
+        """Compare a frame with the previous frame."""
         checked = self._across(before, frame, coarsest=1)
         if checked is not None:
             self.step_m[frame] = checked.certain_shift_m
 
     def recheck(self, posed: Int64) -> None:
-        """Check again the frames that disagree, or that agree less than is typical."""
+        """Check again the frames that disagree, or that agree less well than is typical."""
         # The first check runs at the finest level, which recovers only part of a large shift.
         median_m = np.median([checked.shift_m for checked in self.found.values()] or [0.0])
         recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
@@ -151,7 +151,7 @@ class _Checker:
         )
         atypical = [f for f, checked in self.found.items() if not typical.includes(checked.registration)]
         missing = np.setdiff1d(posed, list(self.found)).tolist()
-        # If most frames are wrong, a search for other poses is of no use.
+        # If most frames are wrong, searching for other poses is pointless.
         few = len(wrong) + len(missing) < 0.5 * len(posed)
         for frame in sorted({*wrong, *atypical, *missing}):
             first = [self.found[frame]] if frame in self.found else []
@@ -165,7 +165,7 @@ class _Checker:
                 self.found[frame] = best
 
     def _residual_m(self, frame: int, others: list[int]) -> float:
-        """The median residual of a frame as given to some others together; NaN if they share nothing."""
+        """The median residual of a frame at its given pose to other frames; NaN without common points."""
         residuals = np.concatenate(
             [
                 residuals_m(self.maps[frame], self.maps[k][0], T, 2 * self.every)
@@ -175,23 +175,22 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The nearest agreeing frames before and after it, or those of the most similar views."""
+        """The nearest agreeing frames before a frame and after it; for unordered views the most similar."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """The registrations to the agreeing frames on either side."""
+        """Register a frame to the agreeing frames on either side."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 
     def outlier(self, disagrees: Bools) -> Bools:
-        """Frames (n,) that are within the limits but agree far worse than nearly all others.
+        """Frames (n,) within the limits that agree far worse than nearly all others.
 
-        Candidates are measured again against the frames before them and after them, and the better side
-        counts. A wrong frame makes its correct neighbours look worse, and next to a jump only one side
-        agrees.
+        Candidates are measured again against the frames before and after them; the better side counts. For a
+        wrong frame makes its correct neighbours look worse, and next to a jump only one side agrees.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
         sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
@@ -202,7 +201,7 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given pose and around the next frame's; keep the result if clearly better."""
+        """Search around the given and the nearest frame's pose; keep the result if clearly better."""
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -222,7 +221,7 @@ class _Checker:
         )
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
-        """Compare with an earlier frame; if that is not accepted, start from zero motion."""
+        """Compare a frame with an earlier frame; if not accepted, start again from zero motion."""
         checked = self._check(frame, [before], coarsest)
         if checked is not None and is_accepted(checked.registration):
             return checked
@@ -232,7 +231,7 @@ class _Checker:
 
     def _check(self, frame: int, others: list[int], coarsest: int) -> Disagreement | None:
         targets = [self.maps[k] for k in others]
-        # With several targets, half of the points are enough.
+        # With several targets half of the points are enough.
         every = self.every if len(others) == 1 else 2 * self.every
         starts = self._starts(frame, others)
         return check_pose(self.maps[frame], targets, starts, coarsest, every, self.max_shift_m)
@@ -244,7 +243,7 @@ class _Checker:
         return checked.certain_shift_m > self.max_shift_m or checked.registration.inlier_share < MIN_INLIERS
 
     def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
-        """Isolated wrong steps, confirmed by the frames on both sides; a wrong frame makes two steps."""
+        """Single wrong steps, confirmed by the frames on both sides; a wrong frame makes two."""
         rows = np.arange(1, len(kept))
         off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
         steps = []
@@ -261,7 +260,7 @@ class _Checker:
         return tuple(steps)
 
     def result(self, posed: Int64) -> FrameCheck:
-        """The result for the frames (k,) that have a pose."""
+        """Assemble the result for the frames (k,) that have a pose."""
         n = len(self.T)
         shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
         degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)
@@ -287,7 +286,7 @@ class _Checker:
 
 @dataclass(frozen=True)
 class _TypicalQuality:
-    """The quality that nearly all registrations of a recording reach."""
+    """The quality that nearly all registrations of the recording reach."""
 
     inlier_share: float
     correlation: float
@@ -311,7 +310,7 @@ class _TypicalQuality:
 
 
 def nearest_views(T: Float64, frame: int, among: Int64) -> Int64:
-    """The other frames, most similar view first: 1 m apart counts as much as 1 rad turned."""
+    """Other frames sorted by similarity of view: 1 m of distance counts as much as 1 rad of rotation."""
     others = among[among != frame]
     apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)
     cosine = T[others, :3, 2] @ T[frame, :3, 2]

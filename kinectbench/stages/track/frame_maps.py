@@ -1,7 +1,7 @@
-"""Maps of one frame for registration: depth, normals, intensity at three resolutions, and points.
+"""Maps of a frame for registration: depth, normals and intensity at three resolutions, and points.
 
-The finest resolution is about 320 pixels wide. The depth of a Kinect holds no more detail, because its noise
-is correlated over two pixels. A quarter of the pixels is four times as fast.
+The finest resolution is about 320 pixels wide. The depth of a Kinect has no more detail, because its noise is
+correlated over two pixels; and a quarter of the pixels takes a quarter of the time.
 
 The depth of a keyframe is averaged with that of the frames registered to it, for less noise and better
 normals, after the keyframe fusion of Meilland & Comport (IROS 2013). Each pixel of the keyframe is projected
@@ -36,28 +36,29 @@ from kinectbench.stages.track.map_kernels import (
     smoothed_depth,
 )
 
-# Half of a Kinect's columns, for the reason above.
+# Half of a Kinect's columns, for the reason in the docstring of this module.
 WORKING_WIDTH_PX = 320
-# Largest number of registered points per level, finest first.
+# Largest number of points to register per level, finest first.
 POINTS = (20_000, 3_000, 1_500)
-# Lower bound of the normal noise: smoothing bends the exact planes of a simulation by as much.
+# Lower bound of the normal noise: smoothing bends the exact planes of a simulation by this much.
 MIN_NORMAL_NOISE = 8.0
 # Neighbouring pixels belong to one surface if their relative depth difference is below the first value, or
-# below the second value divided by the focal length (a slope). For smoothing, and for differences.
+# below the second value divided by the focal length (a slope). The first pair is for smoothing, the second
+# for normals.
 SAME_SURFACE = ((0.025, 6.6), (0.04, 10.5))
-# Whose maps are kept: loops ask for keyframes again. More take memory.
+# Number of frames whose maps are kept, because loops use keyframes again. More would take memory.
 CACHED_FRAMES = 150
-# One frame as read takes about 0.2 MB.
+# Number of frames whose reduced images are kept; each takes about 0.2 MB.
 READ_FRAMES = 2000
-# Reduced depth is kept in tenths of a millimetre: 6.5 m at most.
+# Reduced depth is stored in tenths of a millimetre: at most 6.5 m.
 STORED_PER_M = 10_000.0
-# Largest number of averaged frames; more only cost time. Chosen by hand.
+# Largest number of frames to average; more would only cost time. Chosen by hand.
 MAX_FRAMES = 16
 
 
 @dataclass(frozen=True)
 class ReducedFrame:
-    """One frame as read, at working resolution.
+    """The images of one frame at working resolution.
 
     Attributes:
         depth: (height, width) uint16, 0.1 mm, 0 = none.
@@ -91,9 +92,9 @@ class Level:
 
 
 class FrameMaps:
-    """One frame at three resolutions, each half the one before; computed on demand.
+    """One frame at three resolutions, each half the previous one; computed on demand.
 
-    Threads may share it: at worst two of them compute the same.
+    Threads may share it: at worst two of them compute the same level.
     """
 
     def __init__(self, camera: Camera, depth_m: Float32, intensity: Float32) -> None:
@@ -101,7 +102,7 @@ class FrameMaps:
         self._made: dict[int, Level] = {}
 
     def __getitem__(self, level: int) -> Level:
-        """A resolution by its number, 0 the finest."""
+        """A resolution by its level, 0 the finest."""
         if level not in self._made:
             self._made[level] = _level(*self._input(level), POINTS[level])
         return self._made[level]
@@ -113,11 +114,11 @@ class FrameMaps:
 
     @property
     def has_intensity(self) -> bool:
-        """Whether the photometric term can be used."""
+        """Whether the photometric term can be used, because there is intensity."""
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame, halved in both directions if it is then still wide enough."""
+        """The same frame at half the resolution, if it is then still `enough_px` wide; else unchanged."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
@@ -128,15 +129,15 @@ class FrameMaps:
 class MapCache:
     """The maps of a sequence's frames, computed on demand; the last 150 are kept to bound memory.
 
-    The reduced images of the first 2000 frames stay in memory, because reading is slow. Threads may share it
-    while nothing is improved or calibrated: at worst two of them compute the same.
+    The reduced images of the first 2000 frames stay in memory, because reading is slow. Threads may share the
+    cache as long as `improve` and `calibrate` are not called: at worst two of them compute the same maps.
 
     Attributes:
         sequence: the recording.
-        averaged: better depth of some frames, by index: see `improve`.
+        averaged: averaged depth of some frames, by index: see `improve`.
         correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
         shutter: the rolling shutter that is undone in each frame: see `undo_shutter`.
-        sharpness: of the frames read, by index; none where colour is not registered to depth.
+        sharpness: sharpness of the frames read, by index; empty if colour is not registered to depth.
     """
 
     sequence: Sequence
@@ -148,21 +149,21 @@ class MapCache:
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, object]:
-        """What is pickled: all but the maps, which are made again when they are asked for."""
+        """The state to pickle, without the maps, which are computed again on demand."""
         return {**vars(self), "_kept": OrderedDict()}
 
     def copied(self) -> "MapCache":
-        """A copy for another thread: what either does changes nothing of the other's."""
+        """A copy for another thread; changes of either do not affect the other."""
         read = {**self._read}
         return replace(self, averaged={**self.averaged}, sharpness={}, _kept=OrderedDict(), _read=read)
 
     def forget(self, index: int) -> None:
-        """Keep nothing of a frame that is asked for no more."""
+        """Drop everything about a frame that is not needed any more."""
         self._read.pop(index, None)
         self._kept.pop(index, None)
 
     def __getitem__(self, index: int) -> FrameMaps:
-        # Each call on a dictionary is whole by itself, whatever other threads do.
+        # Each single call on a dictionary is atomic, whatever other threads do.
         maps = self._kept.pop(index, None) or self._made(index, self.shutter, self.averaged.get(index))
         self._kept[index] = maps
         if len(self._kept) > CACHED_FRAMES:
@@ -170,7 +171,7 @@ class MapCache:
         return maps
 
     def upright(self, index: int, shutter: RollingShutter) -> FrameMaps:
-        """The maps of one frame as read, not averaged, with this shutter undone; they are not kept."""
+        """The maps of a frame with this shutter undone, from its own depth without averaging; not kept."""
         return self._made(index, shutter, None)
 
     def _made(
@@ -195,7 +196,7 @@ class MapCache:
         return FrameMaps(camera, depth_m, intensity)
 
     def _reduced(self, index: int) -> ReducedFrame:
-        """Read one frame of the recording; grey only if colour is registered to depth."""
+        """Read one frame of the recording; with grey only if colour is registered to depth."""
         sequence, reduction = self.sequence, _reduction(self.sequence.camera)
         native = sequence.frames.depth_native(index)
         depth = reduced_depth(native, sequence.depth_scale, reduction, np.float32(STORED_PER_M))
@@ -208,9 +209,9 @@ class MapCache:
         return frame
 
     def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
-        """Use this depth for a frame from now on: (height, width) uint16, 0.1 mm, working resolution.
+        """Set the depth of a frame from now on: (height, width) uint16, 0.1 mm, working resolution.
 
-        Where depth is calibrated, this is too.
+        If depth is calibrated, this depth must be, too.
         """
         if self.correction_per_m is not None:
             depth_m = corrected_depth_m(depth_in_metres(depth, STORED_PER_M), -self.correction_per_m)
@@ -219,7 +220,7 @@ class MapCache:
         self._kept.pop(index, None)
 
     def undo_shutter(self, shutter: RollingShutter) -> None:
-        """Undo a rolling shutter in all frames from now on; averages made without it are dropped."""
+        """Undo a rolling shutter in all frames from now on; drop averages made without it."""
         self.shutter = shutter
         self.averaged.clear()
         self._kept.clear()
@@ -233,7 +234,7 @@ class MapCache:
 
 
 def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
-    """Read the colour of one frame as gray, at working resolution; None if it is missing or does not fit."""
+    """Read the colour of a frame as grey at working resolution; None if missing or of another shape."""
     import cv2
 
     gray, camera = gray_frame(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
@@ -246,7 +247,7 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
 
 
 def _reduction(camera: Camera) -> int:
-    """The reduction factor: pixels per working pixel in each direction."""
+    """The reduction factor: how many pixels, in each direction, form a working pixel."""
     return max(1, round(camera.width / WORKING_WIDTH_PX))
 
 
@@ -274,7 +275,7 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 
 
 def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
-    """Read the colour of one frame as gray, in a mode of `cv2.imdecode`; None if it is missing or damaged."""
+    """Read the colour of a frame as grey, in a mode of `cv2.imdecode`; None if missing or damaged."""
     import cv2
 
     encoded = sequence.frames.color_encoded(index)
@@ -291,10 +292,10 @@ def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) 
 
 
 def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
-    """Estimate the normal noise from normals nine pixels apart, mostly on one plane.
+    """Estimate the normal noise from normals nine pixels apart, which mostly lie on one plane.
 
     With this noise along both tangents, the squared difference of two normals is exponentially distributed
-    with mean 4 sigma^2. The median is used.
+    with mean 4 sigma^2, which is estimated from the median.
     """
     squared = normal_differences(normals, depth_m, intrinsics)
     if not len(squared):
@@ -303,16 +304,16 @@ def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.flo
 
 
 class DepthAverage:
-    """The running average of one keyframe's depth."""
+    """The running average of a keyframe's depth."""
 
     def __init__(self, keyframe: Level) -> None:
-        """Begin with the keyframe at its finest resolution."""
+        """Start with the keyframe at its finest resolution."""
         self._own = keyframe.depth_m
         self._total, self._count = self._own.copy(), (self._own > 0).astype(np.float32)
         self._frames = 0
 
     def add(self, frame: Level, T_keyframe_frame: NDArray[np.float64]) -> None:
-        """Add a frame with the relative pose T_keyframe_frame (4, 4)."""
+        """Add a frame, with the relative pose T_keyframe_frame (4, 4)."""
         if self._frames >= MAX_FRAMES:
             return
         self._frames += 1
@@ -320,13 +321,13 @@ class DepthAverage:
         _add(self._total, self._count, self._own, frame.depth_m, frame.camera.intrinsics, T_frame_keyframe)
 
     def stored(self) -> NDArray[np.uint16]:
-        """(height, width) uint16 mean depth in 0.1 mm, 0 = none."""
+        """The mean depth in 0.1 mm: (height, width) uint16, 0 = none."""
         mean_m = self._total / np.maximum(self._count, 1)
         return stored_depth(mean_m)
 
 
 def stored_depth(depth_m: Float32 | NDArray[np.float64]) -> NDArray[np.uint16]:
-    """Depth of any shape in metres as 0.1 mm; beyond 6.5 m it is 6.5 m."""
+    """Convert depth of any shape from metres to 0.1 mm; depth beyond 6.5 m becomes 6.5 m."""
     return np.asarray(np.rint(np.minimum(depth_m * STORED_PER_M, 65535)), np.uint16)
 
 
@@ -357,7 +358,7 @@ def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyp
             reach = 4 * (SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2) + 0.003
             if near <= 0 or abs(near - z) > reach:
                 continue
-            # Unsigned, so that no index counts from the end.
+            # Unsigned, so that no index is negative.
             i, j = np.uint32(y), np.uint32(x)
             down, right = y - i, x - j
             d00, d01, d10, d11 = frame[i, j], frame[i, j + 1], frame[i + 1, j], frame[i + 1, j + 1]

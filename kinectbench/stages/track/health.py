@@ -1,4 +1,4 @@
-"""The health of a trajectory without ground truth: the contents of health.json."""
+"""The health of a trajectory, without ground truth: the contents of health.json."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -41,23 +41,23 @@ from kinectbench.stages.track.pose_graph import growth
 from kinectbench.stages.track.tracked import Constraint, Tracked
 from kinectbench.stages.track.verdict import judge, recommend
 
-# The share of loops that may be off themselves, and three standard deviations of the systematic error of a
-# loop between equal views. Chosen by hand.
+# Share of loops that may themselves be wrong; and three standard deviations of the systematic error of a loop
+# between equal views, metres. Chosen by hand.
 MAY_BE_OFF, OWN_ERROR_M = 0.05, 0.003
-# The figure is only reported: pairs of more keyframes cost time.
+# Most keyframes for the covisibility, which is only reported; pairs of more would cost time.
 COVISIBLE_KEYFRAMES = 60
 
 
 def health(
     sequence: Sequence, source: Source, tracked: Tracked, warnings: Rows[str], given: GivenCheck | None = None
 ) -> TrajectoryHealth:
-    """The figures of health.json, and a verdict; docs/keys.md lists them, docs/tracking.md defines them.
+    """Compute health.json and its verdict; docs/keys.md lists the figures, docs/tracking.md defines them.
 
     Args:
         sequence: the recording, n frames.
         source: trust: the given poses; refine: the given poses, corrected; tracked: no given poses.
-        tracked: the tracker's result. Frames that are left out have no pose in it.
-        warnings: for readers, one line each.
+        tracked: the tracker's result, without poses for frames that are left out.
+        warnings: warnings for people, one line each.
         given: the check of the given trajectory, if there is one; required for trust.
     """
     case = _Case(sequence, source, tracked, given)
@@ -105,7 +105,7 @@ def health(
 
 @dataclass(frozen=True)
 class _Case:
-    """The inputs, and values that several figures share."""
+    """The inputs of `health`, and values that several figures share."""
 
     sequence: Sequence
     source: Source
@@ -126,7 +126,7 @@ class _Case:
 
     @property
     def states(self) -> list[FrameState]:
-        """Per frame: tracked, relocalised, lost or rejected."""
+        """The state of each frame: tracked, relocalised, lost or rejected."""
         named = zip(self.tracked.states, self.posed, self.rejected, strict=True)
         return [state if posed else "rejected" if rejected else "lost" for state, posed, rejected in named]
 
@@ -160,12 +160,12 @@ class _Case:
 
     @property
     def trusted(self) -> GivenCheck | None:
-        """The check of the given poses if they are the trajectory's; else None."""
+        """The check of the given poses, if the trajectory consists of these; else None."""
         return self.given if self.source == "trust" else None
 
     @cached_property
     def shift_m(self) -> Float64:
-        """(n,) possible error of each pose, metres; NaN where unknown."""
+        """Possible error of each pose: (n,) metres; NaN where unknown."""
         if self.trusted:
             return self.trusted.frames.shift_m
         return pose_sigma_m(self.sequence, self.tracked, self.kept)
@@ -176,7 +176,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Frames with a pose that are no keyframes; keyframes belong to the model that is compared with."""
+        """Posed frames except keyframes, which are part of the model that frames are compared with."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -205,7 +205,7 @@ def _rejected(case: _Case, frame: int) -> RejectedFrame:
 
 
 def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
-    """A row of figures per frame."""
+    """Make a row of figures for each frame."""
     tracked, residual_m = case.tracked, case.residual_m
     speed_m_per_s, turn_rad_per_s = motion(tracked.T_world_camera, case.sequence.stamps_ns)
     blurred = relative_blur(sharpness(case.sequence, tracked.sharpness))
@@ -225,9 +225,9 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
 
 
 def _steps(case: _Case) -> tuple[Float64, Bools]:
-    """Length of each step between poses, metres, and whether an accepted loop spans it.
+    """Length of each step between poses, metres, and whether an accepted loop spans the step.
 
-    Such a loop constrains the poses before the step against those after it.
+    A spanning loop constrains the poses before the step relative to those after it.
     """
     frames = np.flatnonzero(case.posed)
     positions = case.tracked.T_world_camera[frames][:, :3, 3]
@@ -241,9 +241,9 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 
 
 def _open_gap_s(case: _Case, closed: Bools) -> float | None:
-    """The longest time between two poses with lost frames between them that no loop spans; None without one.
+    """The longest gap of lost frames that no loop spans, seconds; None without one.
 
-    The pose after such a gap comes from one registration across it, and nothing checks that.
+    The pose after such a gap comes from one registration across the gap, which nothing checks.
 
     Args:
         case: the inputs.
@@ -257,17 +257,17 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc of directions from which frames with a pose see their common focus."""
+    """The arc of directions from which the posed frames see their common focus."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
-    """Rms correction of the accepted loops; None without one.
+    """Rms correction of the accepted loops, metres; None without loops.
 
-    A loop between views that hardly overlap may be off by decimetres itself. Of the largest corrections one
-    in twenty is left out, if it is within the error of its own loop.
+    A loop between views that hardly overlap may itself be wrong by decimetres. So up to one in twenty of the
+    largest corrections is left out, if it is within the error of its own loop.
     """
     believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
     believed.sort(key=lambda each: -each.shift_m)

@@ -1,7 +1,7 @@
 """Figures of health.json about constraints and frames.
 
-Constraints: how far they disagree with the final poses, which gives the uncertainty of a pose. Frames: state,
-residual, motion and blur; and where the camera was lost.
+For constraints: their disagreement with the final poses, from which the uncertainty of poses follows. For
+frames: state, residual, motion and blur; and where the camera was lost.
 """
 
 from collections import Counter
@@ -20,27 +20,28 @@ from kinectbench.core.types import Bools, Float64
 from kinectbench.stages.track.frame_maps import gray_frame, reduced_gray
 from kinectbench.stages.track.tracked import Constraint, Tracked
 
-# A loop is accepted if the robust kernel left it at least this weight.
+# A loop is accepted if the robust kernel gives it at least this weight.
 ACCEPTED_WEIGHT = 0.5
-# A keyframe whose constraints weigh less than this in total is unconstrained.
+# A keyframe is unconstrained if the weights of its constraints add up to less than this.
 MIN_WEIGHT = 0.1
-# A correction is averaged over a grid of this many points across and down the image.
+# A correction is averaged over a grid of this many points in each direction of the image.
 GRID = 5
-# A step is a jump if it is so long, and so many times as fast as 95 % of the steps: of 65 simulated scans
-# tracked within 65 mm none has one, of seven whose poses are off by 0.7 m and more four do.
+# A step is a jump if it is this long, and this many times as fast as 95 % of the steps: of 65 simulated scans
+# tracked within 65 mm none has one; of seven whose poses are off by 0.7 m and more, four do.
 JUMP_M, JUMP_TIMES = 0.5, 2.0
-# For frames without any depth.
+# Assumed for frames without depth.
 TYPICAL_DEPTH_M = 1.5
 
 
 @dataclass(frozen=True)
 class ConstraintCorrection:
-    """A constraint, and by how much the final poses move and turn frame b against its measurement.
+    """A constraint, and the motion of frame b between its measured and its final pose relative to a.
 
     Attributes:
-        constraint: between frames a and b.
-        shift_m: rms over a grid of pixels at b's median depth, metres; NaN if a frame has no pose.
-        turn_rad: angle, radians; NaN if a frame has no pose.
+        constraint: constraint between frames a and b.
+        shift_m: rms displacement over a grid of pixels at b's median depth, metres; NaN if a frame has no
+            pose.
+        turn_rad: rotation angle, radians; NaN if a frame has no pose.
     """
 
     constraint: Constraint
@@ -49,18 +50,18 @@ class ConstraintCorrection:
 
     @property
     def accepted(self) -> bool:
-        """Whether the pose graph accepts it."""
+        """Whether the pose graph accepted the constraint."""
         return self.constraint.weight >= ACCEPTED_WEIGHT
 
 
 def median(values: Float64) -> float:
-    """The median of the values (n,) that are known; NaN if none is."""
+    """The median of the known values of (n,); NaN if none is known."""
     of = values[np.isfinite(values)]
     return float(np.median(of)) if len(of) else np.nan
 
 
 def median_depths_m(sequence: Sequence, frames: Iterable[int]) -> dict[int, float]:
-    """Median measured depth of each frame, metres; 1.5 m for frames without depth."""
+    """Median depth of each frame, metres; 1.5 m for frames without depth."""
     medians = {}
     for frame in sorted(set(frames)):
         depth_m = sequence.depth_m(frame)[::4, ::4]
@@ -75,10 +76,10 @@ def constraint_correction(
     """Compare one constraint with the final poses.
 
     Args:
-        constraint: between frames a and b.
-        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        constraint: constraint between frames a and b.
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
         camera: intrinsics.
-        depth_m: at which points of b are sampled.
+        depth_m: depth at which points of b are sampled, metres.
     """
     T_a_b = invert_rigid(T_world_camera[constraint.a]) @ T_world_camera[constraint.b]
     if not np.isfinite(T_a_b).all():
@@ -94,13 +95,13 @@ def constraint_correction(
 def pose_sigma_m(
     sequence: Sequence, tracked: Tracked, corrections: Iterable[ConstraintCorrection]
 ) -> Float64:
-    """Uncertainty of each pose: how far the constraints of its keyframe disagree with it.
+    """Uncertainty of each pose, from the corrections of its keyframe's constraints.
 
     It is the weighted rms of the corrections, divided by the square root of 2, because either frame of a
     constraint may cause the correction. A frame's keyframe is the nearest one in time.
 
     Returns:
-        (n,) metres; NaN where there is no pose, or no constraint.
+        (n,) metres; NaN for frames without pose or without constraint.
     """
     n = len(sequence)
     if not len(tracked.keyframes):
@@ -119,7 +120,7 @@ def pose_sigma_m(
 
 
 def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The keyframe (n,) nearest in time to each frame, the earlier one of two."""
+    """The keyframe (n,) nearest in time to each frame; the earlier of two equally near ones."""
     after = np.clip(np.searchsorted(keyframes, np.arange(len(stamps_ns))), 0, len(keyframes) - 1)
     before = np.maximum(after - 1, 0)
     to_after_ns = np.abs(stamps_ns[keyframes[after]] - stamps_ns)
@@ -128,14 +129,14 @@ def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64
 
 
 def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float64, Float64]:
-    """Speed and turn rate of the camera since the frame before.
+    """Speed and turn rate of the camera since the previous frame.
 
     Args:
-        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
         stamps_ns: (n,) strictly increasing.
 
     Returns:
-        (n,) metres per second and (n,) radians per second; NaN where one of the two frames has no pose.
+        (n,) metres per second and (n,) radians per second; NaN if either frame has no pose.
     """
     speed_m_per_s, turn_rad_per_s = (np.full(len(stamps_ns), np.nan) for _ in range(2))
     T_before_now = invert_rigid(T_world_camera[:-1]) @ T_world_camera[1:]
@@ -146,10 +147,10 @@ def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float
 
 
 def jumps(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> Iterator[Jump]:
-    """Steps between consecutive poses that are long, and faster by far than 95 % of them.
+    """Yield steps between consecutive poses that are long, and far faster than 95 % of the steps.
 
     Args:
-        T_world_camera: (n, 4, 4), NaN where there is no pose.
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
         stamps_ns: (n,) strictly increasing.
     """
     posed = np.flatnonzero(has_pose(T_world_camera))
@@ -170,15 +171,15 @@ def jumps(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> Iterator[Jum
 def lost_stretches(
     stamps_ns: NDArray[np.int64], lost: Bools, reasons: Mapping[int, str]
 ) -> list[LostStretch]:
-    """Runs of lost frames: first and last frame, and the most frequent reason.
+    """Runs of lost frames, each with first and last frame and the most frequent reason.
 
     Args:
-        stamps_ns: (n,).
-        lost: (n,).
-        reasons: by lost frame, why it is lost.
+        stamps_ns: (n,) stamps of all frames.
+        lost: (n,) whether each frame is lost.
+        reasons: why a frame is lost, by frame.
 
     Returns:
-        A row each; times in seconds from the first frame of the recording.
+        One row for each run; times in seconds from the first frame of the recording.
     """
     frames = np.flatnonzero(lost)
     runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1) if len(frames) else []
@@ -199,14 +200,14 @@ def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
 
     Args:
         sequence: the recording.
-        known: sharpness of frames whose colour was read already.
+        known: sharpness of frames whose colour has been read.
     """
     frames = range(len(sequence))
     return np.array([known[f] if f in known else _frame_sharpness(sequence, f) for f in frames])
 
 
 def _frame_sharpness(sequence: Sequence, index: int) -> float:
-    """Sharpness of one frame, read at the tracker's working resolution, or at half its own."""
+    """Sharpness of one frame: at the tracker's working resolution, or else at half the colour's own."""
     import cv2
 
     if sequence.color_registered:

@@ -1,6 +1,6 @@
-"""Connect keyframes by constraints: covisible keyframes, loop closures, and lost segments.
+"""Connect keyframes by constraints between covisible keyframes, loop closures, and lost segments.
 
-Every constraint is a registration that is accepted in both directions. The tries per keyframe are bounded.
+A constraint is a registration that is accepted in both directions. Tries per keyframe are limited.
 """
 
 from collections import defaultdict
@@ -22,41 +22,41 @@ from kinectbench.stages.track.pose_graph import optimise
 from kinectbench.stages.track.registration import PLACED, Registration, better, measure, register, search
 from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
-# With texture the keyframes are constrained so well that more rounds add little.
+# Number of rounds. With texture, keyframes are so well constrained that further rounds add little.
 ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
-# Tries per keyframe and round: similar keyframes, and keyframes with a predicted shared view.
+# Tries per keyframe and round: with similar keyframes, and with keyframes of a predicted shared view.
 SIMILAR_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
-# Other pairs mostly fail to register, and cost time.
+# Pairs below these values mostly fail to register, and cost time.
 MIN_SIMILARITY, MIN_SHARED_VIEW = 0.25, 0.3
 # Keyframes this close in order are neighbours, not loops.
 NEAR_IN_ORDER = 3
-# A loop may correct this ratio of the path walked since, plus this much.
+# Largest correction by a loop: this ratio of the path since then, plus this much.
 DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
 # Two registrations between the same two segments confirm each other within these tolerances.
 AGREE_M, AGREE_RAD = 0.06, 0.06
-# Their inlier ratio is at most this much below that of consecutive keyframes: a chair's back resembles its
-# front.
+# A joining constraint's inlier ratio is at most this much below that of consecutive keyframes: a chair's back
+# resembles its front.
 INLIER_MARGIN = 0.015
-# Number of constraints between two groups whose neighbouring keyframes are tried.
+# Number of constraints between two groups for which the neighbouring keyframes are tried, too.
 JOINS_CONFIRMED = 5
-# A constraint that the pose graph leaves less weight is refused.
+# A constraint is refused if the pose graph gives it less weight.
 MIN_CONSTRAINT_WEIGHT = 0.05
-# A loop must agree better than a step of odometry: other places look similar.
+# Limits for a loop, stricter than for a step of odometry, because other places may look similar.
 LOOP_INLIERS, LOOP_OVERLAP = 0.93, 0.3
 
 
 @dataclass(frozen=True)
 class KeyframeGraph:
-    """The keyframes with their poses after optimisation.
+    """The keyframes, their optimised poses, and the constraints between them.
 
     Attributes:
-        keyframes: (k,) frame indices.
+        keyframes: (k,) frame indices of the keyframes.
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
-        constraints: accepted, with their weights.
-        refused: tried and rejected, or switched off by the optimisation.
-        joined: segments that belong to the world.
-        thumbnails: (k,) of the keyframes.
-        calibration: the depth calibration that the constraints use.
+        constraints: the accepted constraints, with their weights.
+        refused: constraints that were tried and rejected, or switched off by the optimisation.
+        joined: indices of the segments that belong to the world.
+        thumbnails: (k,) thumbnails of the keyframes.
+        calibration: the depth calibration of the constraints.
     """
 
     keyframes: tuple[int, ...]
@@ -71,11 +71,11 @@ class KeyframeGraph:
 def build_graph(
     maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None = None
 ) -> KeyframeGraph:
-    """Find constraints, join segments and optimise, in rounds with ever better poses.
+    """Find constraints, join segments and optimise, in rounds with improving poses.
 
     Args:
-        maps: of the frames.
-        features: of the frames.
+        maps: maps of the frames.
+        features: features of the frames.
         odometry: keyframes, and constraints between consecutive keyframes.
         T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
     """
@@ -91,7 +91,7 @@ def build_graph(
 
 
 class _Builder:
-    """Builds the graph step by step."""
+    """Builds the keyframe graph step by step."""
 
     def __init__(
         self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
@@ -113,20 +113,20 @@ class _Builder:
         self.round = 0
         self.refused: list[Constraint] = []
         self.tried = {(constraint.a, constraint.b) for constraint in self.constraints}
-        # Each segment begins as a separate world.
+        # Each segment starts as a separate group with its own world.
         self.group = self.segments.copy()
         self.T_world = self.T_segment.copy()
         self._place_groups_as_given()
         self.weights = np.ones(len(self.constraints))
 
     def _again(self, each: Constraint) -> Constraint:
-        """Register a constraint again, with the averaged depth of the keyframes."""
+        """Repeat the registration of a constraint with the averaged depth of the keyframes."""
         source, target = self.maps[each.b], self.maps[each.a]
         registration = register(source, [target], [each.T_a_b], 0, PLACED, point_stride(source))
         return Constraint(each.a, each.b, registration, each.kind) if is_accepted(registration) else each
 
     def add_loop_candidates(self) -> None:
-        """Try keyframes of similar appearance that are no neighbours, and those on both sides of a gap."""
+        """Try keyframes of similar appearance that are not neighbours, and those on both sides of gaps."""
         similar = similarity(list(ahead(self.features.__getitem__, self.keyframes)))
         order = np.arange(len(self.keyframes))
         similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
@@ -140,7 +140,7 @@ class _Builder:
         self._try((a, b, None) for a, b in sorted(tries))
 
     def add_covisibility_constraints(self) -> None:
-        """Try keyframes with a predicted shared view, largest first."""
+        """Try pairs of keyframes with a predicted shared view, largest first."""
         tries: dict[int, int] = defaultdict(int)
         chosen = []
         pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
@@ -152,7 +152,7 @@ class _Builder:
             tries[a] += 1
             tries[b] += 1
             chosen.append((a, b))
-        # In the order of the path, so that their maps are still cached.
+        # In the order of the path, so that the keyframes' maps are still cached.
         self._try((a, b, self._between(a, b)) for a, b in sorted(chosen))
 
     def _covisible_pairs(self) -> list[tuple[float, int, int]]:
@@ -164,7 +164,7 @@ class _Builder:
         return pairs
 
     def _try(self, pairs: Iterable[tuple[int, int, Float64 | None]]) -> None:
-        """Register keyframes b to a, with T_a_b if known, but no pair twice; keep what is accepted."""
+        """Register keyframes b to a, from T_a_b if known; skip repeated pairs; keep accepted ones."""
         fresh = []
         for a, b, T_a_b in pairs:
             frames = self.keyframes[a], self.keyframes[b]
@@ -176,7 +176,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Keyframe b registered to a; of weight 0 if that is not accepted, None if it cannot be done."""
+        """Register keyframe b to a; the weight is 0 if not accepted, and the result None if impossible."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
@@ -203,7 +203,7 @@ class _Builder:
         return best
 
     def _is_mutual(self, frames: tuple[int, int], registration: Registration) -> bool:
-        """Whether the registration is accepted in both directions."""
+        """Whether a registration is accepted in both directions."""
         source, target = self.maps[frames[0]], self.maps[frames[1]]
         back = measure(source, [target], [invert_rigid(registration.T_target_source)], point_stride(source))
         return _convinces(registration) and _convinces(back)
@@ -215,7 +215,7 @@ class _Builder:
         return bool(moved or rotation_angle_rad(error[:3, :3]) > DRIFT_RAD)
 
     def optimise(self) -> None:
-        """Join groups that are connected by enough constraints, then optimise each group."""
+        """Join groups that enough constraints connect, then optimise each group."""
         self.round += 1
         self._confirm_joins()
         self._join_groups()
@@ -234,7 +234,7 @@ class _Builder:
             self.weights[chosen] = weights
 
     def calibrate(self) -> None:
-        """Estimate the depth distortion from overlapping keyframes; register the constraints again."""
+        """Estimate the depth distortion from overlapping keyframes, then repeat the registrations."""
         if not self.constraints:
             return
         pairs = sorted((a, b) for share, a, b in self._covisible_pairs() if share >= MIN_SHARED_VIEW)
@@ -255,11 +255,11 @@ class _Builder:
         return self.row[each.a], self.row[each.b]
 
     def _between(self, a: int, b: int) -> Float64:
-        """T_a_b (4, 4) of two rows, from their current poses."""
+        """T_a_b (4, 4) between two keyframes, by row, from their current poses."""
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:
-        """Constraints between each two groups, if nearly as good as those of consecutive keyframes."""
+        """Constraints between each pair of groups, if nearly as good as those of consecutive keyframes."""
         along = [each.registration for each in self.constraints if each.kind == "odometry"]
         typical_share = np.median([each.inlier_share for each in along] or [0.0])
         between: dict[tuple[int, int], list[Constraint]] = defaultdict(list)
@@ -270,7 +270,7 @@ class _Builder:
         return between
 
     def _confirm_joins(self) -> None:
-        """Try the keyframes next to the ends of a joining constraint: they should overlap as well."""
+        """Try the keyframes next to both ends of a joining constraint, which should overlap as well."""
         near = []
         for _, constraints in sorted(self._joining_constraints().items()):
             for each in constraints[:JOINS_CONFIRMED]:
@@ -284,8 +284,8 @@ class _Builder:
     def _join_groups(self) -> None:
         """Join two groups if two constraints agree on their relative pose, or one spans a gap in time.
 
-        Consecutive frames come first. Opposite sides of a symmetric object fit each other as well, and more
-        often: where a join by consecutive frames contradicts such constraints, they are refused.
+        Joins by consecutive frames come first. Opposite sides of a symmetric object also fit each other, and
+        more often: constraints that contradict a join by consecutive frames are refused.
         """
         while True:
             candidates = []
@@ -313,12 +313,12 @@ class _Builder:
         self.constraints = kept
 
     def _follows(self, each: Constraint) -> bool:
-        """Whether its frames are consecutive keyframes, and the camera was never lost between them."""
+        """Whether a constraint joins consecutive keyframes between which the camera was never lost."""
         a, b = self._ends(each)
         return b == a + 1 and not self.lost[each.a : each.b].any()
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
-        """The constraint that most others confirm, with their number; None if too few confirm it."""
+        """The constraint that most others confirm, and the number that confirm it; None if too few do."""
         relative = [self._T_group_group(each) for each in constraints]
         best: tuple[int, Constraint] | None = None
         for each, T in zip(constraints, relative, strict=True):
@@ -337,7 +337,7 @@ class _Builder:
         return best if best[0] >= 2 or b == a + 1 or small else None
 
     def _T_group_group(self, each: Constraint) -> Float64:
-        """Relative pose of two groups by one constraint, from the higher to the lower number."""
+        """Relative pose of two groups by one constraint, from the higher to the lower group number."""
         a, b = self._ends(each)
         T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
         return T if self.group[a] < self.group[b] else invert_rigid(T)
@@ -354,7 +354,7 @@ class _Builder:
             self.group[low] = groups[1]
 
     def _place_groups_as_given(self) -> None:
-        """Put all segments into the world of the given poses, each by its middle posed keyframe."""
+        """Place all segments in the world of the given poses, each by its middle posed keyframe."""
         if self.T_given is None:
             return
         for segment in np.unique(self.segments):
@@ -367,7 +367,7 @@ class _Builder:
                 )
 
     def graph(self) -> KeyframeGraph:
-        """The finished graph: the largest group is the world, all others stay lost."""
+        """Assemble the result: the largest group becomes the world, the others stay lost."""
         if not len(self.keyframes):
             return KeyframeGraph((), np.zeros((0, 4, 4)), (), (), frozenset(), ())
         groups, counts = np.unique(self.group, return_counts=True)

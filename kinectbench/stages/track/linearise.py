@@ -1,10 +1,11 @@
 """Linearise the relative pose of two frames: projective point-to-plane and photometric residuals.
 
 Geometry: Chen & Medioni 1991, Rusinkiewicz & Levoy 2001; residuals n . (q - T p), where q is the target's
-measurement at the pixel that T p projects to, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
+measurement at the pixel of T p, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
 Steinbruecker, Sturm & Cremers 2011, Park, Zhou & Koltun 2017; residuals I_target(T p) - gain I_source(p) -
-offset. Gain and offset are estimated as well, so that the exposure may change. Twists are (rotation,
-translation) in the source frame: T <- T exp(twist).
+offset. Gain and offset are estimated too, because the exposure may change. Twists are (rotation, translation)
+in the source
+frame: T <- T exp(twist).
 """
 
 from dataclasses import dataclass
@@ -19,19 +20,19 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import Level
 from kinectbench.stages.track.map_kernels import MIN_COSINE
 
-# Beyond it a residual counts less: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
+# Larger residuals get less weight: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
-# Of intensities from 0 to 255.
+# Standard deviation of intensities from 0 to 255.
 INTENSITY_SIGMA = 8.0
 # Photometric errors exceed the image noise, because colour and depth are not taken at the same instant.
 PHOTOMETRIC_WEIGHT = 0.25
-# Gain and offset are not estimated from fewer intensities.
+# With fewer intensities, gain and offset are not estimated.
 MIN_INTENSITIES = 100
-# Surfaces whose normals differ by more than 60 degrees are two.
+# Surfaces whose normals differ by more than 60 degrees are different surfaces.
 MIN_FACING = 0.5
-# Gain and offset.
+# Gain 1 and offset 0.
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
-# From one frame to another they change by 0.3 and by 30 of 255 (standard deviations, chosen by hand).
+# Standard deviations between two frames: 0.3 for the gain, and 30 of 255 for the offset (chosen by hand).
 EXPOSURE_PRIOR = np.diag([0.3**-2, 30.0**-2])
 # Rows are gathered in blocks of this many, which stay in the cache. Padding avoids cache-set conflicts.
 BLOCK, PADDING = 512, 8
@@ -42,9 +43,9 @@ class LinearTerms:
     """Gauss-Newton terms of one pair of frames.
 
     Attributes:
-        geometric: (6, 6) of the point-to-plane residuals.
-        photometric: (6, 6), gain and offset of intensity eliminated.
-        gradient: (6,).
+        geometric: (6, 6) normal matrix of the point-to-plane residuals.
+        photometric: (6, 6) normal matrix of photometry, with gain and offset of intensity eliminated.
+        gradient: (6,) of geometry and photometry together.
         inliers: number of points that agree within three standard deviations.
         violations: number of points where the target sees through the point or sees another surface.
         residual_m: root mean square of the inliers' residuals.
@@ -52,10 +53,10 @@ class LinearTerms:
         normal_information: (6, 6) sum of J J^T of the inliers, each divided by its squared normal-noise
             factor depth / (sigma * cosine).
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
-        intensity_correlation: weighted, -1 to 1; NaN without.
+        intensity_correlation: weighted, -1 to 1; NaN without intensity.
         exposure: (2,) gain and offset before the step.
-        exposure_step: (2, 7) change of gain and offset with the step: a linear part, which is subtracted, and
-            a constant.
+        exposure_step: (2, 7) change of gain and offset by a step: a linear part, to be subtracted, and a
+            constant.
     """
 
     geometric: Float64
@@ -73,11 +74,11 @@ class LinearTerms:
 
     @property
     def equations(self) -> NormalEquations:
-        """Of the twist."""
+        """The normal equations for the twist."""
         return NormalEquations(self.geometric + self.photometric, self.gradient)
 
     def exposure_after(self, step: NDArray[np.floating]) -> Float64:
-        """(2,) gain and offset of the frame after the twist `step` (6,)."""
+        """Gain and offset (2,) after the twist `step` (6,)."""
         return np.asarray(self.exposure + self.exposure_step[:, 6] - self.exposure_step[:, :6] @ step)
 
 
@@ -93,20 +94,20 @@ def linearise(
     """Linearise the residuals of a pair of frames.
 
     Args:
-        source: points p.
-        target: the maps they are projected into.
+        source: level with the points p.
+        target: level into which the points are projected.
         T_target_source: (4, 4), the pose at which to linearise.
         gate_m: largest distance along the ray between a point and its measurement, metres.
         exposure: (2,) gain and offset of intensity.
         with_observability: whether to sum `normal_information` and `moments`, which show unobservable
             directions; else they are 0.
-        every: only every n-th point is used.
+        every: stride of the points used.
     """
     (A, P, S, M), inliers, violations, compared, squares, variances = _accumulate(
         source.points[::every],
         target.depth_m,
         target.normals,
-        # A frame without colour is compared by its depth alone.
+        # If the source has no colour, only depth is compared.
         target.intensity if source.intensity.size else source.intensity,
         target.camera.intrinsics,
         np.ascontiguousarray(T_target_source),
@@ -116,7 +117,7 @@ def linearise(
     )
     photometric, gradient, follows = np.zeros((6, 6)), A[:6, 6], np.zeros((2, 7))
     if compared >= MIN_INTENSITIES:
-        # Gain and offset follow from the twist.
+        # Gain and offset are eliminated: they follow from the twist.
         left, follows = eliminated(P, 2, EXPOSURE_PRIOR)
         photometric, gradient = left[:6, :6], gradient + left[:6, 6]
     return LinearTerms(
@@ -136,7 +137,7 @@ def linearise(
 
 
 def _correlation(P: Float64, exposure: Float64) -> float:
-    """Correlation of source and target intensities, from the weighted products of photometry."""
+    """Correlation of source and target intensities, from photometry's weighted products."""
     products = P[[0, 1, 8]][:, [0, 1, 8]]  # of the source's intensity, 1 and the residual
     # The target's intensity is the residual + gain * source + offset.
     to_target = np.array([exposure[0], exposure[1], 1.0])
@@ -148,7 +149,7 @@ def _correlation(P: Float64, exposure: Float64) -> float:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _within(error, variance, slack):  # type: ignore[no-untyped-def]
-    """Whether an error is no larger than three standard deviations and some slack."""
+    """Whether an error is at most three standard deviations plus a slack."""
     beyond = abs(error) - slack
     return beyond <= 0 or beyond * beyond <= 9 * variance
 
@@ -157,10 +158,10 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
     """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: gain, offset, twist, residual).
 
-    On request also sums over inliers: the twist's part over the noise of normals (6, 6), and the positions
-        (4, 4). Further results are the numbers of inliers, violations and compared intensities, and the
-        inliers' sums of squared residuals and of their variances. Rows are gathered in blocks that stay in
-        the cache. A block is stored row by row, so that its products are vectorised.
+    If requested, also sums over inliers: the twist's part divided by the noise of normals (6, 6), and
+    positions (4, 4). Further results: the numbers of inliers, violations and compared intensities, and the
+    inliers' sums of squared residuals and of variances. Rows are gathered in blocks that stay in the cache; a
+    block is stored row by row, so that its products are vectorised.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
@@ -203,14 +204,14 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             mx, my, mz = float(normals[vi, ui, 0]), float(normals[vi, ui, 1]), float(normals[vi, ui, 2])
             if mz == 0:
                 continue
-            # The mean of both normals, in the source's axes: its noise is less (Rusinkiewicz 2019).
+            # The mean of both normals, in the source's axes: less noisy than either (Rusinkiewicz 2019).
             ox, oy, oz = np.float64(points[i, 3]), np.float64(points[i, 4]), np.float64(points[i, 5])
             nx = r00 * mx + r10 * my + r20 * mz
             ny = r01 * mx + r11 * my + r21 * mz
             nz = r02 * mx + r12 * my + r22 * mz
             facing = nx * ox + ny * oy + nz * oz
             if facing < MIN_FACING:
-                # A surface with another orientation is another surface.
+                # A different orientation means a different surface.
                 violations += 1
                 continue
             shorten = 1 / np.sqrt(2 + 2 * facing)

@@ -1,4 +1,4 @@
-"""Pixel loops of `frame_maps`: reduced depth, normals, and points with evenly spread normals.
+"""Pixel kernels of `frame_maps`: reduced depth, normals, and points with evenly spread normals.
 
 Images are (height, width), depth in metres along z, 0 = none; intrinsics are fx, fy, cx, cy in pixels.
 """
@@ -8,11 +8,11 @@ import numpy as np
 
 from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
-# Nearer a Kinect measures nothing; farther its noise is more than 33 mm.
+# A Kinect measures nothing nearer; farther its noise exceeds 33 mm.
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
 # Normals are binned on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12
-# None of the 12 x 12 cells has this number.
+# Marks a pixel without cell; the 12 x 12 cells have smaller numbers.
 NO_CELL = 255
 # Lower bound of the cosine of the slant in the model of normal noise.
 MIN_COSINE = 0.3
@@ -22,7 +22,7 @@ POINT_COLUMNS = 8
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
-    """Mean of each block's measurements on its nearest surface, so that edges stay sharp."""
+    """Reduce depth to blocks: the mean of each block's nearest surface, so that edges stay sharp."""
     height, width = native.shape[0] // factor, native.shape[1] // factor
     out = np.zeros((height, width), np.uint16)
     low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
@@ -49,7 +49,7 @@ def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def halved(depth_m):  # type: ignore[no-untyped-def]
-    """Depth at half the resolution: the mean of each 2 x 2 block's nearest surface."""
+    """Halve the resolution of depth: the mean of the nearest surface in each 2 x 2 block."""
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
     out = np.zeros((height, width), np.float32)
     for v in range(height):
@@ -74,7 +74,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Mean over 5 x 5 pixels of the same surface; used for normals only."""
+    """Average depth over 5 x 5 pixels of the same surface; used for normals only."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -82,8 +82,8 @@ def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
         total[:], count[:] = 0, 0
         for y in range(max(v - 2, 0), min(v + 3, height)):
             for shift in range(-2, 3):
-                # One shift of a whole row at a time, with slices that have no negative index, so that the
-                # loop is vectorised.
+                # One shift for a whole row at a time, with slices without negative indices, so that the loop
+                # is vectorised.
                 first, end = max(0, -shift), min(width, width - shift)
                 near, centre = depth_m[y, first + shift : end + shift], depth_m[v, first:end]
                 sums, counts = total[first:end], count[first:end]
@@ -98,13 +98,13 @@ def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals by central differences over two pixels each way, if these lie on one surface."""
+    """Normals by central differences over two pixels each way, if all these pixels lie on one surface."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     over_fx, over_fy = 1 / fx, 1 / fy
     out = np.zeros((height, width, 3), np.float32)
     reach = 2
-    # Near the border smoothing is one-sided and would flatten the surface.
+    # Near the border smoothing is one-sided, which would flatten the surface.
     border = 2 * reach
     n = width - 2 * border
     if n <= 0:
@@ -122,7 +122,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
             valid &= (abs(zl - z) <= limit) & (abs(zr - z) <= limit)
             valid &= (abs(za - z) <= limit) & (abs(zb - z) <= limit)
             u = i + border
-            # Differences of the points to the right and to the left, below and above.
+            # Differences between the points to the right and left, and below and above.
             ax = ((u + reach - cx) * zr - (u - reach - cx) * zl) * over_fx
             ay = (v - cy) * (zr - zl) * over_fy
             az = zr - zl
@@ -144,10 +144,10 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
-    """Points sampled evenly over normals (normal-space sampling: Rusinkiewicz & Levoy 2001).
+    """Sample points evenly over their normals (normal-space sampling: Rusinkiewicz & Levoy 2001).
 
-    A floor fills most of the image but does not constrain motion along it. The noise of its normals would
-    outweigh the few points, such as table legs, that do.
+    A floor fills most of the image but does not constrain motion along it. With uniform sampling the noise of
+    its normals would outweigh the few points that do, such as those on table legs.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -212,7 +212,7 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
-    """The cell of the half sphere for a normal: its x and y, evenly divided."""
+    """The cell of a normal on the half sphere, from an even division of its x and y."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
     j = min(NORMAL_CELLS - 1, int((ny + 1) * 0.5 * NORMAL_CELLS))
     return i * NORMAL_CELLS + j
@@ -220,7 +220,7 @@ def _cell(nx, ny):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cap(counts, total):  # type: ignore[no-untyped-def]
-    """The cap c for which the sum of min(count, c) is `total`; infinity if all counts sum to less."""
+    """The cap c for which the sum of min(count, c) is `total`; infinity if the counts sum to less."""
     if counts.sum() <= total:
         return np.inf
     ascending = np.sort(counts)

@@ -1,7 +1,7 @@
 """Odometry: follow the camera from frame to frame by registering each frame to a keyframe.
 
-A frame that fits no recent keyframe begins a new segment in a separate world. Loop closure may join the
-segments later. No pose is guessed.
+A frame that fits no recent keyframe starts a new segment with its own world. Loop closures may join segments
+later. No pose is guessed.
 """
 
 import itertools
@@ -21,39 +21,41 @@ from kinectbench.stages.track.tracked import Constraint
 
 # A frame with fewer points (of about 19000) cannot be registered.
 MIN_POINTS = 400
-# Accepted without a search: at least this overlap, and at most these margins below the reference quality.
+# A registration is accepted without a search with at least this overlap, and at most these margins below the
+# reference quality.
 REFERENCE_OVERLAP, INLIER_SLACK, CORRELATION_SLACK = 0.4, 0.008, 0.03
-# Accepted after a search: at most this margin below the reference quality, or an overlap of at least
-# SAME_VIEW (something in view may have moved).
+# It is accepted after a search with at most this margin below the reference quality, or with an overlap of at
+# least SAME_VIEW (something in view may have moved).
 MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 # Least inlier ratio, overlap and intensity correlation of any accepted registration.
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
-# A frame is registered to that many segments, and to none that ended longer ago than both: a symmetric object
-# fits itself elsewhere as well, and one registration is no proof. Of 36 simulated scans, three were joined by
-# one after 4 s (13 frames) and more, and two of these are 0.8 m off. Stamps may count frames as seconds.
+# A frame is registered to the latest RECENT_SEGMENTS segments, unless they ended longer ago than both limits:
+# a symmetric object also fits itself elsewhere, and one registration is no proof. Of 36 simulated scans,
+# three were joined by one registration after 4 s (13 frames) and more, and two of these are 0.8 m off. Stamps
+# may count frames as seconds.
 RECENT_SEGMENTS, RECENT_FRAMES, RECENT_S = 3, 6, 2.0
-# A keyframe's depth is averaged with this many frames before it, and with all frames up to the next keyframe.
+# A keyframe's depth is averaged with this many previous frames, and with all frames up to the next keyframe.
 FRAMES_BEFORE = 5
 NO_DEPTH = "too little depth to register"
 UNOBSERVABLE = "one plane in view: a motion is left open"
-# A frame is compared with itself, on every fourth point, to detect a view of one plane. There the
-# signal-to-noise ratio of the normals is below this.
+# To detect a view of a single plane, a frame is compared with itself, on every fourth point: the
+# signal-to-noise ratio of the normals is then below this.
 EVERY_ALONE, ONE_PLANE = 4, 1.2
-# With texture fewer points suffice: intensity constrains the directions that they do not.
+# With texture fewer points suffice, because intensity constrains the remaining directions.
 EVERY_WITH_COLOR, EVERY_WITHOUT = 3, 1
 
 
 @dataclass(frozen=True)
 class Followed:
-    """One frame of a segment.
+    """The odometry of one frame.
 
     Attributes:
-        segment: which.
+        segment: index of the frame's segment.
         keyframe: frame index of the keyframe it was registered to; a keyframe has its own index.
-        T_segment_camera: (4, 4).
-        registration: to the keyframe; None for the first frame of a segment.
+        T_segment_camera: (4, 4), pose in the segment's world.
+        registration: registration to the keyframe; None for the first frame of a segment.
     """
 
     segment: int
@@ -67,10 +69,10 @@ class Odometry:
     """The odometry of all frames.
 
     Attributes:
-        frames: per frame; None: it has too little depth to register.
-        reasons: by frame without an entry, why.
-        keyframes: frame indices, ascending.
-        constraints: between consecutive keyframes of a segment.
+        frames: for each frame; None: it has too little depth to register.
+        reasons: why a frame has no odometry, by frame.
+        keyframes: frame indices of the keyframes, ascending.
+        constraints: constraints between consecutive keyframes of a segment.
     """
 
     frames: tuple[Followed | None, ...]
@@ -81,13 +83,13 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """The reference quality of this recording's registrations: running means."""
+    """Running means of the quality of this recording's registrations."""
 
     inlier_share: float
     correlation: float
 
     def after(self, registration: Registration) -> "ReferenceQuality":
-        """The running means after one more accepted registration."""
+        """The running means after another accepted registration."""
         correlation = registration.intensity_correlation
         known = self.correlation if np.isnan(correlation) else correlation
         return ReferenceQuality(
@@ -108,7 +110,7 @@ class ReferenceQuality:
         )
 
 
-# The initial reference is strict, because a wrong first frame would make the next ones wrong.
+# The initial reference is strict, because errors of a wrong first frame would spread to the next frames.
 INITIAL_QUALITY = ReferenceQuality(0.99, 0.99)
 
 
@@ -129,28 +131,28 @@ def follow(
     T_given: Float64 | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Odometry:
-    """Register every frame of a sequence to the keyframes before it.
+    """Register every frame of a sequence to previous keyframes.
 
     Args:
-        maps: of the frames.
-        features: of the frames.
-        T_given: (n, 4, 4) poses to start the registrations from, NaN where there is none; or None.
-        progress: called with the number of frames done.
+        maps: maps of the frames.
+        features: features of the frames.
+        T_given: (n, 4, 4) initial poses for the registrations, NaN where unknown; or None.
+        progress: called with the number of finished frames.
     """
     return Follower(maps, features, T_given).to_the_end(progress)
 
 
 class Follower:
-    """Builds the odometry frame by frame; a pickled copy goes on elsewhere, with the same result.
+    """Builds the odometry frame by frame; a pickled copy continues elsewhere with the same result.
 
     Attributes:
-        maps: of the frames.
-        features: of the frames.
-        frames: of those that were taken.
+        maps: maps of the frames.
+        features: features of the frames.
+        frames: odometry of the frames taken so far.
     """
 
     def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> None:
-        """Nothing was taken; the arguments are those of `follow`."""
+        """Start without any frame; the arguments are those of `follow`."""
         self.maps, self.features, self.T_given = maps, features, T_given
         self.frames: list[Followed | None] = []
         self.reasons: dict[int, str] = {}
@@ -176,7 +178,7 @@ class Follower:
         self.frames.append(frame)
 
     def to_the_end(self, progress: Callable[[int], None] | None = None) -> Odometry:
-        """Take the frames that are left: the odometry after all frames."""
+        """Take the remaining frames, and return the odometry of all frames."""
         for index in range(len(self.frames), len(self.maps.sequence)):
             self.take(index)
             if progress:
@@ -184,24 +186,24 @@ class Follower:
         return self.so_far()
 
     def so_far(self) -> Odometry:
-        """The odometry of the frames that were taken; the last keyframe's depth is averaged so far."""
+        """The odometry of the frames taken so far; the last keyframe's depth is averaged up to now."""
         self._end_average()
         frames, keyframes = tuple(self.frames), tuple(self.keyframes)
         return Odometry(frames, dict(self.reasons), keyframes, tuple(self.constraints))
 
     def calibrate(self, calibration: DepthCalibration) -> None:
-        """Correct depth from now on; the last keyframe's depth is averaged no further."""
+        """Correct depth from now on; the averaging of the last keyframe's depth ends."""
         self._end_average()
         self.average = None
         self.maps.calibrate(calibration)
 
     def _first_of_segment(self, index: int) -> Followed:
-        """A frame that fits none before it: the first keyframe of a new segment."""
+        """Make a frame that fits no previous frame the first keyframe of a new segment."""
         segment = 1 + max((f.segment for f in self.frames if f is not None), default=-1)
         return Followed(segment, index, np.eye(4), None)
 
     def _accepted(self, index: int, followed: Followed) -> Followed:
-        """Accept a registered frame; after a large motion it becomes the next keyframe."""
+        """Accept a registered frame; make it the next keyframe after a large motion."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
         if not is_keyframe(followed.registration, self.maps[index]):
@@ -210,7 +212,7 @@ class Follower:
         return replace(followed, keyframe=index)
 
     def _begin_keyframe(self, index: int, keyframe: Followed) -> None:
-        """Start to average the new keyframe's depth, with the frames just before it."""
+        """Start averaging the new keyframe's depth, with the frames just before it."""
         self._end_average()
         self.keyframes.append(index)
         self.average = DepthAverage(self.maps[index][0])
@@ -225,7 +227,7 @@ class Follower:
             self.maps.improve(self.keyframes[-1], self.average.stored())
 
     def _references(self, index: int) -> list[int]:
-        """Frames to register a frame to: the last keyframe and the last frame of each recent segment."""
+        """Frames to try as reference: the last keyframe and the last frame of each recent segment."""
         references: list[int] = []
         segments: list[int] = []
         stamps_ns = self.maps.sequence.stamps_ns
@@ -242,7 +244,7 @@ class Follower:
         return references
 
     def _register(self, reference: int, index: int) -> Followed | None:
-        """Register a frame to a reference from its predictions; if none is good enough, search."""
+        """Register a frame to a reference from predicted poses; if none is good enough, search."""
         source, target, before = self.maps[index], self.maps[reference], self._followed(reference)
         every = point_stride(source)
         starts = self._predictions(reference, index)
@@ -260,14 +262,14 @@ class Follower:
         if best is None or not self.reference.is_possible(best):
             return None
         T_segment_camera = on_so3(before.T_segment_camera @ best.T_target_source)
-        # The reference may be another frame than the keyframe; the pose is stored relative to the keyframe.
+        # The reference may not be a keyframe; the pose is stored relative to the reference's keyframe.
         keyframe = self._followed(before.keyframe)
         T_keyframe_camera = on_so3(invert_rigid(keyframe.T_segment_camera) @ T_segment_camera)
         registration = replace(best, T_target_source=T_keyframe_camera)
         return Followed(before.segment, before.keyframe, T_segment_camera, registration)
 
     def _predictions(self, reference: int, index: int) -> list[Float64]:
-        """T_reference_camera, most likely first: given poses, constant velocity, zero motion."""
+        """Predicted T_reference_camera, most likely first: given poses, constant velocity, zero motion."""
         predictions = []
         if self.T_given is not None and np.isfinite(self.T_given[[reference, index]]).all():
             predictions.append(invert_rigid(self.T_given[reference]) @ self.T_given[index])
@@ -291,7 +293,7 @@ class Follower:
 
 
 def _too_little(maps: FrameMaps) -> str | None:
-    """The reason why a frame cannot be registered to anything; None if it can."""
+    """Why a frame cannot be registered to any other; None if it can."""
     if len(maps[0].points) < MIN_POINTS:
         return NO_DEPTH
     alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
@@ -299,7 +301,7 @@ def _too_little(maps: FrameMaps) -> str | None:
 
 
 def point_stride(source: FrameMaps) -> int:
-    """The stride of the points used to register a frame: every n-th point is enough."""
+    """The stride of the points for registering a frame: every n-th point is enough."""
     return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
 
 

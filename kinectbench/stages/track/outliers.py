@@ -1,4 +1,4 @@
-"""Outlier frames: their depth agrees far worse with the frames around them than nearly all others."""
+"""Outlier frames: their depth agrees far worse with other frames than that of nearly all frames."""
 
 from collections.abc import Mapping
 
@@ -14,21 +14,21 @@ ADVICE: dict[Source, str] = {
     "trust": "the given poses are off there, as after a fast turn; `trajectory: refine` may bring them back",
 }
 # A frame is an outlier by its modified z-score: 0.6745 times its distance from the median, divided by the
-# median of all such distances (Iglewicz and Hoaglin 1993: above 3.5). Its residual must also be twice the
+# median of these distances (Iglewicz and Hoaglin 1993: above 3.5). Its residual must also be twice the
 # median, because the spread may be tiny. Measured: frames of a fast turn have 3.6 to 4.5 times the median;
 # 300 frames of three recordings without a fast turn have at most 1.35 times.
 MODIFIED_Z, Z_OF_MEDIAN, OUTLIER_RATIO = 3.5, 0.6745, 2.0
 
 
 def find_outliers(residual: Float64, judged: Bools) -> Bools:
-    """Frames that agree far worse with the others than nearly all do: (n,).
+    """Frames (n,) that agree far worse with their keyframes than nearly all frames do.
 
-    A frame of a fast turn may pass registration although it is centimetres off. Residuals within the noise do
-    not count.
+    A frame of a fast turn may pass registration although it is centimetres off. A residual within the noise
+    never makes an outlier.
 
     Args:
-        residual: (n,) of each frame to the keyframes around it, divided by the expected noise; NaN: unknown.
-        judged: (n,) bool, which frames count.
+        residual: (n,) of each frame to keyframes, divided by the expected noise; NaN: unknown.
+        judged: (n,) bool, the frames to judge.
     """
     known = judged & np.isfinite(residual)
     if not known.any():
@@ -41,10 +41,10 @@ def find_outliers(residual: Float64, judged: Bools) -> Bools:
 
 
 def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
-    """A warning about frames left out as outliers, if any.
+    """A warning about frames left out as outliers; no warning without such frames.
 
     Args:
-        reasons: by lost frame, why it has no pose.
+        reasons: why a frame has no pose, by frame.
         source: the source of the poses.
     """
     frames = sorted(frame for frame, reason in reasons.items() if reason == OUTLIER_REASON)

@@ -1,4 +1,4 @@
-"""Track an object by its masked pixels: the world moves with the object, turned or carried."""
+"""Track a turned or carried object by its masked pixels: the world moves with the object."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from kinectbench.core.types import Progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES, track
 
-# Two trajectories agree only if the path is this many times as long as their distance.
+# Trajectories whose distance is not this many times shorter than the path do not agree.
 AT_REST_RATIO = 10.0
 
 
@@ -25,17 +25,17 @@ def track_own_pixels(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Run `track` on the pixels within the masks; a frame without a mask has no pose.
+    """Run `track` on the pixels inside the masks; a frame without mask has no pose.
 
     Args:
-        sequence: the recording, whole.
-        masks: index -> (height, width) bool, the object, or None for a frame without one.
-        mode: of a given trajectory, as for `track`. A given trajectory fits only if the object was at rest.
-        settings: what counts as disagreement.
+        sequence: the recording, unmasked.
+        masks: index -> (height, width) bool, the object; None for a frame without mask.
+        mode: use of a given trajectory, as for `track`; it fits only if the object was at rest.
+        settings: the limits for disagreement.
         progress: called with (done, total).
 
     Raises:
-        TrackingError: fewer than three frames have a mask, or as `track`.
+        TrackingError: fewer than three frames have a mask, or `track` raises it.
     """
     has_mask = frames_with_masks(sequence, masks)
     if has_mask.sum() < MIN_GOOD_FRAMES:
@@ -56,7 +56,7 @@ def track_own_pixels(
 
 
 def _at_rest(sequence: Sequence, trajectory: Trajectory, settings: TrackingSettings) -> list[str]:
-    """A warning if given poses were ignored although they agree with the object's own poses."""
+    """A warning if given poses were ignored although they agree with the object's poses."""
     given = sequence.given_trajectory
     if given is None:
         return []

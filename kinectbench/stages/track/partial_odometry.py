@@ -1,7 +1,7 @@
-"""Odometry that began while a recording was made, and goes on in its build.
+"""Continue an odometry in a build that was started during the recording.
 
-The odometry of a frame depends on the frames up to it alone, so that it is the same whenever it is computed.
-What was done before counts only if its frames are those of the sequence, byte by byte.
+The odometry of a frame depends only on the frames up to it, so it is the same whenever it is computed. An
+earlier odometry is used only if its frames equal those of the sequence byte by byte.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,25 +19,25 @@ from kinectbench.stages.track.odometry import Follower
 
 @dataclass(frozen=True)
 class PartialOdometry:
-    """The odometry of a sequence's first frames.
+    """The odometry of the first frames of a sequence.
 
     Attributes:
-        follower: has taken them.
-        digests: of each of them, as `FolderFrames.digest` gives it.
+        follower: the follower that has taken these frames.
+        digests: digest of each of these frames, as `FolderFrames.digest` computes it.
     """
 
     follower: Follower
     digests: tuple[bytes, ...]
 
 
-# Asked for when the frames are to be tracked.
+# Returns the earlier odometry; called when tracking starts.
 Ask: TypeAlias = Callable[[], PartialOdometry | None]
 _ask: ContextVar[Ask | None] = ContextVar("partial_odometry", default=None)
 
 
 @contextmanager
 def using_partial_odometry(ask: Ask) -> Iterator[None]:
-    """Within the block, the next sequence that is tracked goes on from what was done, if it is of it."""
+    """Within the block, let the next tracked sequence continue the earlier odometry if the frames match."""
     token = _ask.set(ask)
     try:
         yield
@@ -46,7 +46,7 @@ def using_partial_odometry(ask: Ask) -> Iterator[None]:
 
 
 def partial_odometry_of(sequence: Sequence) -> Follower | None:
-    """What was done of a sequence, with the frames of the sequence; None: nothing. It is given out once."""
+    """The earlier odometry of a sequence, reading its frames; None without one. It is returned once."""
     ask, frames = _ask.get(), sequence.frames
     _ask.set(None)
     partial = ask() if ask and isinstance(frames, FolderFrames) else None

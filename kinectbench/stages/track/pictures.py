@@ -1,4 +1,4 @@
-"""Pictures of a trajectory: path from above, health over time, covisibility, errors."""
+"""Pictures of a trajectory: path from above, health over time, covisibility, and errors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# The picture of `track --compare`, in `build/<recording>/`.
+# File of the picture by `track --compare`, in `build/<recording>/`.
 COMPARISON = "compare.png"
-# Blue, orange, vermilion and green of Okabe and Ito, distinct for colour-blind people as well.
+# Blue, orange, vermilion and green of Okabe and Ito, which colour-blind people distinguish.
 BLUE, ORANGE, RED, GREEN = "#0072b2", "#e69f00", "#d55e00", "#009e73"
 TIME_COLORS = "viridis"
-# More would cover one another in a picture.
+# Largest numbers to draw: more would cover one another.
 ARROWS, MAX_LOOPS_DRAWN, MAX_KEYFRAMES_DRAWN = 24, 200, 150
-# The axes reach so far around a camera that hardly moves: noise must not fill the picture.
+# Least half-width of the axes, so that the noise of a camera that hardly moves does not fill the picture.
 MIN_REACH_M = 0.25
 NOTHING = "no frame has a pose"
 TIME, FRAME = "time, s", "frame"
 
 
 def write_pictures(folder: Path, trajectory: Trajectory) -> None:
-    """Write trajectory.png and, of a trajectory that has its health, health.png and covisibility.png.
+    """Write trajectory.png and, if the trajectory has its health, health.png and covisibility.png.
 
     Args:
         folder: an existing folder.
@@ -46,13 +46,13 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
 
 
 def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
-    """The horizontal axis of plots over frames, and its label.
+    """The horizontal axis for plots over frames, and its label.
 
     Args:
-        stamps_ns: (n,) of the sequence, n > 0.
+        stamps_ns: (n,) stamps of the sequence, n > 0.
 
     Returns:
-        (n,) seconds from the first frame on; the frames' indices where the recording has no stamps.
+        (n,) seconds since the first frame; or frame indices if the recording has no stamps.
     """
     if counts_frames(stamps_ns):
         return np.arange(len(stamps_ns), dtype=np.float64), FRAME
@@ -60,15 +60,15 @@ def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
 
 
 def path_picture(trajectory: Trajectory) -> bytes:
-    """The cameras from above as a PNG file, with the first one's direction upwards.
+    """Draw the cameras from above, with the first camera's viewing direction upwards: a PNG file.
 
-    It shows time (colour), keyframes (150 at most, the viewing direction of 24), loops and lost stretches. If
-    the health has an arc, it also shows the point where the optical axes meet. Axes are in metres from the
-    first camera with a pose.
+    The picture shows time (colour), keyframes (at most 150, with 24 viewing directions), loops and lost
+    stretches; and the point where the optical axes meet, if the health has an arc. Axes are in metres from
+    the first camera with a pose.
     """
     figure = new_figure(6.6, 5.6, margins=(0.11, 0.14, 0.1, 0.02))
     axes = figure.add_subplot(xlabel="right, m", ylabel="ahead, m")
-    # A narrow path is padded with data space, not with an empty margin.
+    # A narrow path is padded by wider axis limits, not by an empty margin.
     axes.set_aspect("equal", adjustable="datalim")
     good = trajectory.good_frames
     if not len(good):
@@ -87,7 +87,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
     figure.colorbar(points, label=when, shrink=0.8, fraction=0.05, pad=0.03)
     keyframes = np.intersect1d([] if health is None else health.keyframes, good).astype(np.int64)
     if len(keyframes):
-        # More circles than these would hide the path.
+        # More circles than this would hide the path.
         keyframes = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, MAX_KEYFRAMES_DRAWN).astype(int))]
         axes.plot(*places[keyframes, :2].T, "o", color=INK, markersize=3.6, fillstyle="none",
                   markeredgewidth=0.8, label="keyframes", zorder=4)  # fmt: skip
@@ -106,14 +106,14 @@ def path_picture(trajectory: Trajectory) -> bytes:
 
 
 def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> bytes:
-    """Residual, share of inliers, speed, turn rate and blur of each frame over time: a PNG file.
+    """Draw residual, inlier ratio, speed, turn rate and blur of each frame over time: a PNG file.
 
-    Where the recording has no stamps, they are drawn over the frames. Frames without a pose are shaded; a
-    line marks where the camera was found again.
+    Without stamps the horizontal axis is the frame index. Frames without a pose are shaded; a line marks
+    where the camera was found again.
 
     Args:
-        health: with a row for each frame.
-        stamps_ns: (n,) of the frames.
+        health: health with a row for each frame.
+        stamps_ns: (n,) stamps of the frames.
     """
     rows = health.per_frame
     moments, when = timeline(stamps_ns)
@@ -149,7 +149,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
 
 
 def covisibility_picture(health: TrajectoryHealth) -> bytes:
-    """The ratio of each keyframe's points that others see, and the loops: a PNG file."""
+    """Draw the ratio of each keyframe's points that other keyframes see, and the loops: a PNG file."""
     figure = new_figure(5.6, 4.8, margins=(0.11, 0.11, 0.03, 0.07))
     axes = figure.add_subplot(xlabel="… that this keyframe sees", ylabel="points of this keyframe …")
     keyframes = np.array(health.covisibility.keyframes, np.int64)
@@ -161,7 +161,7 @@ def covisibility_picture(health: TrajectoryHealth) -> bytes:
     figure.colorbar(image, label="points, %", shrink=0.9)
     if accepted := [row for row in health.loops if row.believed]:
         ends = np.array([(row.a, row.b) for row in accepted])
-        # Only some keyframes have a row; a loop is drawn at the nearest of them.
+        # Only some keyframes have a row; a loop is drawn at the nearest rows.
         at = np.abs(ends[..., None] - keyframes).argmin(axis=-1)
         axes.plot(*np.concatenate([at, at[:, ::-1]]).T, "s", color=RED, markersize=3.5, fillstyle="none",
                   markeredgewidth=0.9, label="loops")  # fmt: skip
@@ -179,14 +179,14 @@ def comparison_picture(
     moments: Float64,
     when: str,
 ) -> bytes:
-    """A trajectory aligned to a reference, from above, and its errors over time: a PNG file.
+    """Draw a trajectory aligned to a reference, from above, and its errors over time: a PNG file.
 
     Args:
-        error: of these poses.
-        T_world_camera_estimate: (n, 4, 4) the matched poses.
-        T_world_camera_reference: (n, 4, 4).
+        error: errors of these poses.
+        T_world_camera_estimate: (n, 4, 4) the matched poses of the trajectory.
+        T_world_camera_reference: (n, 4, 4) the matched poses of the reference.
         moments: (n,) the horizontal axis of the errors, from `timeline`.
-        when: its label.
+        when: label of this axis.
     """
     figure = new_figure(6.6, 7.2)
     above, below = figure.subplots(2, 1, height_ratios=(3, 1))
@@ -214,7 +214,7 @@ def comparison_picture(
 
 
 def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
-    """Dotted lines over the lost stretches, crosses at the interpolated places of rejected frames."""
+    """Draw dotted lines over lost stretches, and crosses at the interpolated places of rejected frames."""
     label = "lost"
     for row in health.lost_stretches:
         ends = [*good[good < row.first_frame][-1:], *good[good > row.last_frame][:1]]
@@ -238,7 +238,7 @@ def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None
 
 
 def _mark_states(axes: "Axes", moments: Float64, states: Sequence[str]) -> None:
-    """Shade frames without a pose, half-way to their neighbours; mark relocalisations."""
+    """Shade frames without a pose, up to half-way to their neighbours; mark relocalisations."""
     edges = np.concatenate([moments[:1], (moments[:-1] + moments[1:]) / 2, moments[-1:]])
     for state, color, label in (("lost", RED, "lost"), ("rejected", ORANGE, "left out")):
         for first, last in _runs(states, state):
@@ -258,12 +258,12 @@ def _runs(states: Sequence[str], state: str) -> list[tuple[int, int]]:
 
 
 def _fit(axes: "Axes", points_m: Float64) -> None:
-    """Show all points (n, 2) with a margin; at least half a metre around a camera that stood still."""
+    """Show all points (n, 2) with a margin; at least half a metre in all."""
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
     reach_m = np.maximum(0.56 * (high_m - low_m), MIN_REACH_M)
     left, bottom = (low_m + high_m) / 2 - reach_m
     right, top = (low_m + high_m) / 2 + reach_m
-    # `auto` lets the limits give way to equal axes; nothing is drawn after this that would move them.
+    # `auto` lets the limits change to keep the axes equal; nothing drawn later would move them.
     axes.set_xlim(left, right, auto=True)
     axes.set_ylim(bottom, top, auto=True)
 

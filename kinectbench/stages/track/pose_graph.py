@@ -1,7 +1,7 @@
 """Pose-graph optimisation with a robust kernel: keyframe poses that agree best with all constraints.
 
-Levenberg-Marquardt on SE(3) with a sparse solver; constraints that contradict the rest lose their weight by
-a Geman-McClure kernel that is tightened step by step (graduated non-convexity: Yang, Antonante, Tzoumas &
+Levenberg-Marquardt on SE(3) with a sparse solver. Constraints that contradict the rest lose their weight by a
+Geman-McClure kernel that is tightened step by step (graduated non-convexity: Yang, Antonante, Tzoumas &
 Carlone, RA-L 2020), so that the result does not depend on the initial poses.
 """
 
@@ -20,9 +20,9 @@ from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.tracked import Constraint
 
-# Systematic error of a constraint of two equal views, by calibration and depth distortion: radians, metres.
+# Systematic error of a constraint between equal views, by calibration and depth distortion: radians, metres.
 SYSTEMATIC = np.array([0.0007] * 3 + [0.001] * 3)
-# It grows as the views overlap less, and by this factor with the ratio of outliers.
+# The systematic error grows as the views overlap less, and by this factor with the ratio of outliers.
 PER_DISAGREEING_SHARE = 100.0
 # Regularises unconstrained directions: a step of one radian or one metre costs this much.
 LOOSE = 1e-3
@@ -30,9 +30,10 @@ LOOSE = 1e-3
 KERNEL = 30.0
 # Information of the priors: standard deviations of 30 mrad and 50 mm.
 PRIOR = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
-# Most steps with the last kernel, and with each before it, which need not settle.
+# Most steps with the last kernel; with each kernel before it, which need not converge; and the final step
+# size.
 ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
-# Kernels, from one that keeps every constraint to the last, evenly spaced by the logarithm.
+# Number of kernels, from one that keeps every constraint to the last, evenly spaced by the logarithm.
 TIGHTENINGS = 8
 
 
@@ -42,16 +43,16 @@ def optimise(
     nodes: Sequence[tuple[int, int]],
     T_prior: Float64 | None = None,
 ) -> tuple[Float64, Float64]:
-    """Move poses until the constraints agree.
+    """Optimise poses so that they agree best with the constraints.
 
     Args:
         T_world: (k, 4, 4) initial poses; the first stays fixed, unless there are priors.
         constraints: measured T_a_b with information.
-        nodes: for each constraint, its two rows of `T_world`.
-        T_prior: (k, 4, 4) poses used as a weak prior, NaN where there is none; or None.
+        nodes: for each constraint, the rows of its two keyframes in `T_world`.
+        T_prior: (k, 4, 4) poses used as weak priors, NaN where unknown; or None.
 
     Returns:
-        (k, 4, 4) poses and (number of constraints,) weights, 0 to 1.
+        (k, 4, 4) poses, and weights of the constraints, (number of constraints,), 0 to 1.
     """
     poses = T_world.copy()
     measured = np.array([constraint.T_a_b for constraint in constraints]).reshape(-1, 4, 4)
@@ -70,9 +71,9 @@ def optimise(
 
 
 def softened(constraint: Constraint) -> Float64:
-    """The information (6, 6) of a constraint with the systematic errors in its covariance: (A^-1 + S)^-1.
+    """Information (6, 6) of a constraint with systematic errors added to its covariance: (A^-1 + S)^-1.
 
-    A may be singular.
+    A, the information without them, may be singular.
     """
     A = constraint.registration.information
     systematic = np.diag((SYSTEMATIC * growth(constraint)) ** 2)
@@ -80,7 +81,7 @@ def softened(constraint: Constraint) -> Float64:
 
 
 def growth(constraint: Constraint) -> float:
-    """The systematic errors of a constraint, in those of two equal views; fitted to simulated orbits."""
+    """Systematic error of a constraint relative to that of equal views; fitted to simulated orbits."""
     edge = constraint.registration
     return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
 
@@ -95,7 +96,7 @@ class _Graph:
     T_prior: Float64 | None
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
-        """Levenberg-Marquardt: a step that raises the cost is rejected and the damping increased."""
+        """Levenberg-Marquardt: reject a step that raises the cost, and increase the damping."""
 
         def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
             poses, cost, damping = state
@@ -109,16 +110,16 @@ class _Graph:
         return descend(advance, (poses, self.cost(poses, kernel), 1e-6), iterations, STEP_ENOUGH)[0][0]
 
     def weights(self, poses: Float64, kernel: float) -> Float64:
-        """(m,) of the constraints: Geman-McClure."""
+        """Geman-McClure weights (m,) of the constraints."""
         return np.asarray((kernel / (kernel + self.squared(poses))) ** 2)
 
     def squared(self, poses: Float64) -> Float64:
-        """(m,) squared errors of the constraints, in their standard deviations."""
+        """Squared errors (m,) of the constraints, in squared standard deviations."""
         errors = _errors(poses, self.measured, self.ends)
         return np.asarray(np.einsum("mi,mij,mj->m", errors, self.information, errors))
 
     def cost(self, poses: Float64, kernel: float) -> float:
-        """Sum of the kernels of all constraints and priors."""
+        """The sum of the kernel costs of all constraints and priors."""
         squares = self.squared(poses)
         total = float((kernel * squares / (kernel + squares)).sum())
         for _, error in self._priors(poses):
@@ -127,7 +128,7 @@ class _Graph:
         return total
 
     def step(self, poses: Float64, kernel: float, damping: float) -> Float64:
-        """Twists (k, 6) of one damped Gauss-Newton step."""
+        """The twists (k, 6) of one damped Gauss-Newton step."""
         k = len(poses)
         errors = _errors(poses, self.measured, self.ends)[..., None]
         information = self.weights(poses, kernel)[:, None, None] * self.information
@@ -164,9 +165,9 @@ class _Graph:
 
 
 def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float64:
-    """Twists (m, 6) of measured^-1 T_a^-1 T_b.
+    """Twists (m, 6) of the errors measured^-1 T_a^-1 T_b.
 
-    To first order a twist of T_b adds to it; one of T_a adds -Ad(measured^-1) times it.
+    To first order, a twist of T_b adds to the error, and a twist of T_a adds -Ad(measured^-1) times itself.
     """
     back = invert_rigid(measured)
     relative = back @ invert_rigid(poses[ends[:, 0]]) @ poses[ends[:, 1]]
@@ -174,7 +175,7 @@ def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float
 
 
 def adjoint(T: Float64) -> Float64:
-    """(m, 6, 6): how twists (rotation, translation) change frames by T (m, 4, 4)."""
+    """Adjoint (m, 6, 6) of T (m, 4, 4): maps twists (rotation, translation) from one frame to the other."""
     rotation, t = T[:, :3, :3], T[:, :3, 3]
     cross = np.zeros_like(rotation)
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -t[:, 2], t[:, 1], -t[:, 0]

@@ -1,8 +1,8 @@
-"""Registration: move one frame until it agrees with others; `linearise` has the cost function.
+"""Registration: move a frame until it agrees with other frames; `linearise` has the cost function.
 
-If registration from the prediction is not good enough, `search` looks around it. Registration converges at
-once in the directions that the surfaces constrain (a floor: two rotations and the height). Only the other
-directions need a search: a grid along the three weakest ones, scored at the coarsest level.
+If registration from the prediction is not good enough, `search` tries poses around it. Registration converges
+at once in the directions that the surfaces constrain (a floor: two rotations and the height). Only the
+remaining directions need a search: a grid along the three weakest, scored at the coarsest level.
 """
 
 import itertools
@@ -19,23 +19,23 @@ from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, Level
 from kinectbench.stages.track.linearise import NO_EXPOSURE_CHANGE, LinearTerms, linearise
 
-# The noise of neighbouring pixels is correlated: this many count as one measurement.
+# Noise of neighbouring pixels is correlated: this many points count as one measurement.
 CORRELATED_POINTS = 10.0
 # Per level, finest first: the largest distance along the ray between a point and its measurement, the number
 # of iterations, and the step at which they stop.
 GATES_M = (0.06, 0.10, 0.20)
 ITERATIONS = (5, 8, 20)  # (chosen by hand)
 STEP_ENOUGH = (1e-4, 2e-4, 5e-4)  # (chosen by hand)
-# Fewer agreeing points of the finest level may agree by chance.
+# Fewer points at the finest level may agree by chance.
 MIN_POINTS = 100
-# Where a motion slides surfaces along each other, noisy normals add false information. The expected false
-# information is subtracted 1.5 times, because the noise is only estimated.
+# Along a motion that slides surfaces on each other, noisy normals add false information. Its expected value
+# is subtracted 1.5 times, because the noise is only estimated.
 NOISE_FACTOR = 1.5
 # A direction with a larger standard deviation is unobservable.
 MAX_SIGMA_M = 0.012
-# Shortens steps along weakly constrained directions.
+# Shortens steps in weakly constrained directions.
 HELD = NormalEquations(np.diag([0.1**-2] * 6), np.zeros(6))
-NO_PRIOR = np.zeros((6, 6))  # nothing is known of the start
+NO_PRIOR = np.zeros((6, 6))  # nothing is known about the start
 # Prior of a start known to 10 mrad and 10 mm, scaled like correlated measurements.
 PLACED = CORRELATED_POINTS * np.diag([0.01**-2] * 3 + [0.01**-2] * 3)
 # Level of the search.
@@ -43,15 +43,15 @@ COARSEST = 2
 # Root-mean-square motion of the points from one start to the next.
 SPACING_M = 0.12
 STARTS = np.array([k for k in itertools.product((-2, -1, 0, 1, 2), repeat=3) if any(k)])
-# So many of the best starts settle at the coarsest level, so many of these are registered.
+# Number of the best starts that are refined at the coarsest level, and of these that are registered.
 SETTLED, REGISTERED = 8, 2
-# While searching; half the gate of the coarsest level, as the best start lies near.
+# Gate during the search: half that of the coarsest level, because the best start is near.
 SEARCH_GATE_M = 0.1
-# A start settles in so many steps, or once one moves the points less (chosen by hand, for time).
+# Limits of refining a start: number of steps, and motion of the points (chosen by hand, for time).
 SETTLE_ITERATIONS, SETTLE_ENOUGH = 10, 3e-4
-# The score of a start with less overlap falls in proportion.
+# The score of a start with less overlap than this is reduced in proportion.
 ENOUGH_OVERLAP = 0.5
-# A frame on its way: its motion (4, 4) since the start, and of each target the exposure and the last terms.
+# State of a registration: the motion (4, 4) since the start; for each target its exposure and its last terms.
 Moving = tuple[Float64, list[Float64], list[LinearTerms]]
 
 
@@ -60,17 +60,17 @@ class Registration:
     """The relative pose of two frames, and its quality.
 
     Attributes:
-        T_target_source: (4, 4).
+        T_target_source: (4, 4) relative pose.
         information: (6, 6) inverse covariance of the twist, without the false information of noisy normals.
         overlap: ratio of the source's points that project onto measurements of the target.
-        inlier_share: inlier ratio of these points, without the occluded ones.
+        inlier_share: inlier ratio of these points, without occluded ones.
         residual_m: root mean square of the inliers' point-to-plane residuals, metres.
         noise_m: the residual expected from a Kinect's depth noise alone, metres.
         signal_to_noise: information of the normals along the least constrained direction, divided by that of
             their noise alone; about 1 for one plane, 0 for too few points.
         sigma_m: standard deviation along the least constrained direction, as root-mean-square motion of the
             points; infinite where that direction is unobservable.
-        intensity_correlation: of the inliers' intensities, -1 to 1; NaN without.
+        intensity_correlation: correlation of the inliers' intensities, -1 to 1; NaN without intensity.
     """
 
     T_target_source: Float64
@@ -97,15 +97,15 @@ def register(
     prior: Float64 = NO_PRIOR,
     every: int = 1,
 ) -> Registration:
-    """Move one frame until it agrees with others that are fixed relative to each other.
+    """Move a frame until it agrees with others that are fixed relative to each other.
 
     Args:
-        source: the frame that moves.
-        targets: one or more others.
-        T_targets_source: (4, 4) each, the initial poses.
+        source: the frame to move.
+        targets: one or more other frames.
+        T_targets_source: (4, 4) for each target, the initial poses.
         coarsest: level to start at, 0 the finest.
         prior: (6, 6) information of the start, in the same units as the measurements'.
-        every: at the finest level only every n-th point is used.
+        every: stride of the points used at the finest level.
 
     Returns:
         The registration to the first target.
@@ -123,7 +123,7 @@ def register(
     textured = source.has_intensity and all(target.has_intensity for target in targets)
     if textured or not free.shape[1]:
         return registration
-    # Motion along unobservable directions is undone: it was caused by noise.
+    # Undo motion in unobservable directions, which only noise caused.
     twist = twist_from_rigid(motion)
     motion = rigid_from_twist(twist - free @ np.linalg.pinv(free) @ twist)
     return measure(source, targets, [start @ motion for start in starts], every)
@@ -138,7 +138,7 @@ def _advanced(
     every: int,
     moving: Moving,
 ) -> tuple[Moving, float]:
-    """One step at a level, and its largest part."""
+    """Advance a registration by one step at a level; also return the step's largest component."""
     motion, exposures, _ = moving
     linear_terms = _linearised(source, targets, [start @ motion for start in starts], exposures, level, every)
     known = NormalEquations.of_prior(prior, twist_from_rigid(motion))
@@ -150,13 +150,13 @@ def _advanced(
 def measure(
     source: FrameMaps, targets: Sequence[FrameMaps], T_targets_source: Sequence[Float64], every: int = 1
 ) -> Registration:
-    """The figures of a registration at given poses, without moving the frame.
+    """Measure the quality of a registration at given poses, without moving the frame.
 
     Args:
         source: the frame.
-        targets: one or more others.
-        T_targets_source: (4, 4) each.
-        every: only every n-th point is used.
+        targets: one or more other frames.
+        T_targets_source: (4, 4) for each target.
+        every: stride of the points used.
     """
     exposures = [NO_EXPOSURE_CHANGE] * len(targets)
     terms = _linearised(source, targets, T_targets_source, exposures, 0, every)
@@ -171,7 +171,7 @@ def _linearised(
     level: int,
     every: int,
 ) -> list[LinearTerms]:
-    """The terms of each target at one level; the finest adds observability and uses fewer points."""
+    """The terms for each target at a level; the finest level adds observability and uses fewer points."""
     finest = level == 0
     return [
         linearise(
@@ -194,7 +194,7 @@ def _figures(
     linear_terms: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
-    """The figures, and the unobservable directions (6, k), as in `Observability.motions`."""
+    """The registration's figures, and the unobservable directions (6, k), as in `Observability.motions`."""
     inliers = sum(terms.inliers for terms in linear_terms)
     compared = inliers + sum(terms.violations for terms in linear_terms)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in linear_terms)
@@ -222,7 +222,7 @@ def _figures(
 
 @dataclass(frozen=True)
 class Observability:
-    """How well the normals constrain each of six directions of motion, the weakest first.
+    """How well the normals constrain six directions of motion, the weakest first.
 
     Attributes:
         signal_to_noise: (6,) information of the normals along a direction, divided by that of their noise.
@@ -235,7 +235,7 @@ class Observability:
     metric: Float64
 
     def without_noise(self, information: Float64) -> Float64:
-        """Subtract from the information (6, 6) what the noise of the normals adds along each direction."""
+        """Subtract from the information (6, 6) what noise of the normals adds along each direction."""
         left = np.sqrt(np.maximum(0.0, 1 - NOISE_FACTOR / np.maximum(self.signal_to_noise, NOISE_FACTOR)))
         # The inverse of the motions is motions.T @ metric.
         back = self.metric @ self.motions * left
@@ -243,13 +243,13 @@ class Observability:
 
 
 def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
-    """Constraint of each direction by the normals, relative to the noise of normals.
+    """How well the normals constrain each direction of motion, relative to the noise of normals.
 
-    Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: the sum of [[p]x; 1] [[p]x; 1]^T.
-    In this metric the length of a twist is the motion of the points.
+    Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: in sum [[p]x; 1] [[p]x; 1]^T. In
+    this metric the length of a twist is the motion of the points.
 
     Args:
-        parts: the terms of each target, linearised `with_observability`.
+        parts: terms for each target, linearised `with_observability`.
         source: the level that was linearised.
         targets: the levels it was linearised against.
     """
@@ -262,7 +262,7 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
     shares = np.sum([terms.normal_information for terms in parts], axis=0) / max(moments[3, 3], 1)
     signal_to_noise, motions = eigh(shares, metric)
     counts = np.array([max(terms.inliers, 1) for terms in parts])
-    # The mean of two normals has less noise than either, unless they are the same.
+    # The mean of two normals is less noisy than either, unless the frames are the same.
     noises = [
         source.normal_noise**2 if target is source else (source.normal_noise**2 + target.normal_noise**2) / 4
         for target in targets
@@ -272,17 +272,17 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
 
 
 def registration_score(registration: Registration) -> float:
-    """The score of a registration: 1.25 at most, 1 without intensity."""
+    """The score of a registration: at most 1.25, or 1 without intensity."""
     return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
 
 
 def better(best: Registration | None, other: Registration) -> Registration:
-    """The registration with the higher score; the first if they are equal."""
+    """The registration with the higher score; `best` if both are equal."""
     return other if best is None or registration_score(other) > registration_score(best) else best
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
-    """The registration of a frame to another with the highest score around `T_start` (4, 4)."""
+    """Search around `T_start` (4, 4) for the registration of a frame to another with the highest score."""
     points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(source, target, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)

@@ -1,7 +1,7 @@
-"""Estimate the readout time of a rolling shutter from pairs of frames that move differently.
+"""Estimate the readout time of a rolling shutter from pairs of frames with different motion.
 
-No format states the readout time, and colour may be delayed against depth. Frames with the same motion are
-distorted equally, and fit each other. Frames with different motions fit only when the rolling shutter is
+No format states the readout time, and colour may be delayed relative to depth. Frames with the same motion
+are distorted equally and fit each other. Frames with different motions fit only if the rolling shutter is
 undone with the correct time.
 """
 
@@ -17,26 +17,27 @@ from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.odometry import Followed, Odometry
 from kinectbench.stages.track.registration import Registration, measure, register
 
-# A pair of frames is informative if the image flow differs by this much: the outermost rows of a Kinect are
-# then 4.5 mrad off, one pixel of the working resolution. No pair of simulated slow orbits (0.4 to 0.8 m/s) is
+# A pair of frames is informative if its image flow differs by this much: the outermost rows of a Kinect are
+# then 4.5 mrad off, one pixel at working resolution. No pair of simulated slow orbits (0.4 to 0.8 m/s) is
 # informative, and one of 150 in a recording that pans over a room.
 INFORMATIVE_RAD_PER_S = 0.3
-# Least number and ratio of informative frames: for a single jolt the odometry is not run again.
+# Least number and ratio of informative frames (for a single jolt the odometry is not repeated); pairs to use.
 MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO, PAIRS = 16, 0.05, 12
-# Image positions at which the flow is evaluated: x and y at z = 1.
+# Image positions at which flow is evaluated: x and y at z = 1.
 FLOW_AT = np.array([(x, y, 1.0) for x in (-0.3, 0.0, 0.3) for y in (-0.25, 0.0, 0.25)])
-# Their median depth turns motion into flow; a few frames tell it.
+# Number of frames for the median depth, which turns motion into flow.
 DEPTH_FRAMES = 8
-# The first trial, then the step. A readout is at most the frame interval, 1/30 s.
+# The first readout to try, the step, and the number of steps. A readout is at most the frame interval, 1/30
+# s.
 FIRST_TRIED_S, STEP_S, MOST_STEPS = 0.03, 0.01, 4
-# Images of at least twice this width are halved: on pairs of a simulated Kinect the readout is still within 4
-# ms and the delay within 2.5 ms.
+# Images of at least twice this width are halved: for pairs of a simulated Kinect the readout is still within
+# 4 ms and the delay within 2.5 ms.
 ENOUGH_PX = 140
 # A shutter is undone if it lowers the misfit by this ratio, compared with no shutter and with the opposite
-# one, which smooths depth equally. Measured: 3 % for a slow pan over a real room, 18 % for TUM fr1_xyz, 60 to
-# 75 % for simulated turns of 150 degrees a second.
+# shutter, which smooths depth equally. Measured: 3 % for a slow pan over a real room, 18 % for TUM fr1_xyz,
+# 60 to 75 % for simulated turns of 150 degrees a second.
 MIN_GAIN = 0.1
-# Misfit of a point that disagrees: inliers are within three standard deviations.
+# Misfit of a point that disagrees; inliers are within three standard deviations.
 OUTLIER = 9.0
 
 
@@ -48,11 +49,11 @@ class _Pair:
 
 
 def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
-    """The rolling shutter of a fast recording, and the colour's delay; None without either.
+    """Estimate the rolling shutter of a fast recording and the colour's delay; None without either.
 
     Args:
-        maps: of the frames, without any shutter undone.
-        odometry: of all frames.
+        maps: maps of the frames, without a shutter undone.
+        odometry: odometry of all frames.
     """
     motion = motions_of(odometry.frames, maps.sequence.stamps_ns / 1e9)
     pairs = _informative_pairs(maps, odometry, motion)
@@ -72,17 +73,17 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
 
 
 def motions_of(frames: Sequence[Followed | None], stamps_s: Float64) -> Float64:
-    """The camera's motion at each frame, (n, 12): `motions` of the odometry's frames."""
+    """The camera's motion at each frame, (n, 12), from the odometry; see `rolling_shutter.motions`."""
     T = np.array([np.full((4, 4), np.nan) if each is None else each.T_segment_camera for each in frames])
     segment = np.array([-1 if each is None else each.segment for each in frames], np.int64)
     return motions(T.reshape(-1, 4, 4), segment, stamps_s)
 
 
 def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
-    """Image flow, averaged over the view: (n,) of twists a second (n, 6).
+    """Image flow averaged over the view, (n,) rad/s, from twists per second (n, 6).
 
     Args:
-        rates: (n, 6) twists a second, rad/s and m/s, camera axes.
+        rates: (n, 6) twists per second, rad/s and m/s, camera axes.
         depth_m: typical depth of the scene, metres.
     """
     moved = -np.cross(rates[:, None, :3], FLOW_AT) - rates[:, None, 3:6] / depth_m
@@ -91,7 +92,7 @@ def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
 
 
 def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """Frames and keyframes that move differently: the more informative half of them."""
+    """Pairs of frame and keyframe with different motion: the more informative half."""
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
     chosen_frames = np.linspace(0, len(frames) - 1, min(DEPTH_FRAMES, len(frames))).astype(int).tolist()
@@ -114,14 +115,14 @@ def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> l
 
 
 class _Search:
-    """Measures how well pairs of frames fit; large images are halved in both directions."""
+    """Measures how well pairs of frames fit under a shutter; large images are halved."""
 
     def __init__(self, maps: MapCache, pairs: Sequence[_Pair], motion: Float64) -> None:
         self.maps, self.pairs, self.motion = maps, pairs, motion
         self.found: dict[float, list[Registration]] = {}
 
     def misfit(self, readout_s: float) -> float:
-        """Mean square of the depth's residuals over their noise, at each pair's best pose."""
+        """Mean squared ratio of depth residual to noise, at each pair's best pose."""
         fits = self._registered(readout_s)
         squares = [
             r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in fits
@@ -129,7 +130,7 @@ class _Search:
         return float(np.mean(squares))
 
     def dissimilarity(self, readout_s: float, delay_s: float) -> float:
-        """1 minus the correlation of the colours at the pose that fits the depth; 1 if unknown."""
+        """1 minus the correlation of intensities at the pose that fits the depth; 1 if unknown."""
         correlations = [
             measure(
                 *self._maps(pair, readout_s, delay_s, with_intensity=True), [r.T_target_source]
@@ -150,7 +151,7 @@ class _Search:
     def _maps(
         self, pair: _Pair, readout_s: float, delay_s: float, *, with_intensity: bool
     ) -> tuple[FrameMaps, list[FrameMaps]]:
-        """The pair's source and its target, with this shutter undone."""
+        """The source and the targets of a pair, with this shutter undone."""
         shutter = RollingShutter(readout_s, delay_s, self.motion)
         source, target = (
             self.maps.upright(k, shutter).reduced(ENOUGH_PX, with_intensity=with_intensity)
@@ -160,7 +161,7 @@ class _Search:
 
 
 def _least(value_at: Callable[[float], float], start_s: float) -> float:
-    """The time of the least value: descent in steps from a start, then a parabola between steps."""
+    """The time with the least value: descend in steps from a start, then fit a parabola."""
     values: dict[int, float] = {}
 
     def at(step: int) -> float:

@@ -1,4 +1,4 @@
-"""Smooth the trajectory as far as its poses are uncertain.
+"""Smooth the trajectory as far as the uncertainty of its poses allows.
 
 Frames are registered one by one. In directions that a frame's depth hardly constrains, its neighbours give a
 better estimate. The prior is white noise on acceleration (Anderson & Barfoot, "Full STEAM ahead", IROS 2015).
@@ -14,18 +14,18 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 
-# Reweightings of the frames by the kernel.
+# Number of reweightings by the kernel.
 ITERATIONS = 6
 # Median of the mean of three squared standard normal variables.
 MEDIAN_OF_THREE = 0.789
-# At most this ratio of the measured acceleration variance is noise. The rest is doubled, because motion is
-# uneven.
+# At most this ratio of the measured acceleration variance counts as noise. The rest is doubled, because
+# motion is uneven.
 MAX_NOISE, ROUGHER = 0.5, 2.0
 # Mean squared acceleration, in standard deviations, at which a frame loses three quarters of its weight.
 KERNEL = 9.0
 # Regularises a frame without information: radians and metres.
 LOOSE = 1e-3
-# Fewer frames do not tell usual accelerations: three have one.
+# With fewer frames the usual accelerations are unknown: three frames have one.
 MIN_FRAMES = 5
 
 
@@ -34,7 +34,7 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
 
     Args:
         T_world_camera: (n, 4, 4), all finite.
-        stamps_ns: (n,), in any order.
+        stamps_ns: (n,) stamps, in any order.
         information: (n, 6, 6) inverse covariance of each pose's twist (rotation, translation).
 
     Returns:
@@ -61,32 +61,31 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
 
 
 def second_differences(times_s: Float64) -> list[Float64]:
-    """Weights of three consecutive values for their second derivative, 1/s^2: three times (n - 2,)."""
+    """Weights of three consecutive values for their second derivative, 1/s^2: three arrays (n - 2,)."""
     before, behind, span = _spans(times_s)
     first, last = 1 / (before * span), 1 / (behind * span)
     return [first, -(first + last), last]
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Seconds before and after each inner frame, and their mean; equal stamps get a minimum step."""
+    """Seconds before and after each inner frame, and their mean; equal stamps get a least step."""
     steps = np.diff(times_s)
     steps = np.maximum(steps, 0.1 * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2
 
 
 def _accelerations(poses: Float64, times_s: Float64) -> Float64:
-    """(n - 2, 6) accelerations of the inner frames: change of the twist per second, camera axes."""
+    """Accelerations (n - 2, 6) at the inner frames: change of the twist per second, camera axes."""
     before, behind, span = _spans(times_s)
     moves = np.array([twist_from_rigid(T) for T in invert_rigid(poses[:-1]) @ poses[1:]])
     return np.asarray((moves[1:] / behind[:, None] - moves[:-1] / before[:, None]) / span[:, None])
 
 
 def _variances(accelerations: Float64, weights: list[Float64], information: Float64) -> tuple[Float64, float]:
-    """Split the measured accelerations into the camera's own and the noise of its poses.
+    """Split the measured accelerations into the camera's motion and the noise of its poses.
 
     Returns:
-        (6,) variance of the camera's own accelerations; and the factor by which the poses' covariance is
-        scaled.
+        (6,) variance of the camera's own accelerations; and the scale factor for the poses' covariance.
     """
     uncertain = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
     inner = len(accelerations)
@@ -99,7 +98,7 @@ def _variances(accelerations: Float64, weights: list[Float64], information: Floa
         )
         for part in (rotation, translation)
     ]
-    # A smooth path means that the poses are better than their stated covariance.
+    # A smooth path shows that the poses are better than their stated covariance.
     noise_scale = min(1.0, *(MAX_NOISE * measured / added for measured, added in parts))
     own = [ROUGHER * (measured - noise_scale * added) for measured, added in parts]
     return np.maximum(np.repeat(own, 3), 1e-12), max(noise_scale, 1e-6)

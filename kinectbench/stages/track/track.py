@@ -1,6 +1,6 @@
 """The stage `track`: a pose for every frame that can be tracked, and the trajectory's health.
 
-A trusted trajectory is checked against the depth (`check_given`). Its poses are kept, except for frames that
+A trusted trajectory is checked against the depth (`check_given`); its poses are kept, except for frames that
 disagree. Without a given trajectory, or to refine one, `tracker.track_frames` estimates every pose. Then the
 trajectory is graded (`health`).
 """
@@ -28,7 +28,7 @@ from kinectbench.stages.track.outliers import outlier_warnings
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 
-# Fewer poses see an object from too few sides to be fused.
+# Fewer poses see an object from too few sides for fusion.
 MIN_GOOD_FRAMES = 3
 
 
@@ -38,13 +38,13 @@ def track(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Estimate the camera's pose of every frame; frames without a reliable pose are left out.
+    """Estimate the camera pose of every frame; frames without a reliable pose have none.
 
     Args:
         sequence: the recording.
-        mode: for a given trajectory: trust it (frames that disagree with it are left out), refine it, or
-            ignore it. None: trust it if there is one and the depth agrees with part of it.
-        settings: what counts as disagreement.
+        mode: use of a given trajectory: trust it (frames that disagree lose their pose), refine it, or ignore
+            it. None: trust it if there is one and the depth agrees with part of it.
+        settings: the limits for disagreement.
         progress: called with (done, total).
 
     Raises:
@@ -108,7 +108,7 @@ def _finished(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
         source=source,
-        # Rounded as it is stored, so that a trajectory that is read back is equal to this one.
+        # Rounded as when stored, so that a trajectory read back is equal to this one.
         pose_sigma_m=figures.pose_sigma_m(),
         health=figures,
         depth_calibration=tracked.calibration,

@@ -20,10 +20,10 @@ class Constraint:
     """A constraint of the pose graph: two keyframes registered to each other.
 
     Attributes:
-        a: index of the one frame, in the sequence.
-        b: index of the other.
-        registration: of b to a.
-        kind: odometry: consecutive; covisible: near in time; loop: a place seen again.
+        a: index of the first frame in the sequence.
+        b: index of the second frame.
+        registration: registration of b to a.
+        kind: odometry: consecutive keyframes; covisible: near in time; loop: a place seen again.
         weight: 0 to 1, the weight that the robust kernel of the pose graph assigned.
     """
 
@@ -45,19 +45,19 @@ class Tracked:
 
     Attributes:
         T_world_camera: (n, 4, 4), NaN where lost.
-        states: (n,) tracked: followed from the frame before; relocalised: joined again after a gap; lost.
-        reasons: per lost frame, why.
-        keyframes: (k,) int64 frame indices, ascending.
+        states: (n,) tracked: followed from the previous frame; relocalised: joined again after a gap; lost.
+        reasons: why a frame is lost, by frame.
+        keyframes: (k,) int64 frame indices of the keyframes, ascending.
         constraints: the accepted constraints.
         refused: constraints that were tried and rejected, with a weight of 0.
         residual_m: (n,) rms point-to-plane residual of each frame to other keyframes; NaN where unknown.
-        noise_m: (n,) that residual as expected from a Kinect's depth noise alone; NaN where unknown.
-        inlier_share: (n,) inlier ratio of its points; NaN where unknown.
-        degenerate: (n,) bool, its depth has an unobservable direction (as with one plane in view).
-        sharpness: of the colour, by frame index, where colour was read (`image_sharpness`).
-        calibration: the depth calibration that was used for the poses.
+        noise_m: (n,) the residual expected from a Kinect's depth noise alone; NaN where unknown.
+        inlier_share: (n,) inlier ratio of the frame's points; NaN where unknown.
+        degenerate: (n,) bool, the frame's depth has an unobservable direction (as with one plane in view).
+        sharpness: sharpness of the colour (`image_sharpness`), by frame index, where colour was read.
+        calibration: the depth calibration used for the poses.
         readout_s: readout time of the rolling shutter that was undone in all frames; 0: none.
-        color_delay_s: estimated delay of colour against depth; 0: none.
+        color_delay_s: estimated delay of colour relative to depth, seconds; 0: none.
     """
 
     T_world_camera: Float64

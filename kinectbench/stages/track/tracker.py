@@ -1,11 +1,11 @@
 """Camera tracking: the pose of every frame is estimated in four steps.
 
-1. Odometry (`odometry.follow`) registers each frame to a keyframe before it. A frame that fits none begins a
-   new segment in a separate world.
+1. Odometry (`odometry.follow`) registers each frame to a previous keyframe. A frame that fits none
+   starts a new segment with its own world.
 2. The keyframe graph (`keyframe_graph.build_graph`) registers keyframes that see the same places, joins
    segments, and optimises the keyframes' poses (`pose_graph.optimise`).
-3. The placer (`_Placer.place`) registers each frame to several optimised keyframes at once. A frame that does
-   not agree with them has no pose, and a reason.
+3. The placer (`_Placer.place`) registers each frame to several optimised keyframes at once. A frame that
+   does not agree with them gets a reason instead of a pose.
 4. The smoother (`smoothing.smoothed`) moves each pose within the uncertainty of its registration.
 """
 
@@ -41,13 +41,13 @@ from kinectbench.stages.track.shutter_search import find_shutter
 from kinectbench.stages.track.smoothing import smoothed
 from kinectbench.stages.track.tracked import State, Tracked
 
-# Number of keyframes that each frame is registered to: its own, and those with the largest shared view.
+# Number of keyframes to register each frame to: its own, and those with the largest shared view.
 NEIGHBOURS = 2
 NOT_JOINED = "fits no frame before it, and no place seen elsewhere"
-# Information of a frame without neighbours: smoothing leaves it in place.
+# Information of a frame without neighbours, so large that smoothing leaves it in place.
 HELD = 1e8 * np.eye(6)
 DISAGREES = "its depth does not agree with the keyframes around it"
-# A passer-by may fill the view of a keyframe: two frames that fitted one alone were 0.8 and 1.2 m off.
+# A passer-by may fill a keyframe's view: two frames that only fitted such a keyframe were 0.8 and 1.2 m off.
 UNSUPPORTED = "the keyframe that it is registered to could not be placed"
 
 
@@ -58,8 +58,8 @@ def track_frames(
 
     Args:
         sequence: the recording.
-        T_given: (n, 4, 4) initial poses and weak priors, NaN where there is none. None: the first tracked
-            camera defines the world.
+        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first tracked camera
+            defines the world.
         progress: called with (done, total).
     """
     n = len(sequence)
@@ -119,7 +119,7 @@ def _place(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A frame's pose, or the reason why it has none; and its registration to the keyframes around it."""
+    """A frame's pose, or the reason for none; and its registration to nearby keyframes."""
 
     state: State
     reason: str | None = None
@@ -129,7 +129,7 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _FirstTry:
-    """A frame's predicted pose, the rows of keyframes around it, and its registration to them from there."""
+    """A frame's predicted pose, the rows of nearby keyframes, and its registration to them from there."""
 
     state: State
     T_world_camera: Float64
@@ -138,7 +138,7 @@ class _FirstTry:
 
 
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
-    """A placed frame, without its pose if its own keyframe could not be placed."""
+    """A placed frame; its pose is removed if its keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
     if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
         return each
@@ -146,7 +146,7 @@ def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed
 
 
 class _Placer:
-    """Places frames among the optimised keyframes."""
+    """Places frames relative to the optimised keyframes."""
 
     def __init__(self, maps: MapCache, odometry: Odometry, graph: KeyframeGraph) -> None:
         self.maps, self.odometry, self.graph = maps, odometry, graph
@@ -158,9 +158,9 @@ class _Placer:
         self.reference = median_quality(followed)
 
     def first_try(self, index: int) -> _Placed | _FirstTry:
-        """Register one frame to the keyframes with the largest shared view, from its predicted pose.
+        """Register a frame to the keyframes with the largest shared view, from its predicted pose.
 
-        It depends on no other frame's; a frame that cannot be registered has its place.
+        The result is independent of other frames. If the frame cannot be registered, it is the reason.
         """
         frame = self.odometry.frames[index]
         if frame is None:
@@ -175,7 +175,7 @@ class _Placer:
         return _FirstTry(state, T_world, tuple(around), self._registered(index, around, T_world))
 
     def place(self, index: int, first: _Placed | _FirstTry) -> _Placed:
-        """Place the next frame by its first try, or by a search around it."""
+        """Place the next frame, from its first try or by a search around it."""
         if isinstance(first, _Placed):
             return first
         around, T_world, state = first.around, first.T_world_camera, first.state
@@ -187,14 +187,14 @@ class _Placer:
         return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
 
     def _predicted(self, frame: Followed) -> Float64:
-        """The frame's pose by the odometry, relative to its optimised keyframe."""
+        """The frame's pose from the odometry, relative to its optimised keyframe."""
         home = self.odometry.frames[frame.keyframe]
         assert home is not None
         T_home_camera = invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """The frame's own keyframe, then those neighbours to it that share most of its view."""
+        """The frame's own keyframe, and those of its neighbours that share most of the frame's view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [
@@ -215,7 +215,7 @@ class _Placer:
         return register(source, targets, starts, coarsest=0, prior=PLACED, every=point_stride(source))
 
     def _good_enough(self, index: int, first: _FirstTry) -> Registration:
-        """The first registration; if it is not good enough, the best of a search."""
+        """The first registration if it is good enough, else the best of a search."""
         registration = first.registration
         if not self.reference.meets_reference(registration):
             source = self.maps[index]
@@ -231,7 +231,7 @@ class _Placer:
 
 
 def _neighbours(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
-    """For each keyframe the ones neighbours to it, the strongest first."""
+    """For each keyframe the rows of its neighbours, the most strongly connected first."""
     neighbours: list[list[int]] = [[] for _ in graph.keyframes]
     for each in sorted(graph.constraints, key=lambda t: -t.weight * t.registration.overlap):
         neighbours[row[each.a]].append(row[each.b])

@@ -1,8 +1,8 @@
-"""A grade of a trajectory as a basis for ground truth, and one sentence with the reasons.
+"""Grade a trajectory as a basis for ground truth, with one sentence of reasons.
 
-Without ground truth the error of the poses is unknown. Each figure is only an indication of it, and a grade
-promises no accuracy in millimetres: recordings whose frames agree within 5 mm were 10 mm off along their
-path, and more. All limits were chosen by hand.
+Without ground truth the error of the poses is unknown; each figure only indicates it. A grade promises no
+accuracy in millimetres: recordings whose frames agree within 5 mm were off by 10 mm and more along their
+path. All limits were chosen by hand.
 """
 
 import math
@@ -18,24 +18,25 @@ from kinectbench.core.artefacts.trajectory import (
 )
 
 GRADES: tuple[Grade, ...] = ("good", "fair", "not good")
-# With fewer poses there is nothing to grade.
+# Fewer poses cannot be graded.
 MIN_POSES = 3
-# Limits of good and of fair. Ratios are of the frames.
+# Limits of good and of fair. Ratios are relative to the number of frames.
 TRACKED_SHARE = (0.9, 0.7)
 UNCHECKED_SHARE = (0.5, 1.0)  # no other frame overlaps enough to check the pose
 REJECTED_SHARE = (0.1, 0.5)  # the depth contradicts the given pose
 DEGENERATE_SHARE = (0.05, 0.3)  # a motion is not observable
 SHIFT_M = (0.005, 0.010)  # median over the frames
-# Between distant frames: either of the two may contribute half of it.
+# Between distant frames: either frame may contribute half of it.
 DISTANT_SHIFT_M = (0.010, 0.020)
 # A correction contains the errors of two poses and of the measurement between them.
 LOOP_CORRECTION_M = (0.005, 0.010)
-# A loop that contradicts the rest may be a wrong one; many mean that the rest is wrong.
+# A single loop that contradicts the rest may be wrong; many such loops mean that the rest is wrong.
 ACCEPTED_LOOP_RATIO = (0.8, 0.5)
 # Without loop closures a path may drift by 3 mm a metre, and no figure would show it.
 OPEN_PATH_M = (1.5, 4.0)
-# Nothing checks the one registration that joins both sides of such a gap. Of 70 simulated scans two have gaps
-# of 2.3 and 3.0 s, and are 0.8 m off; one of 1.0 s goes with 24 mm. A visitor walks half a metre in 2 s.
+# A single registration joins both sides of such a gap, and nothing checks it. Of 70 simulated scans two have
+# gaps of 2.3 and 3.0 s, and are 0.8 m off; one with a gap of 1.0 s is 24 mm off. A visitor walks half a metre
+# in 2 s.
 OPEN_GAP_S = (0.5, 2.0)
 # Real sensors have depth distortion as well: with correct poses the residual is 0.55 times the noise of a
 # simulated Kinect, and 0.9 to 1.2 times that of real ones.
@@ -44,18 +45,18 @@ TIMES_NOISE = (2.0, 3.0)
 UNMATCHED_SHARE = (0.4, 0.5)
 # Refinement moves motion-capture poses by their own noise, and drifting poses by more.
 REFINED_APART_M = 0.025
-# Consecutive keyframes that overlap and agree so well, and are placed so far from that: of 70 simulated
-# scans only one, which was 1 m off, has such a pair.
+# Limits for consecutive keyframes that overlap and agree well, but are placed this far from their
+# registration: of 70 simulated scans only one, which was 1 m off, has such a pair.
 TORN_OVERLAP, TORN_INLIERS, TORN_M = 0.5, 0.95, 0.1
 # Given poses drift if distant frames disagree by this many times as much as near ones, plus 5 mm.
 TIMES_NEAR = 2.0
 
 
 def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
-    """The grade, and the verdict: the grade in words, a colon, and the figures that caused it.
+    """The grade, and the verdict: the grade in words, a colon, and the figures that determined it.
 
     Args:
-        health: the figures; the grade and verdict in it are not read.
+        health: the figures; its own grade and verdict are ignored.
     """
     if health.tracked < MIN_POSES:
         reasons = [(2, f"{health.tracked} of {health.frames} frames have a pose")]
@@ -69,17 +70,17 @@ def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
 
 
 def recommend(given: GivenFigures, checked_share: float, rejected_share: float) -> Recommendation:
-    """Advice on a given trajectory.
+    """Recommend how to use a given trajectory.
 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if near frames disagree by more
     than 10 mm, if a tenth of the frames disagrees, if it jumps, if it drifts, if many distant frames do not
     fit, or if refinement moves it far. It drifts if distant frames disagree by more than twice as much as
-    near ones plus 5 mm. Where that is unknown, it drifts if near frames disagree by more than 5 mm.
+    near frames plus 5 mm; if that is unknown, if near frames disagree by more than 5 mm.
 
     Args:
-        given: its figures.
-        checked_share: of the frames that have a given pose, those that could be compared with others; 0 to 1.
-        rejected_share: of these, those whose depth disagrees; 0 to 1.
+        given: figures of the given trajectory.
+        checked_share: share of the frames with a given pose that could be compared with others; 0 to 1.
+        rejected_share: share of the compared frames whose depth disagrees; 0 to 1.
     """
     if rejected_share > REJECTED_SHARE[1] or checked_share < 1 - UNCHECKED_SHARE[0]:
         return "ignore"
@@ -161,7 +162,7 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     if accepted < loops:
         level = _at_least(accepted / loops, ACCEPTED_LOOP_RATIO)
         yield level, f"{loops - accepted} of {loops} loops contradict the rest"
-    # Poses that somebody gave may jump from view to view.
+    # Given poses may jump from view to view.
     for jump in health.jumps if health.source == "tracked" else ():
         frames = f"between frames {jump.from_frame} and {jump.to_frame}"
         times = f"{jump.times_as_fast:.1f} times as fast as elsewhere"
@@ -169,7 +170,7 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     for row in _torn(health):
         off = f"their poses are {row.correction_m:.1f} m off"
         yield 2, f"frames {row.a} and {row.b} fit each other, but {off}"
-    # A given trajectory that is refined constrains the path by itself.
+    # A given trajectory that is refined also constrains the path.
     if health.source == "tracked" and health.open_path_m is not None:
         level = _at_most(health.open_path_m, OPEN_PATH_M)
         arc = ""
@@ -184,7 +185,7 @@ def _loops(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
 
 
 def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
-    """Refused registrations of consecutive keyframes that fit well, and place them elsewhere."""
+    """Yield refused registrations of consecutive keyframes that fit well but contradict the final poses."""
     following = set(pairwise(health.keyframes))
     for row in health.refused_loops:
         fits = (row.overlap or 0) >= TORN_OVERLAP and (row.inlier_share or 0) >= TORN_INLIERS
@@ -193,14 +194,14 @@ def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
 
 
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
-    """The ratio of posed frames whose depth has an unobservable direction, if any."""
+    """The ratio of posed frames whose depth has an unobservable direction, if there are any."""
     if degenerate := len(set(health.degenerate) - set(health.lost)):
         share = f"{_percent(degenerate, health.tracked)} of the frames"
         yield _at_most(degenerate / health.tracked, DEGENERATE_SHARE), share
 
 
 def _mm(value_m: float) -> str:
-    """Millimetres with one decimal; the file has two."""
+    """Format millimetres with one decimal; the file has two."""
     return f"{round(1000 * value_m, 2):.1f} mm"
 
 
@@ -213,6 +214,6 @@ def _at_least(value: float, limits: tuple[float, float]) -> int:
 
 
 def _percent(part: int, whole: int) -> str:
-    """Never rounded to 0 % or 100 % unless none or all count."""
+    """Format a ratio in percent; 0 % and 100 % mean exactly none and all."""
     percent = 100 * part / whole
     return f"{min(max(percent, 0.1), 99.9):.1f} %" if 0 < part < whole else f"{percent:.0f} %"

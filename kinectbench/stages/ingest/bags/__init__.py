@@ -1,1 +1,1 @@
-"""ROS 1 and ROS 2 bags, and what their messages hold."""
+"""ROS 1 and ROS 2 bags, and the content of their messages."""

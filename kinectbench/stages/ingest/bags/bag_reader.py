@@ -1,4 +1,4 @@
-"""Bounds on the cost of walking through a bag and reading its messages."""
+"""Limits on the cost of walking through a bag and reading its messages."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,24 +8,24 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
 from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, MessagePlace
 
-# No record of a bag takes less of its file, however well it is compressed, except for these.
+# Least bytes of a bag's file per record, however well it is compressed; and records that are always allowed.
 LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
-# Steps of SQLite's machine: a message takes about ten, and more than ten bytes of the file.
+# Limits in steps of SQLite's virtual machine: a message takes about ten steps, and more than ten bytes.
 ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000
-# Chunks that were read last are kept up to this many bytes, and always one.
+# Unpacked chunks are cached up to this many bytes, and at least one chunk.
 CACHED_BYTES = 64 << 20
-# How often all chunks may be unpacked before as many messages were read.
+# How often all chunks may be unpacked again before as many messages were read.
 PASSES = 2
 
 
 class WalkBudget:
-    """The bounds of a walk through a bag's files: time grows with their size, memory does not.
+    """Limits of a walk through a bag's files: its time grows with their size, its memory does not.
 
-    A few bytes of compressed chunks may hold any number of records.
+    Without limits, a few bytes of compressed chunks could hold any number of records.
     """
 
     def __init__(self, bag_bytes: int) -> None:
-        """Start before the first record of a bag whose files have this size together."""
+        """Start before the first record of a bag with files of this total size."""
         self._records = ALWAYS_RECORDS + bag_bytes // LEAST_RECORD_BYTES
         self._steps = ALWAYS_STEPS + bag_bytes * STEPS_A_BYTE
         self.bytes_left = unpacked_bound(bag_bytes)
@@ -34,22 +34,22 @@ class WalkBudget:
         """Count a record.
 
         Raises:
-            DamagedRecordError: there are too many.
+            DamagedRecordError: there are too many records.
         """
         self._records -= 1
         if self._records < 0:
             raise DamagedRecordError
 
     def take_step(self) -> bool:
-        """Count steps of SQLite's machine; returns whether any were left."""
+        """Count steps of SQLite's virtual machine; return whether any are left."""
         self._steps -= STEPS_AT_ONCE
         return self._steps >= 0
 
     def take_bytes(self, count: int) -> None:
-        """Count the size of a chunk before unpacking it.
+        """Count the unpacked size of a chunk before unpacking it.
 
         Raises:
-            DamagedRecordError: it is too much, alone or with those before.
+            DamagedRecordError: the size is too large, alone or in sum.
         """
         if count > min(UNPACKED_BYTES, self.bytes_left):
             raise DamagedRecordError
@@ -57,14 +57,14 @@ class WalkBudget:
 
 
 class BagReader:
-    """Reads single messages of a bag's file, and caches recently unpacked chunks.
+    """Reads single messages from a bag's file, and caches recently unpacked chunks.
 
-    Messages are read in the order of their stamps, mostly that of their chunks. Otherwise each message may
-    cost a chunk; so the number of messages read bounds the unpacked bytes.
+    Messages are read in the order of their stamps, which is mostly that of their chunks. In another order
+    each message might cost a chunk, so the number of messages read limits the unpacked bytes.
     """
 
     def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
-        """Read from this file; `unpack` makes the bytes of the chunk at a position of it."""
+        """Read from this file; `unpack` returns the bytes of the chunk at a position in it."""
         self._path = path
         self._unpack = unpack
         self._chunks: dict[int, bytes] = {}
@@ -73,21 +73,21 @@ class BagReader:
         self._bytes_left = 0.0
 
     def keep(self, position: int, data: bytes) -> None:
-        """Keep an unpacked chunk while there is room, as the first chunks are read first."""
+        """Cache an unpacked chunk while there is room, because the first chunks are read first."""
         self._whole_bytes += len(data)
         if self._kept_bytes + len(data) <= CACHED_BYTES:
             self._chunks[position] = data
 
     def start_reading(self, messages: int) -> None:
-        """Set the unpacking limit: all chunks `PASSES` times, and again after as many messages."""
+        """Set the limit of unpacking: all chunks `PASSES` times, and again after as many messages."""
         self._bytes_left = PASSES * self._whole_bytes
         self._bytes_a_read = self._whole_bytes / max(messages, 1)
 
     def __call__(self, place: MessagePlace) -> bytes:
-        """The serialised message at a place.
+        """Read the serialised message at a place.
 
         Raises:
-            RecordingError: to read the messages, the same chunks must be unpacked again and again.
+            RecordingError: the same chunks would have to be unpacked again and again.
         """
         self._bytes_left += self._bytes_a_read
         if place.chunk not in self._chunks:
@@ -100,7 +100,7 @@ class BagReader:
                 if place.chunk < 0:
                     file.seek(place.offset)
                     return file.read(place.size)
-                if self._kept_bytes > CACHED_BYTES:  # one, which makes room before the next is there
+                if self._kept_bytes > CACHED_BYTES:  # drop a chunk before the next is unpacked
                     self._chunks.clear()
                 data = self._unpack(file, place.chunk)
             self._bytes_left -= len(data)

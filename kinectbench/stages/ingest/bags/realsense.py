@@ -1,7 +1,7 @@
-"""RealSense bags as librealsense records them: file versions 2 and 3, and version 1 of its predecessor.
+"""RealSense bags recorded by librealsense: file versions 2 and 3, and version 1 of its predecessor.
 
-Layout: `ros_file_format.h` of librealsense and its description of the format. Extrinsics map a stream's
-reference to the stream; with a common reference they give the transform between two streams.
+Layout: `ros_file_format.h` of librealsense and its description of the format. A stream's extrinsics map a
+reference to the stream; two streams with the same reference have a known transform between them.
 """
 
 import re
@@ -20,14 +20,14 @@ from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageT
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
 
 FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
-# Since 2.58 librealsense writes ROS 2 bags (.db3), whose options are texts.
+# Since 2.58 librealsense writes ROS 2 bags (.db3) with options as text.
 STRING = "std_msgs/String"
 STREAM_INFO = "realsense_msgs/stream_info"
 # /device_0/sensor_0/Depth_0/image/data, /camera/DEPTH/image_raw/0
 STREAM = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)_\d+/image/data(?:/compressedDepth)?")
 OLD_STREAM = re.compile(r"/camera/([A-Z]+)\d*/image_raw/(\d+)")
 UNITS = re.compile(r"depth[ _]units", re.IGNORECASE)
-# Version 3 has a topic for each option, version 2 one for all of them.
+# Version 3 has a topic for each option, version 2 one topic for all options.
 OPTION = re.compile(r"/option/depth[ _]units/value$|/property$", re.IGNORECASE)
 TELL_TALES = (b"topic=/device_0/sensor_", b"topic=/camera/rs_stream_info/")
 
@@ -44,12 +44,12 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is a bag whose first or last part names librealsense's topics."""
+        """Whether the path is a bag that names librealsense's topics in its first or last part."""
         if not super().recognises(path):
             return False
         with open_plain(path) as file:
             start = file.read(HEAD_BYTES)
-            # The index repeats every connection.
+            # The index at the end repeats every connection.
             index = re.search(rb"index_pos=(.{8})", start[: len(MAGIC) + 4096], re.DOTALL)
             (position,) = struct.unpack("<Q", index[1]) if index else (0,)
             file.seek(min(position, size_of(file)))
@@ -58,26 +58,26 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """1 / Depth Units (metres) of the depth's sensor."""
+        """1 / Depth Units (metres) of the depth sensor."""
         return depth_units_scale(bag, depth)
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, if both streams have extrinsics with one reference."""
+        """`T_color_depth`, if both streams have extrinsics with the same reference."""
         return _between(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, if both streams have extrinsics with one reference."""
+        """`T_depth_imu`, if both streams have extrinsics with the same reference."""
         return _between(bag, depth.name, imu.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """CameraInfo of its topics, and in version 1 of its stream_info."""
+        """The CameraInfo messages of all topics; in version 1 also those in stream_info."""
         infos = super().camera_infos(bag)
         for topic in bag.topics:
             if topic.type == STREAM_INFO:
@@ -89,20 +89,20 @@ class RealsenseRecording(Rosbag1Recording):
 
 
 def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
-    """Units a metre by librealsense's Depth Units of the depth's sensor; None: the bag has no such option."""
+    """Units per metre by the Depth Units of the depth sensor; None if the bag has no such option."""
     found = STREAM.fullmatch(depth.name)
     prefix = found[1] if found else "/"
     for topic in bag.topics:
         if topic.name.startswith(prefix) and OPTION.search(topic.name):
             units_m = _depth_units_m(bag, topic)
             if units_m is not None:
-                # Stored as float32: 0.001 comes back as 0.0010000000474.
+                # Stored as float32: 0.001 becomes 0.0010000000474.
                 return float(np.round(1 / units_m, 3))
     return None
 
 
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """The value of an option (versions 3 and 4) or property (version 2) if it is Depth Units."""
+    """The value in metres of an option (versions 3 and 4) or property (version 2) if it is Depth Units."""
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
@@ -114,16 +114,16 @@ def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
 
 
 def _positive(text: str) -> float | None:
-    """The number of a text, or None if it is none, or not above 0."""
+    """The number that a text holds; None if it holds none, or none above 0."""
     try:
         number = float(text)
     except ValueError:
         return None
-    return number if number > 0 else None  # which NaN is not
+    return number if number > 0 else None  # false for NaN
 
 
 def _between(bag: RosBag, to: str, of: str) -> Float64 | None:
-    """`T_to_of` of two streams."""
+    """`T_to_of` between two streams; None if unknown."""
     T_to, T_of = _place_of_stream(bag, to), _place_of_stream(bag, of)
     if T_to is None or T_of is None or T_to[0] != T_of[0]:
         return None
@@ -131,7 +131,7 @@ def _between(bag: RosBag, to: str, of: str) -> Float64 | None:
 
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
-    """The reference of a stream's extrinsics, and `T_stream_reference`."""
+    """The reference of a stream's extrinsics, and `T_stream_reference`; None if unknown."""
     stream = name.removesuffix("/image/data").removesuffix("/imu/data") + "/tf/"
     for topic in bag.topics:
         if topic.type == TRANSFORM and topic.name.startswith(stream):
@@ -142,7 +142,7 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
     if info is None:
         return None
     extrinsics = info.stream_extrinsics
-    # Column by column, as librealsense keeps them.
+    # librealsense stores matrices by columns.
     R = np.asarray(extrinsics.extrinsics.rotation, np.float64).reshape(3, 3).T
     if not np.isfinite(R).all() or abs(np.linalg.det(R) - 1) > 0.01:
         return None
@@ -150,7 +150,7 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Message | None:
-    """The stream_info message of version 1 about a stream such as /camera/DEPTH/image_raw/0."""
+    """The stream_info message of version 1 for a stream such as /camera/DEPTH/image_raw/0."""
     match = OLD_STREAM.fullmatch(name)
     if not match:
         return None

@@ -1,4 +1,4 @@
-"""ROS image messages to depth and colour: raw with any row padding and byte order, and compressed."""
+"""Convert ROS image messages, raw or compressed, to depth and colour."""
 
 import struct
 from typing import TypeVar
@@ -21,7 +21,7 @@ from kinectbench.stages.ingest.images import (
 INTEGER_DEPTH = frozenset({"16UC1", "mono16"})
 FLOAT_DEPTH = "32FC1"
 DEPTH_ENCODINGS = INTEGER_DEPTH | {FLOAT_DEPTH}
-# encoding -> which channels make blue, green, red (mono has one)
+# encoding -> indices of the blue, green and red channels (mono has one channel)
 COLOR_CHANNELS: dict[str, tuple[int, ...]] = {
     "rgb8": (2, 1, 0),
     "bgr8": (0, 1, 2),
@@ -33,7 +33,7 @@ COLOR_CHANNELS: dict[str, tuple[int, ...]] = {
     "8UC1": (0,),
 }
 _Value = TypeVar("_Value", bound=np.generic)
-# encoding -> OpenCV's conversion to blue, green, red; its names count the pattern from the second row.
+# Bayer encoding -> OpenCV's conversion to blue, green, red; OpenCV names a pattern by its second row.
 CONVERSIONS = {
     "bayer_rggb8": (1, "COLOR_BayerBG2BGR"),
     "bayer_bggr8": (1, "COLOR_BayerRG2BGR"),
@@ -44,20 +44,21 @@ CONVERSIONS = {
     "yuv422_yuy2": (2, "COLOR_YUV2BGR_YUYV"),
     "yuyv": (2, "COLOR_YUV2BGR_YUYV"),
 }
-# Native units per metre of integers.
+# Native units per metre of integer depth.
 INTEGER_SCALE = 1000.0
 COMPRESSED_DEPTH = "compressedDepth"
-# ConfigHeader of compressed_depth_image_transport: the format, an int32, and two float32 of the quantisation.
+# Bytes of compressed_depth_image_transport's ConfigHeader: the format, int32, and two float32 of
+# quantisation.
 COMPRESSED_DEPTH_HEADER = 12
 
 
 def is_compressed(message: Message) -> bool:
-    """Whether a message is a CompressedImage, not an Image: only that has a format."""
+    """Whether a message is a CompressedImage, which has a format, and not an Image."""
     return hasattr(message, "format")
 
 
 def depth_encoding(message: Message) -> str | None:
-    """The encoding of the depth in an image message, such as "16UC1"; None if it holds no depth."""
+    """The encoding of depth in an image message, such as "16UC1"; None if the image is not depth."""
     if not is_compressed(message):
         return message.encoding if message.encoding in DEPTH_ENCODINGS else None
     first = message.format.split(";")[0].strip()
@@ -67,7 +68,7 @@ def depth_encoding(message: Message) -> str | None:
 
 
 def color_encoding(message: Message) -> str | None:
-    """The encoding of the colour in an image message; None if it holds none that can be read."""
+    """The encoding of colour in an image message; None if the image is not colour or unreadable."""
     if not is_compressed(message):
         known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
         return message.encoding if known else None
@@ -78,20 +79,20 @@ def color_encoding(message: Message) -> str | None:
 
 
 def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:
-    """Depth of an Image or CompressedImage message.
+    """Decode the depth of an Image or CompressedImage message.
 
     Args:
-        message: with the fields of sensor_msgs.
+        message: a message with the fields of sensor_msgs.
         name: topic and message number, for errors.
-        float_units_per_m: what 1 m is in a 32FC1 image.
+        float_units_per_m: value of 1 m in a 32FC1 image.
 
     Returns:
-        (height, width) uint16, 0 = none: integers as they are, floats in 1 / FLOAT_SCALE m (NaN, infinity and
-        what does not fit become 0).
+        (height, width) uint16, 0 = none: integers unchanged, floats in 1 / FLOAT_SCALE m (NaN, infinity and
+            values out of range become 0).
 
     Raises:
         DamagedImageError: the image is damaged.
-        RecordingError: it is whole, but not 16-bit grey.
+        RecordingError: the image is intact, but not 16-bit grey.
     """
     if not is_compressed(message):
         if message.encoding in INTEGER_DEPTH:
@@ -109,7 +110,7 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
     if len(data) < COMPRESSED_DEPTH_HEADER:
         raise DamagedImageError(f"{name}: the compressedDepth image is cut off after {len(data)} bytes")
     if "rvl" in message.format.lower():
-        # Here, as numba takes longer to import than to see that a recording is up to date.
+        # Imported here, because numba takes longer to import than checking that a recording is up to date.
         from kinectbench.stages.ingest.bags.rvl import decode_rvl
 
         native = decode_rvl(body, name)
@@ -117,7 +118,7 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
         native = decode_depth_png(body, name)
     if not message.format.startswith(FLOAT_DEPTH):
         return native
-    # Inverse depth: z = A / (v - B), from the header `int32 format, float32 A, float32 B`.
+    # Stored as inverse depth: z = A / (v - B), with the header `int32 format, float32 A, float32 B`.
     a, b = struct.unpack_from("<ff", data, 4)
     valid = native > 0
     metres = np.divide(a, native - np.float64(b), out=np.zeros(native.shape), where=valid & (native > b))
@@ -125,7 +126,7 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
 
 
 def color_of(message: Message, name: str) -> tuple[str, bytes]:
-    """Colour of an Image or CompressedImage message: (suffix, encoded); raw pixels become PNG.
+    """Encoded colour of an Image or CompressedImage message: (suffix, bytes); raw pixels become PNG.
 
     Raises:
         DamagedImageError: the image is damaged.
@@ -149,7 +150,7 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
 
 def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
-    """The pixels (height, width, channels) of a raw image, without row padding, in any byte order."""
+    """The pixels (height, width, channels) of a raw image, of any byte order, without row padding."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if is_too_large(width, height):
         raise DamagedImageError(

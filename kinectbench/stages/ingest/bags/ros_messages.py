@@ -1,7 +1,7 @@
-"""Messages of ROS bags of any kind: position, time and content.
+"""Messages of ROS bags of all kinds: their place, stamp and content.
 
-rosbags makes code of a message's definition, into which it unrolls arrays of a fixed length and the messages
-in them: a few bytes of a definition may make any amount of it. So it is compiled only within bounds.
+rosbags generates code from a message's definition and unrolls arrays of fixed length and nested messages: a
+few bytes of a definition may generate any amount of code. So definitions are compiled within limits only.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,44 +28,44 @@ from typing import BinaryIO, Literal, NamedTuple
 from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.images import DamagedImageError
 
-# A decoded message: it has the attributes that its type defines, as rosbags makes its class.
+# A decoded message: an object of the class that rosbags generates, with the type's fields as attributes.
 Message = Any
 Encoding = Literal["ros1", "cdr"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-# The longest name of a topic or type, and its description in a bag: mostly its definition.
+# Longest name of a topic or type, and longest description in a bag: mostly its definition.
 LONGEST_NAME, DEFINITION_BYTES = 1000, 1 << 20
-# Enough of a message to hold its Header's sequence number and stamp.
+# Enough bytes of a message to contain the sequence number and stamp of its Header.
 PEEK_BYTES = 16
-# In as many bytes a message that is compressed begins: a block of zstd and its head. How chunks are unpacked.
+# Bytes in which a compressed message starts: a block of zstd and its header. Bytes per step of unpacking.
 PACKED_HEAD_BYTES, PART_BYTES = 256 << 10, 4 << 20
-# Messages of a topic that are tried for one that decodes, before it is none of images.
+# If this many messages of a topic do not decode, it counts as no topic of images.
 FIRST_TRIED = 1000
 TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
-# rosbags' store of ROS 1 types lacks these.
+# rosbags' store of ROS 1 types lacks this type.
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
-# Types that do not begin with a std_msgs/Header.
+# Types that do not start with a std_msgs/Header.
 HEADERLESS = frozenset(
     {TF_MESSAGE, OLD_TF_MESSAGE, "geometry_msgs/Transform", "std_msgs/Float32", "diagnostic_msgs/KeyValue"}
 )
-# Numbers of a fixed array: a covariance has 36; fields in all once arrays are unrolled, and
-# messages in each other: stream_info of librealsense has 47 and 3.
+# Limits: numbers in an array of fixed length (a covariance has 36); fields of a type with its arrays
+# unrolled, and depth of nested messages (librealsense's stream_info has 47 and 3).
 MOST_IN_ARRAY, MOST_FIELDS, MOST_DEPTH = 64, 1000, 8
 
 
 class DamagedRecordError(Exception):
-    """A record of a bag that is incomplete, invalid or larger than its file."""
+    """A record of a bag is incomplete, invalid, or larger than the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessagePlace:
-    """The position of a message.
+    """The place of a message in a bag, and its stamp.
 
     Attributes:
-        stamp_ns: stamp of its header, or the time it was recorded where the header has none.
-        chunk: position of the chunk's record in the file; -1: the message lies in the file as it is.
-        offset: of the message in the unpacked chunk, or in the file.
-        size: in bytes.
-        file: which of a bag's files, counted from 0.
+        stamp_ns: stamp of its header, nanoseconds; without one, the time of recording.
+        chunk: position of the chunk's record in the file; -1: the message is not in a chunk.
+        offset: position of the message in the unpacked chunk or in the file.
+        size: size of the message, bytes.
+        file: index of the file, from 0, in a bag of several files.
     """
 
     stamp_ns: int
@@ -76,14 +76,14 @@ class MessagePlace:
 
 
 class BagTopic(NamedTuple):
-    """One topic, or a connection of it: the bag's description of a series of messages.
+    """A topic, or one of its connections, which describes a series of messages in a bag.
 
     Attributes:
         name: such as "/camera/depth/image_raw".
-        type: such as "sensor_msgs/Image"; in ROS 1's spelling, also for ROS 2.
-        encoding: how they are serialised.
-        definition: the text that the bag gives of its type, where that is not a standard one.
-        messages: where they lie, by stamp; of a connection they are not known yet.
+        type: type in ROS 1's spelling, such as "sensor_msgs/Image", also for ROS 2.
+        encoding: serialisation of the messages.
+        definition: the type's definition in the bag, for types that are not standard.
+        messages: places of the messages, sorted by stamp; empty for a connection.
     """
 
     name: str
@@ -95,13 +95,13 @@ class BagTopic(NamedTuple):
 
 @dataclass(frozen=True)
 class RosBag:
-    """A bag that was walked through; its messages are decoded by the standard definitions of their types.
+    """The messages found in a bag; they are decoded by the standard definitions of their types.
 
     Attributes:
-        path: the bag, for messages.
-        topics: those of the wanted types that have messages, sorted by name.
-        read: gives the serialised message that lies at a place.
-        trouble: its faults and the part that was saved, or "".
+        path: path of the bag, for error messages.
+        topics: topics of the wanted types that have messages, sorted by name.
+        read: reads the serialised message at a place.
+        trouble: the bag's faults and what could be read in spite of them, or "".
     """
 
     path: Path
@@ -115,10 +115,10 @@ class RosBag:
         return {"ros1": _ros1_decoder(tuple(sorted(own.items()))), "cdr": _ros2_decoder()}
 
     def decode(self, topic: BagTopic, index: int) -> Message:
-        """The index-th message of a topic.
+        """Decode the index-th message of a topic.
 
         Raises:
-            DamagedImageError: it does not decode as the topic's type.
+            DamagedImageError: the message does not decode as the topic's type.
         """
         from rosbags.serde import SerdeError
 
@@ -129,26 +129,26 @@ class RosBag:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
     def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Message]:
-        """Every message of a topic that decodes; `most` messages are tried, or all."""
+        """Yield every message of a topic that decodes; at most `most` messages are tried."""
         for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
 
     def first(self, topic: BagTopic) -> Message | None:
-        """The first message that decodes, or None if none of the first thousand does."""
+        """The first message that decodes; None if none of the first thousand does."""
         return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
 def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Message]:
-    """A decoder of ROS 1's types, those of tf, and a bag's own (type, definition) pairs."""
+    """Make a decoder for ROS 1's types, including those of tf, and for (type, definition) pairs of a bag."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
     for name in (TF_MESSAGE, OLD_TF_MESSAGE):
         store.register(get_types_from_msg(TF_DEFINITION, long_type(name)))
     for name, definition in own:
-        # Messages of a type whose definition is damaged, or more than is compiled, do not decode.
+        # Messages of a type whose definition is damaged or exceeds the limits do not decode.
         with suppress(ValueError, TypesysError):
             store.register(known_types(long_type(name), definition, store))
     decode: Callable[[bytes, str], Message] = store.deserialize_ros1
@@ -157,7 +157,7 @@ def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Me
 
 @cache
 def _ros2_decoder() -> Callable[[bytes, str], Message]:
-    """Decodes ROS 2's types."""
+    """Make a decoder for ROS 2's types."""
     from rosbags.typesys import Stores, get_typestore
 
     decode: Callable[[bytes, str], Message] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
@@ -165,22 +165,22 @@ def _ros2_decoder() -> Callable[[bytes, str], Message]:
 
 
 def long_type(name: str) -> str:
-    """A type in ROS 2's spelling: "sensor_msgs/msg/Image"."""
+    """The name of a type in ROS 2's spelling: "sensor_msgs/msg/Image"."""
     return name if "/msg/" in name else name.replace("/", "/msg/")
 
 
 def short_type(name: str) -> str:
-    """A type in ROS 1's spelling: "sensor_msgs/Image"."""
+    """The name of a type in ROS 1's spelling: "sensor_msgs/Image"."""
     return name.replace("/msg/", "/")
 
 
 def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
-    """The stamp of the Header that a message begins with, nanoseconds; 0 if it has none or is too short.
+    """The stamp of a message's Header, nanoseconds; 0 without a Header, or if the message is too short.
 
     Args:
-        start: the first 16 bytes at least.
-        type_: in ROS 1's spelling.
-        encoding: "ros1": sequence number, seconds, nanoseconds; "cdr": four bytes that tell the byte order,
+        start: at least the first 16 bytes of the message.
+        type_: type in ROS 1's spelling.
+        encoding: "ros1": sequence number, seconds, nanoseconds; "cdr": four bytes for the byte order, then
             seconds, nanoseconds.
     """
     if type_ in HEADERLESS or len(start) < 12:
@@ -193,13 +193,13 @@ def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
 
 
 def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
-    """Messages sorted by stamp; equal stamps keep their order."""
+    """Sort messages by stamp; equal stamps keep their order."""
     return tuple(sorted(places, key=lambda place: place.stamp_ns))
 
 
 @dataclass
 class FoundMessages:
-    """The messages of the wanted types that a walk through a bag's file meets, by number of a connection."""
+    """The messages of the wanted types that a walk through a file finds, by connection number."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)
@@ -214,20 +214,21 @@ class FoundMessages:
         *,
         whole: bool = False,
     ) -> None:
-        """Note a message, unless its connection is of another type.
+        """Record a message, unless its connection has another type.
 
         Args:
-            connection: the number of its connection.
-            file: is at the beginning of the message.
-            recorded_ns: when it was recorded, nanoseconds.
+            connection: number of the message's connection.
+            file: file positioned at the start of the message.
+            recorded_ns: time of recording, nanoseconds.
             place: chunk, offset and size, as in `MessagePlace`.
-            whole: read all of it, to see whether all is there, and not only its Header.
+            whole: whether to read the whole message, to check that it is complete, and not only its Header.
 
         Raises:
-            DamagedRecordError: it says that it is larger than a message can be.
+            DamagedRecordError: the stated size exceeds that of any message.
         """
         known = self.connections.get(connection)
-        # The connection of a message can be in a chunk that is lost, and again at the end.
+        # The message's connection may be known only later: its chunk is lost, but the end of the file repeats
+        # it.
         if known is not None and known.type not in self.types:
             return
         size = place[2]
@@ -241,7 +242,7 @@ class FoundMessages:
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
 
     def topics(self) -> tuple[BagTopic, ...]:
-        """The topics that have messages, sorted; connections that share a name and a type are joined."""
+        """The topics with messages, sorted; connections of the same name and type are joined."""
         joined: dict[BagTopic, list[MessagePlace]] = {}
         for number, places in self.places.items():
             connection = self.connections.get(number)
@@ -251,15 +252,15 @@ class FoundMessages:
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
-    """The bytes of a chunk, limited to the size in its header.
+    """Unpack a chunk, up to the size in its header.
 
     Args:
         compression: "bz2", "lz4" or "zstd".
         data: the compressed bytes.
-        size: of the chunk when it is unpacked, as its header says.
+        size: unpacked size that the chunk's header states.
 
     Raises:
-        DamagedRecordError: it is damaged, larger than a chunk can be, or compressed in another way.
+        DamagedRecordError: the chunk is damaged, too large, or compressed in an unknown way.
     """
     import zstandard
 
@@ -273,7 +274,7 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
 
             return _unpacked(LZ4FrameDecompressor(), data, size)
         if compression == "zstd":
-            # A stream also reads frames that do not say their size.
+            # A stream reader also accepts frames that do not state their size.
             return zstandard.ZstdDecompressor().stream_reader(data).read(size)
     except (zstandard.ZstdError, OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
         raise DamagedRecordError from error
@@ -281,7 +282,7 @@ def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
 
 
 def _unpacked(unpacker: "bz2.BZ2Decompressor | LZ4FrameDecompressor", data: bytes, size: int) -> bytes:
-    """Decompress at most `size` bytes by bz2 or lz4, with one copy in memory."""
+    """Decompress at most `size` bytes by bz2 or lz4, with a single copy in memory."""
     target = BytesIO()
     part = unpacker.decompress(data, max_length=min(max(size, 1), PART_BYTES))
     while part:
@@ -294,7 +295,7 @@ def _unpacked(unpacker: "bz2.BZ2Decompressor | LZ4FrameDecompressor", data: byte
 
 
 def _start_of_packed(head: bytes) -> bytes:
-    """The first bytes of a message, of the first that it is compressed to; empty if it is damaged."""
+    """The first bytes of a message from the start of its compressed bytes; empty if damaged."""
     import zstandard
 
     with suppress(zstandard.ZstdError):
@@ -303,7 +304,7 @@ def _start_of_packed(head: bytes) -> bytes:
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """A message as it was serialised; empty, which no message is, if it is damaged.
+    """Decompress a message; empty, as no message is, if it is damaged.
 
     `ros2 bag record --compression-mode message` compresses messages one by one with zstd.
     """
@@ -321,15 +322,15 @@ def unpacked_message(data: bytes) -> bytes:
 
 
 def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
-    """The types of a definition that a store lacks, for it to register.
+    """The types in a definition that a store lacks, ready to register.
 
     Args:
-        name: of the type, in ROS 2's spelling.
-        definition: its text, with those of the types in it.
-        store: of the types that are known.
+        name: name of the type, in ROS 2's spelling.
+        definition: definition of the type and of the types in it.
+        store: store of the known types.
 
     Raises:
-        ValueError: it is damaged, or more than is compiled; the message says what.
+        ValueError: the definition is damaged or exceeds the limits; the message says which.
     """
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import TypesysError, get_types_from_msg
@@ -346,14 +347,14 @@ def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
     if sum(1 for _ in islice(_unrolled(name, fields, met, 0), MOST_FIELDS + 1)) > MOST_FIELDS:
         raise ValueError(f"more than {MOST_FIELDS} fields")
     for own in lacking.keys() & met:
-        # Each message of such a list may have no bytes, so that a list without end takes none.
+        # A list of messages that have no bytes takes no bytes itself, and could be endless.
         if any(kind == Nodetype.SEQUENCE and node[0][0] == Nodetype.NAME for _, (kind, node) in fields[own]):
             raise ValueError(f"{own} holds a list of messages")
     return {key: value for key, value in lacking.items() if key in met}
 
 
 def _unrolled(name: str, fields: Mapping[str, Any], met: set[str], depth: int) -> Iterator[None]:
-    """Once for each field of a type, and of those in it, with arrays unrolled; notes the types it meets."""
+    """Yield once for each field of a type, nested types and arrays unrolled; add its types to `met`."""
     from rosbags.interfaces import Nodetype
 
     if depth > MOST_DEPTH or name not in fields:

@@ -1,4 +1,4 @@
-"""The trajectory of a ROS bag: a topic of poses, or tf, the tree of frames with each camera's pose."""
+"""The trajectory of a ROS bag: from a topic of poses, or from tf, the tree of coordinate frames."""
 
 from bisect import bisect_left
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageT
 
 Given = tuple[GivenTrajectory | None, list[str]]
 MaybeGiven = tuple[GivenTrajectory | None, list[str], str]
-# A quaternion of a pose has length 1; that of an empty message has 0.
+# The quaternion of a pose has length 1; that of an empty message has 0.
 SHORTEST_QUATERNION = 1e-6
 
 
 @dataclass(frozen=True)
 class TransformTree:
-    """The frames of a bag, each with its parent.
+    """The coordinate frames of a bag, each with its parent.
 
     Attributes:
-        edges: of each frame that has a parent: the parent, the stamps (ns, increasing) and the (n, 4, 4)
-            transforms from the frame to the parent; one of them is meant for all times.
+        edges: for each frame with a parent: the parent, the stamps (ns, increasing), and the (n, 4, 4)
+            transforms from the frame to the parent; a single transform holds for all times.
     """
 
     edges: dict[str, tuple[str, Int64, Float64]]
 
     def path(self, frame: str) -> list[str]:
-        """The frame, its parent, and so on up to a frame without a parent."""
+        """The frame, its parent, and so on up to the root."""
         chain = [frame]
         while chain[-1] in self.edges and self.edges[chain[-1]][0] not in chain:
             chain.append(self.edges[chain[-1]][0])
@@ -55,10 +55,10 @@ class TransformTree:
         return np.asarray(np.linalg.inv(T_common_to) @ T_common_from)
 
     def moving(self, frame: str) -> GivenTrajectory | None:
-        """The motion of a frame relative to its tree's root, the world.
+        """The motion of a frame relative to the root of its tree, the world.
 
-        It is given at the stamps of the transform that is recorded most often, the others interpolated; None
-        if nothing above the frame moves.
+        The result has the stamps of the most frequent transform; the others are interpolated. None if nothing
+        on the way to the root moves.
         """
         links = [self.edges[name] for name in self.path(frame)[:-1]]
         busiest = max(links, key=lambda link: len(link[1]), default=None)
@@ -85,8 +85,8 @@ class TransformTree:
 
 
 def read_transforms(bag: RosBag) -> TransformTree:
-    """Read every tf and tf_static message, without invalid transforms."""
-    # Of each frame: its parent, and its place there by stamp.
+    """Read every tf and tf_static message; invalid transforms are skipped."""
+    # For each frame: its parent, and by stamp its transform to the parent.
     parents: dict[str, str] = {}
     placed: dict[str, dict[int, Float64]] = {}
     read = (message for topic in bag.topics if topic.type in TF for message in bag.whole(topic))
@@ -109,7 +109,7 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def matrix_of(transform: Message) -> Float64 | None:
-    """The (4, 4) matrix of a geometry_msgs/Transform; None if it is not finite, far, or has no rotation."""
+    """The (4, 4) matrix of a geometry_msgs/Transform; None if not finite, too far, or without rotation."""
     t, q = transform.translation, transform.rotation
     quaternion_xyzw, translation_m = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
     if not np.abs([*quaternion_xyzw, *translation_m]).max() <= FARTHEST_M:  # false for NaN, too
@@ -124,7 +124,7 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
-    """A transform at a time: linear in position, along the shortest turn in rotation."""
+    """Interpolate a transform: linear in position, along the shortest rotation."""
     after = min(max(bisect_left(stamps, stamp_ns), 0), len(stamps) - 1)
     if stamps[after] == stamp_ns or after == 0 or len(stamps) == 1:
         return np.asarray(transforms[after])
@@ -135,9 +135,9 @@ def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
     """The trajectory of the depth camera, camera to world; warnings; and why it cannot be used, or "".
 
-    It is that of the topic that the settings name ("tf" for the tree of frames), or else of the one topic of
-    PoseStamped or Odometry, or else of tf. Where Odometry is of another frame than the camera's, and tf says
-    the transform between both, it is moved to the camera.
+    The source is the topic that the settings name ("tf" for the tree of frames), else the only topic of
+    PoseStamped or Odometry, else tf. If Odometry describes another frame than the camera's, and tf has the
+    transform between them, the poses are moved to the camera.
 
     Raises:
         RecordingError: the named topic holds no poses.

@@ -48,7 +48,7 @@ from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
 
-# `T_depth_imu` (4, 4) of a topic and its messages' frame_id, where the bag says it.
+# Returns `T_depth_imu` (4, 4) for a topic and its messages' frame_id; None if the bag does not have it.
 PlaceOfImu = Callable[[BagTopic, str], Float64 | None]
 
 
@@ -67,16 +67,16 @@ class RosRecording(Recording):
     Attributes:
         depth: the depth topic.
         color_topic: the colour topic, or None.
-        places: for each frame its stamp, and the indices of its depth and its colour message (or None).
-        float_units_per_m: what 1 m is in a 32FC1 image.
-        undistortion: how distorted images become pinhole images, or None.
-        bag: gives the messages.
+        places: for each frame its stamp, and the indices of its depth and colour messages (colour or None).
+        float_units_per_m: value of 1 m in a 32FC1 image.
+        undistortion: makes pinhole images from distorted ones; None if not needed.
+        bag: reads and decodes the messages.
     """
 
     wanted: ClassVar[frozenset[str]] = WANTED
-    # Types whose definition is taken from the bag.
+    # Types for which the bag's definition is used.
     own_types: ClassVar[frozenset[str]] = frozenset()
-    # Images of one frame_id share their pixels.
+    # Whether images with the same frame_id have the same pixels.
     frame_ids_tell: ClassVar[bool] = True
 
     depth: ImageTopic
@@ -89,34 +89,34 @@ class RosRecording(Recording):
     @classmethod
     @abstractmethod
     def walk(cls, path: Path) -> RosBag:
-        """Find the messages of the wanted types.
+        """Find the messages of the wanted types in a bag.
 
         Raises:
-            RecordingError: nothing in it can be read.
+            RecordingError: nothing in the bag is readable.
         """
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Native units per metre of integer depth, or None if the bag does not say it."""
+        """Native units per metre of integer depth; None if the bag does not state it."""
         return None
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, if the bag has it."""
+        """`T_color_depth`; None if the bag does not have it."""
         return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, if the bag has it."""
+        """`T_depth_imu`; None if the bag does not have it."""
         return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
-        """Every CameraInfo with its topic's name."""
+        """Every CameraInfo message with the name of its topic."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
         return [(name, message) for name, message in infos if message is not None]
 
@@ -180,12 +180,12 @@ class RosRecording(Recording):
         )
 
     def frame(self, index: int) -> RawFrame:
-        """Decode the messages of a frame."""
+        """Decode the depth and colour messages of a frame."""
         pair = self.places[index]
         name = _message_name(self.bag, self.depth, pair.depth)
         depth = depth_of(self.bag.decode(self.depth.topic, pair.depth), name, self.float_units_per_m)
         color = self._color(pair.color)
-        # Frames of another size are left as they are: the checks refuse them.
+        # Frames of another size stay as they are: the checks refuse them.
         if self.undistortion is not None and depth.shape == self._shape:
             depth = self.undistortion.depth(depth)
         return RawFrame(name, pair.stamp_ns, depth, color)
@@ -195,7 +195,7 @@ class RosRecording(Recording):
             return None
         name = _message_name(self.bag, self.color_topic, index)
         color = color_of(self.bag.decode(self.color_topic.topic, index), name)
-        # Colour that is not registered has a camera of its own.
+        # Colour that is not registered has its own camera.
         if self.undistortion is None or not self.color_registered:
             return color
         bgr = decode_color_bgr(color[1], name)
@@ -211,7 +211,7 @@ def _message_name(bag: RosBag, image: ImageTopic, index: int) -> str:
 
 
 def _in_file_order(image: ImageTopic | None) -> tuple[int, ...]:
-    """Stamps of a topic's messages in the order of recording, nanoseconds."""
+    """Stamps of a topic's messages, nanoseconds, in the order of recording."""
 
     def position(place: MessagePlace) -> tuple[int, int, int]:
         return place.file, place.offset if place.chunk < 0 else place.chunk, place.offset
@@ -235,7 +235,7 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
 def _pair(
     depth: ImageTopic, color: ImageTopic | None, settings: CameraSettings
 ) -> tuple[tuple[MessagePair, ...], list[str]]:
-    """The depth messages with distinct stamps, each with its colour message; and warnings."""
+    """Pair depth messages of distinct stamps with colour messages; also return warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
     order, repeated = first_by_stamp(depth_ns)
     warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
@@ -258,7 +258,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Whether colour is registered to depth: by name or frame, and only if the sizes agree."""
+    """Whether colour is registered to depth, by name or frame_id, and the sizes agree; and warnings."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):
@@ -280,7 +280,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """The CameraInfo of depth; and a warning that another contradicts it, unless the settings decide."""
+    """The CameraInfo of depth; and a warning if another contradicts it and the settings do not decide."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
@@ -303,7 +303,7 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> tuple[ColorCalibration | None, list[str]]:
-    """Camera and place of colour, None if either is not known or does not fit the images; and a warning."""
+    """The calibration of colour, None if unknown or if it does not fit the images; and warnings."""
     size_px = _first_color_size(bag, color)
     info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:
@@ -317,16 +317,16 @@ def _calibration(
 
 
 def measured_up(bag: RosBag, stamps_ns: Sequence[int], place: PlaceOfImu) -> tuple[UpSample, ...]:
-    """Up at some frames, by the first accelerometer whose place is known; () if none measures gravity.
+    """Up at some frames, from the first accelerometer with a known place that measures gravity; else ().
 
     Args:
-        bag: that was walked through.
-        stamps_ns: of the depth frames, ascending.
-        place: tells where an accelerometer is.
+        bag: the bag.
+        stamps_ns: stamps of the depth frames, ascending, nanoseconds.
+        place: returns the place of an accelerometer.
     """
     for topic in bag.topics:
         first = bag.first(topic) if topic.type == IMU else None
-        # By the message's definition -1 says that there is no such measurement.
+        # -1 means "no measurement", by the definition of the message.
         if first is None or first.linear_acceleration_covariance[0] == -1:
             continue
         T_depth_imu = place(topic, first.header.frame_id.lstrip("/"))

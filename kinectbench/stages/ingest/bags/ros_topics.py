@@ -1,4 +1,4 @@
-"""The depth and colour topics of a ROS bag, by type, content and name; intrinsics from CameraInfo."""
+"""Choose the depth and colour topics of a ROS bag by type, content and name; intrinsics from CameraInfo."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -23,27 +23,27 @@ TF = frozenset({TF_MESSAGE, OLD_TF_MESSAGE})
 IMU = "sensor_msgs/Imu"
 WANTED = TF | {IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POSE, ODOMETRY, IMU}
 INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)")
-# realsense's names of Brown's model, and of none, stand beside those of ROS.
+# Names for Brown's model: those of ROS and of librealsense.
 BROWN_MODELS = frozenset({"plumb_bob", "rational_polynomial", "Brown Conrady", "brown_conrady"})
 NO_MODELS = frozenset({"", "None", "none"})
 BROWN_LENGTHS = frozenset({4, 5, 8})
-# A message of sensor_msgs/CameraInfo, and with its topic's name.
+# A message of sensor_msgs/CameraInfo; and with the name of its topic.
 CameraInfo = Message
 NamedInfo = tuple[str, CameraInfo]
-# How well a CameraInfo fits images: of their size, beside them, of their frame, folders that both lie in.
+# How well a CameraInfo fits images: same size, beside them, same frame_id, and number of shared name parts.
 Rank = tuple[bool, bool, bool, int]
-# Intrinsics that differ by less than this share of the focal length are the same: .6 px of a Kinect's.
+# Intrinsics whose difference is below this share of the focal length are equal: 0.6 px for a Kinect.
 SAME_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class ImageTopic:
-    """A topic of images of one kind.
+    """A topic of images of one encoding.
 
     Attributes:
         topic: its name and messages.
-        encoding: of the first message that can be read.
-        frame_id: of that message.
+        encoding: encoding of the first readable message.
+        frame_id: frame_id of that message.
     """
 
     topic: BagTopic
@@ -58,11 +58,11 @@ class ImageTopic:
 
 @dataclass(frozen=True)
 class ImageKind:
-    """The names that identify the CameraInfo of one kind of images.
+    """Words that identify the CameraInfo of depth or of colour images.
 
     Attributes:
-        words: that the name of a folder holds in which such images and their CameraInfo lie.
-        advice: what to do if another CameraInfo is right; {second} is its values.
+        words: words in the names of topics for these images and their CameraInfo.
+        advice: what to do if another CameraInfo is right; {second} stands for its values.
     """
 
     words: tuple[str, ...]
@@ -87,24 +87,24 @@ def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> l
 
 
 def every_image(bag: RosBag) -> list[ImageTopic]:
-    """The image topics that hold a readable message, of whatever kind."""
+    """The image topics that contain a readable message, with any encoding."""
     return image_topics(bag, lambda m: m.format if is_compressed(m) else m.encoding)
 
 
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
-    """The depth topic: by name, registered, integer, raw, most images; warns if there was a choice.
+    """Choose the depth topic: by name, registered, integer, raw, most images; warn if there was a choice.
 
     Args:
-        bag: where it is looked for.
-        named: the topic that the settings name.
+        bag: the bag to search.
+        named: the topic that the settings name, or None.
 
     Raises:
-        RecordingError: no topic holds depth, or the one that is named does not.
+        RecordingError: no topic contains depth, or the named topic does not.
     """
     topics = image_topics(bag, depth_encoding)
     if named is not None:
         return _named(bag, "depth_topic", named, topics), []
-    # Infrared images are 16-bit too.
+    # Infrared images have 16 bits, too.
     topics = [t for t in topics if "depth" in t.name.lower() or not INFRARED.search(t.name.lower())]
     if not topics:
         images = [f"{t.name} ({t.encoding})" for t in every_image(bag)]
@@ -129,18 +129,18 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
 def choose_color(
     bag: RosBag, depth: ImageTopic, named: str | None = None
 ) -> tuple[ImageTopic | None, list[str]]:
-    """The colour topic: not infrared, named so, of the depth's camera, with colours, raw, most images.
+    """Choose the colour topic: by name, not infrared, of depth's camera, with colours, raw, most images.
 
     Args:
-        bag: where it is looked for.
-        depth: the depth topic; where two cameras are in a bag, colour is of the same one.
-        named: the topic that the settings name.
+        bag: the bag to search.
+        depth: the depth topic; in a bag with two cameras, colour is of the same camera.
+        named: the topic that the settings name, or None.
 
     Returns:
-        The topic or None; and warnings.
+        The topic, or None; and warnings.
 
     Raises:
-        RecordingError: the topic that is named holds no colour.
+        RecordingError: the named topic contains no colour.
     """
     topics = image_topics(bag, color_encoding)
     if named is not None:
@@ -162,12 +162,12 @@ def choose_color(
 
 
 def is_named_registered(depth: ImageTopic) -> bool:
-    """Whether a depth topic's name declares depth registered to colour."""
+    """Whether a depth topic's name states that depth is registered to colour."""
     return "registered" in depth.name.lower() or "aligned" in depth.name.lower()
 
 
 def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> ImageTopic:
-    """The image topic of that name among those that fit."""
+    """The image topic with this name among `topics`; an error if there is none."""
     for topic in topics:
         if topic.name == named:
             return topic
@@ -179,7 +179,7 @@ def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> Image
 
 
 def _first_folder(image: ImageTopic) -> str:
-    """The first part of a topic's name, which identifies the camera in drivers."""
+    """The first part of a topic's name, which drivers use for the camera."""
     return image.name.strip("/").split("/")[0]
 
 
@@ -191,7 +191,7 @@ def _choice(bag: RosBag, what: str, best: ImageTopic, topics: list[ImageTopic]) 
 
 
 def values_of(info: CameraInfo, name: str) -> tuple[float, ...]:
-    """The numbers that a CameraInfo holds as K, D or P, which ROS 2 spells k, d and p."""
+    """The numbers of a CameraInfo field K, D or P, which ROS 2 spells k, d and p."""
     values = getattr(info, name, None)
     return tuple(float(v) for v in (getattr(info, name.lower()) if values is None else values))
 
@@ -204,24 +204,25 @@ def choose_camera_info(
     images: Sequence[ImageTopic],
     pixels_of: ImageTopic | None = None,
 ) -> tuple[CameraInfo | None, str]:
-    """The CameraInfo of images: of their frame, beside them, or in a folder named for their kind.
+    """Choose the CameraInfo of images: with their frame_id, beside them, or under a name of their kind.
 
-    Of several, one of their size comes first, then the one beside them (as image_transport's cameras have
-    it), then one of their frame, then the nearest by name. Images that by their name lie on the pixels of
-    others are seen by the camera of those: where its CameraInfo says otherwise, it takes precedence.
+    The order of preference is: with the images' size, beside the images (as image_transport puts it), with
+    their frame_id, nearest by name. If the images lie on the pixels of other images by name, the CameraInfo
+    of those images takes precedence.
 
     Args:
         image: the topic of the images.
-        kind: of the images.
-        size_px: width and height of the images.
-        infos: every CameraInfo of the bag with its topic's name.
-        images: every topic of images: a CameraInfo beside another one is that one's, and contradicts nothing.
-        pixels_of: the topic of the images on whose pixels `image` lies, by name or by frame; or None.
+        kind: the kind of the images.
+        size_px: width and height of the images, pixels.
+        infos: every CameraInfo of the bag with the name of its topic.
+        images: every topic of images; a CameraInfo beside another topic belongs to that topic, so it
+            contradicts nothing.
+        pixels_of: the topic on whose pixels `image` lies, by name or frame_id; or None.
 
     Returns:
-        The message, or None; and "", or a warning that another one contradicts it.
+        The message, or None; and a warning that another CameraInfo contradicts it, or "".
     """
-    usable = [(name, info) for name, info in infos if values_of(info, "K")[0] > 0]  # 0: no calibration
+    usable = [(name, info) for name, info in infos if values_of(info, "K")[0] > 0]  # 0 means no calibration
     ranked = []
     for name, info in usable:
         shared = _shared_folders(name, image.name)
@@ -231,7 +232,7 @@ def choose_camera_info(
             rank = ((info.width, info.height) == size_px, beside, same_frame, len(shared))
             ranked.append((rank, (name, info)))
     ranked.sort(key=lambda entry: entry[0], reverse=True)
-    # As good as the first except for its name, or of its size and frame; the camera on whose pixels they lie.
+    # CameraInfo that rank as high except by name, or have the size and frame_id; and that of `pixels_of`.
     rivals = [
         named
         for rank, named in ranked[1:]
@@ -253,12 +254,12 @@ def choose_camera_info(
 
 
 def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
-    """Whether two CameraInfo have the images' size and frame, under any name."""
+    """Whether two ranks agree in the images' size and frame_id, whatever the topics' names."""
     return rank[0] and best[0] and rank[2] and best[2]
 
 
 def _is_beside(info: str, image: ImageTopic) -> bool:
-    """Whether a CameraInfo's topic lies beside one of images, whose name may end in how they are packed."""
+    """Whether a CameraInfo's topic is beside a topic of images, whose name may end in its transport."""
     folder, _, last = image.name.rpartition("/")
     if image.topic.type == COMPRESSED_IMAGE and last.startswith("compressed"):
         folder = folder.rpartition("/")[0]
@@ -266,14 +267,14 @@ def _is_beside(info: str, image: ImageTopic) -> bool:
 
 
 def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
-    """Whether two CameraInfo have different intrinsics for images of one size, beyond rounding."""
+    """Whether two CameraInfo have different intrinsics, beyond rounding, for images of one size."""
     a, b = (intrinsics_of(info, image) for _, info in (first, second))
     pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
     return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)
 
 
 def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice: str) -> str:
-    """The warning that two CameraInfo differ, with both values, and what to do about it."""
+    """A warning that two CameraInfo differ, with the values of both and advice."""
     first, second = (_in_words(info, image) for _, info in (taken, other))
     return (
         f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "
@@ -287,7 +288,7 @@ def _in_words(info: CameraInfo, image: ImageTopic) -> str:
 
 
 def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
-    """K of the images; of rectified images the left 3x3 of P, as sensor_msgs/CameraInfo defines them."""
+    """Intrinsics of images: K, or for rectified images the left 3x3 of P (see sensor_msgs/CameraInfo)."""
     if info is None:
         return Intrinsics()
     k, p = values_of(info, "K"), values_of(info, "P")
@@ -297,10 +298,10 @@ def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
 
 
 def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tuple[float, ...]:
-    """Brown's coefficients of images, as OpenCV orders them; empty if they have no distortion.
+    """Brown's coefficients of images in OpenCV's order; empty without distortion.
 
     Raises:
-        RecordingError: they are distorted by a model that is not Brown's.
+        RecordingError: the distortion model is not Brown's.
     """
     if info is None or _is_rectified(image) or info.distortion_model in NO_MODELS:
         return ()
@@ -318,7 +319,7 @@ def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tup
 
 
 def _is_rectified(image: ImageTopic) -> bool:
-    """Whether a topic's name declares rectified images, as image_proc names them."""
+    """Whether a topic's name states that images are rectified, as image_proc names them."""
     return any("rect" in re.split(r"[_/]", part) for part in image.name.lower().split("/"))
 
 

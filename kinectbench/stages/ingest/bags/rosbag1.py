@@ -1,9 +1,9 @@
-"""ROS 1 bags (format 2.0): raw and compressed images, lz4 and bz2 chunks, whole, cut off or never closed.
+"""ROS 1 bags (format 2.0): raw and compressed images, lz4 and bz2 chunks, complete or truncated files.
 
-Messages are found by walking the file's chunks. The walk needs no index, so it also reads what is whole of a
-bag that was cut off or never closed, and it gives random access to single messages. Of chunks that are not
-compressed it reads no more than the records' headers. The package rosbags reads no bag without an index.
-Layout: http://wiki.ros.org/Bags/Format/2.0.
+Messages are found by walking through the file's chunks. The walk needs no index, so it also reads the intact
+part of a bag that was truncated or never closed; and it gives random access to messages. In chunks without
+compression it reads only the headers of records. The package rosbags reads no bag without an index. Layout:
+http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import os
@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 
 MAGIC = b"#ROSBAG V2.0\n"
-# As version 2.0 of the format numbers its records.
+# Numbers of records in version 2.0 of the format.
 OP_MESSAGE, OP_CHUNK, OP_CONNECTION = 2, 5, 7
 
 
@@ -43,7 +43,7 @@ class Rosbag1Recording(RosRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the file begins like a bag, whatever its name ends in."""
+        """Whether the file starts like a bag, whatever its suffix."""
         if not path.is_file():
             return False
         return read_head(path, len(MAGIC)) == MAGIC
@@ -73,7 +73,7 @@ class Rosbag1Recording(RosRecording):
 
 @dataclass
 class _Walk:
-    """The state of a walk: messages so far, and the number of whole and of damaged chunks."""
+    """The state of a walk: messages found, and numbers of intact and damaged chunks."""
 
     found: FoundMessages
     own_types: frozenset[str]
@@ -83,10 +83,10 @@ class _Walk:
     damaged_chunks: int = 0
 
     def take_all(self, file: BinaryIO, path: Path) -> bool:
-        """Walk through the file; whether it ends as it should and has an index.
+        """Walk through the file; return whether it has the expected end and an index.
 
         Raises:
-            RecordingError: it is encrypted.
+            RecordingError: the bag is encrypted.
         """
         size = size_of(file)
         file.seek(len(MAGIC))
@@ -104,7 +104,7 @@ class _Walk:
             return False
 
     def take_record(self, file: BinaryIO, end: int) -> None:
-        """Read the next record of the file, or pass over it."""
+        """Read the next record of the file, or skip it."""
         position = file.tell()
         fields, size = _read_header(file, end)
         op = _number(fields, b"op", "<B")
@@ -114,7 +114,7 @@ class _Walk:
             return
         if start + size > end:
             raise DamagedRecordError
-        # A bag that was never closed can hold the records of its last chunk without the chunk.
+        # A bag that was never closed may contain the records of its last chunk outside a chunk.
         self._take(fields, file, start, size, chunk=-1)
         file.seek(start + size)
 
@@ -123,7 +123,7 @@ class _Walk:
     ) -> None:
         start = file.tell()
         if fields.get(b"compression") == b"none":
-            # Of a truncated chunk, its complete messages are taken.
+            # Take the complete messages of a truncated chunk.
             for inner, offset, length in _records_of(file, min(start + size, end)):
                 self._take(inner, file, offset, length, chunk=-1)
             if start + size > end:
@@ -169,7 +169,7 @@ class _Walk:
 
 
 def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:
-    """The records up to the end of a chunk: header fields, and position and size of the data."""
+    """Yield the records up to `end`: header fields, position of the data, and size of the data."""
     position = file.tell()
     while position < end:
         file.seek(position)
@@ -182,13 +182,13 @@ def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], 
 
 
 def _decompress(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    """The bytes of a chunk."""
+    """Unpack the bytes of a chunk."""
     kind = fields.get(b"compression", b"").decode(errors="replace")
     return data if kind == "none" else unpacked_chunk(kind, data, _number(fields, b"size", "<I"))
 
 
 def _chunk_at(file: BinaryIO, position: int) -> bytes:
-    """The unpacked chunk whose record lies at a position."""
+    """Unpack the chunk whose record starts at `position`."""
     end = file.seek(0, os.SEEK_END)
     file.seek(position)
     fields, size = _read_header(file, end)
@@ -196,7 +196,7 @@ def _chunk_at(file: BinaryIO, position: int) -> bytes:
 
 
 def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
-    """Header fields of the next record, and the size of the data that follow."""
+    """Read the header fields of the next record, and the size of its data."""
     (header_size,) = struct.unpack("<I", _read_exactly(file, 4, end))
     if header_size > DEFINITION_BYTES:
         raise DamagedRecordError
@@ -206,7 +206,7 @@ def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
 
 
 def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
-    """Bytes of the file, after checking its size, so that a damaged size allocates nothing."""
+    """Read bytes of the file, after checking `size`, so that a damaged size allocates nothing."""
     if file.tell() + size > end or size > UNPACKED_BYTES:
         raise DamagedRecordError
     return file.read(size)
@@ -227,7 +227,7 @@ def _parse_fields(data: bytes) -> dict[bytes, bytes]:
 
 
 def _values(fields: dict[bytes, bytes], name: bytes, layout: str) -> tuple[int, ...]:
-    """The numbers that a header field holds."""
+    """Unpack the numbers in a header field."""
     try:
         return struct.unpack(layout, fields[name])
     except (KeyError, struct.error) as error:

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder or a bare file, sqlite3 or mcap, compressed by message, by file or not."""
+"""ROS 2 bags: a folder or a single file, sqlite3 or mcap, compressed by message, by file or not at all."""
 
 import errno
 import shutil
@@ -24,13 +24,13 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, ImageTopic
 
-# One a minute, for sixteen hours.
+# Enough for one file per minute for sixteen hours.
 MOST_FILES = 1000
 MAGICS = (rosbag2_sqlite.MAGIC, rosbag2_mcap.MAGIC)
 
 
 class Rosbag2Recording(RosRecording):
-    """A ROS 2 bag; the files of a bag that was split are read as one."""
+    """A ROS 2 bag; the files of a split bag are read as one."""
 
     format: ClassVar[str] = "rosbag2"
     looks_for: ClassVar[str] = "a .mcap or .db3 file, or a folder with such files (and metadata.yaml)"
@@ -40,14 +40,14 @@ class Rosbag2Recording(RosRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the file, or a file in the folder, begins like mcap or sqlite3."""
+        """Whether the file, or a file in the folder, starts like mcap or sqlite3."""
         if path.is_dir():
             return any(_is_bag_file(file) for file in _bag_files(path))
         return path.is_file() and _is_bag_file(path)
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Units a metre of a bag by librealsense, which says them; None of others."""
+        """Units per metre in a bag by librealsense, which states them; None for other bags."""
         return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
 
     @classmethod
@@ -69,7 +69,7 @@ class Rosbag2Recording(RosRecording):
 
 
 def _bag_files(folder: Path) -> list[Path]:
-    """Files that may be a bag's, in the order of recording: NAME_2 before NAME_10."""
+    """Files that may belong to a bag, in the order of recording: NAME_2 before NAME_10."""
 
     def matches(name: str) -> bool:
         return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
@@ -105,7 +105,7 @@ def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBa
     def read(place: MessagePlace) -> bytes:
         return bag.read(place)
 
-    # It is unpacked into a temporary folder that goes with `read`.
+    # The file is unpacked into a temporary folder that exists as long as `read`.
     folder = tempfile.mkdtemp(prefix="kinectbench-")
     weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
     unpacked, trouble = Path(folder) / file.name.removesuffix(".zstd"), ""
@@ -126,13 +126,13 @@ def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBa
         return RosBag(file, (), lambda place: b"", trouble)
     bag = _walk_file(unpacked, types, budget)
     trouble = bag.trouble.replace(str(unpacked), str(file))
-    if not bag.topics:  # nothing will be read, and the folder goes at once
+    if not bag.topics:  # nothing will be read, so the folder is removed at once
         return RosBag(file, (), lambda place: b"", trouble)
     return replace(bag, read=read, trouble=trouble)
 
 
 def _joined(path: Path, bags: list[RosBag]) -> RosBag:
-    """The bags of several files as one."""
+    """Combine the bags of several files into one."""
     if len(bags) == 1:
         return replace(bags[0], path=path)
     topics: dict[tuple[str, str], BagTopic] = {}

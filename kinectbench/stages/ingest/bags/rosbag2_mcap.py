@@ -1,7 +1,7 @@
-"""The messages of an mcap file, found by walking its records; a truncated file gives its whole ones.
+"""Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
-Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap unpacks lz4 chunks
-however large they become, and gives no place of a message to read it again.
+Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap is not used: it unpacks
+lz4 chunks of any size, and gives no place from which to read a message again.
 """
 
 import struct
@@ -26,14 +26,14 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 )
 
 MAGIC = b"\x89MCAP0\r\n"
-# As the specification of MCAP numbers its records.
+# Numbers of records in the MCAP specification.
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD = struct.Struct("<BQ")
 # channel, sequence, log time, publish time
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 # first and last log time, unpacked size, checksum
 CHUNK_HEAD = struct.Struct("<QQQI")
-# No image shrinks more than this; a chunk that says so is damaged.
+# Largest ratio of unpacked to packed size: no image shrinks more; a chunk that states more is damaged.
 MAX_RATIO = 2000
 ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
@@ -43,11 +43,11 @@ def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
     Args:
         path: the file.
-        types: that are wanted, in ROS 1's spelling.
-        budget: of the whole bag.
+        types: the wanted types, in ROS 1's spelling.
+        budget: limits for the whole bag.
 
     Raises:
-        RecordingError: the topics are serialised in a way that cannot be read.
+        RecordingError: the topics are serialised in an unreadable way.
     """
     reader = BagReader(path, _chunk_at)
     walked = _Walk(types, reader.keep, budget)
@@ -77,7 +77,7 @@ def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 class _Walk:
-    """The state of a walk; `unknown` has the encodings of unreadable messages."""
+    """The state of a walk; `unknown` collects encodings of unreadable messages."""
 
     def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None], budget: WalkBudget) -> None:
         self.budget = budget
@@ -90,14 +90,14 @@ class _Walk:
     def take_all(
         self, file: BinaryIO, start: int, end: int, chunk: int = -1, *, nested: bool = False
     ) -> bool:
-        """Take the records from start to end; returns whether there was a footer.
+        """Take the records from `start` to `end`; return whether there was a footer.
 
         Args:
             file: the file, or the unpacked chunk.
-            start: where the first record lies in it.
-            end: where the last ends.
-            chunk: position of the unpacked chunk's record; -1: `file` is the file.
-            nested: they are the records of a chunk.
+            start: position of the first record in it.
+            end: end of the last record.
+            chunk: position of the unpacked chunk's record; -1: `file` is the file itself.
+            nested: whether the records are inside a chunk.
         """
         position = start
         while position + RECORD.size <= end:
@@ -162,7 +162,7 @@ class _Walk:
 
 
 class _ChunkParts(NamedTuple):
-    """Compression, unpacked size, and position and size of the records of a chunk, bytes."""
+    """Parts of a chunk: compression, unpacked size, and position and size of its records, bytes."""
 
     compression: str
     unpacked_size: int
@@ -179,7 +179,7 @@ def _string(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _name(data: bytes, position: int) -> tuple[str, int]:
-    """A string that is kept."""
+    """A string that stays in memory, with a limit on its length."""
     name, end = _string(data, position)
     if len(name) > LONGEST_NAME:
         raise DamagedRecordError
@@ -187,7 +187,7 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
-    """The parts of the chunk whose body starts at the position and ends at `end`."""
+    """The parts of the chunk whose body starts at the file's position and ends at `end`."""
     start = file.tell()
     data = file.read(min(end - start, CHUNK_HEAD.size + 64))
     try:
@@ -209,7 +209,7 @@ def _unpack_chunk(file: BinaryIO, parts: _ChunkParts) -> bytes:
 
 
 def _chunk_at(file: BinaryIO, position: int) -> bytes:
-    """The unpacked chunk whose record lies at a position."""
+    """Unpack the chunk whose record starts at `position`."""
     file.seek(position)
     _, size = RECORD.unpack(file.read(RECORD.size))
     return _unpack_chunk(file, _chunk_parts(file, file.tell() + size))

@@ -1,4 +1,4 @@
-"""The messages of a ROS 2 bag in a sqlite3 file (rosbag2_storage_sqlite3); a damaged one gives a part."""
+"""Find the messages of a ROS 2 bag in an sqlite3 file (rosbag2_storage_sqlite3), even if damaged."""
 
 import shutil
 import sqlite3
@@ -24,28 +24,28 @@ from kinectbench.stages.ingest.bags.ros_messages import (
 
 MAGIC = b"SQLite format 3\0"
 TABLES = ("topics", "messages")
-# A robot has some hundred topics; a damaged file may state any number.
+# A robot has some hundred topics, but a damaged file may state any number.
 MOST_TOPICS = 10_000
-# In the head: how often the file was changed, and after how many changes its count of pages was right.
+# In the header: the counter of changes, and its value when the stated number of pages was valid.
 CHANGE_COUNTER, VALID_FOR = slice(24, 28), 92
-# As the file format of SQLite has them.
+# Sizes in SQLite's file format.
 HEAD_BYTES, LEAST_PAGE_BYTES = 100, 512
-# A message as long as a page less this does not fit into a page with others.
+# A message longer than a page minus this does not fit into one page.
 CELL_BYTES = 100
-# Rows of a truncated file may state this multiple of its size, as pages of some are lost.
+# Rows of a truncated file may state this multiple of its size, because some of their pages are lost.
 LOST_TIMES = 4
 
 
 def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types, in recorded order.
+    """Find the messages of the wanted types, in the order of recording.
 
     Args:
         path: the file.
-        types: that are wanted, in ROS 1's spelling.
-        budget: of the whole bag.
+        types: the wanted types, in ROS 1's spelling.
+        budget: limits for the whole bag.
 
     Raises:
-        RecordingError: not a bag's database.
+        RecordingError: the file is not a bag's database.
     """
     messages = FoundMessages(types)
     cut_off = _page_bytes_if_cut_off(path)
@@ -53,7 +53,7 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
     reader = _Reader(path, cut_off > 0)
     try:
         with closing(reader.connect()) as database:
-            # Pages that lead back to each other would make rows without end.
+            # Pages that form a cycle would give endless rows.
             database.set_progress_handler(lambda: not budget.take_step(), STEPS_AT_ONCE)
             _check_tables(database)
             rows = database.execute(
@@ -79,10 +79,10 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
 
 
 class _Reader:
-    """Reads single messages by their row.
+    """Reads single messages by row number.
 
-    A file that was cut off lacks pages that its head counts, and sqlite does not open it. It is copied into a
-    temporary folder that goes with this, where the head says that the count is not valid.
+    A truncated file lacks pages that its header counts, and sqlite refuses it. So it is copied into a
+    temporary folder, which exists as long as the reader, with a header that marks the count as invalid.
     """
 
     def __init__(self, path: Path, cut_off: bool) -> None:
@@ -104,7 +104,7 @@ class _Reader:
     def connect(self) -> sqlite3.Connection:
         """Open the file read-only, as untrusted input."""
         open_plain(self._path).close()  # a regular file
-        # immutable: nothing is written beside the file, and a journal that is missing does not matter.
+        # immutable: nothing is written beside the file, and a missing journal does not matter.
         database = sqlite3.connect(
             f"file:{quote(str(self._path.resolve()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
         )
@@ -114,11 +114,11 @@ class _Reader:
         return database
 
     def __call__(self, place: MessagePlace) -> bytes:
-        """The serialised message of a row; empty, which counts as damaged, if it cannot be read."""
+        """Read the serialised message in a row; empty, which counts as damaged, if unreadable."""
         try:
             if self._database is None:
                 self._database = self.connect()
-                # A row is found in some ten steps.
+                # Finding a row takes some ten steps.
                 self._database.set_progress_handler(lambda: True, STEPS_AT_ONCE)
             with self._database.blobopen("messages", "data", place.offset, readonly=True) as blob:
                 return blob.read(place.size)
@@ -131,10 +131,10 @@ class _Reader:
 
 
 def _check_tables(database: sqlite3.Connection) -> None:
-    """Refuse views, virtual tables and generated columns, which would be computed.
+    """Refuse views, virtual tables and generated columns, because reading them would compute something.
 
     Raises:
-        ValueError: one is; the message says which.
+        ValueError: the database has one; the message says which.
         DatabaseError: the database is damaged.
     """
     for name in TABLES:
@@ -148,7 +148,7 @@ def _check_tables(database: sqlite3.Connection) -> None:
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:
-    """The page size if the file is shorter than its header says, else 0 (SQLite's file format, 1.3)."""
+    """The page size if the file is shorter than its header states, else 0 (SQLite's file format, 1.3)."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     if len(head) < HEAD_BYTES:
@@ -159,7 +159,7 @@ def _page_bytes_if_cut_off(path: Path) -> int:
 
 
 def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
-    """Leave out the last message with overflow pages: sqlite fills a torn page with zeros."""
+    """Drop the last message with overflow pages, because sqlite fills a torn page with zeros."""
     every = messages.places.values()
     long = (place for places in every for place in places if place.size > page_bytes - CELL_BYTES)
     last = max(long, key=lambda place: place.offset, default=None)
@@ -171,11 +171,11 @@ def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
 def _take_messages(
     database: sqlite3.Connection, messages: FoundMessages, file_bytes: int, all_of_them: bool
 ) -> None:
-    """Record the positions of messages; reads only their first bytes, or `all_of_them`.
+    """Record the places of messages; read only their first bytes, or with `all_of_them` everything.
 
     Raises:
-        DamagedRecordError: messages say that they are larger than the file, alone or together: rows may share
-            their pages, and to read each would take rows times the file.
+        DamagedRecordError: stated sizes exceed the file, alone or in sum: rows may share pages, so reading
+            each would take the number of rows times the file.
     """
     query = (
         "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' "
@@ -184,11 +184,11 @@ def _take_messages(
     left_bytes = file_bytes * (LOST_TIMES if all_of_them else 1)
     for row, topic, recorded_ns, size in database.execute(query):
         left_bytes -= size
-        if size > file_bytes:  # its pages go round
+        if size > file_bytes:  # its pages form a cycle
             raise DamagedRecordError("a message is larger than the file")
         if left_bytes < 0:
             raise DamagedRecordError("its messages are larger than the file, all of them together")
-        # One whose end is lost is passed over.
+        # A message whose end is lost is skipped.
         if topic in messages.connections:
             with (
                 suppress(sqlite3.DatabaseError),

@@ -1,4 +1,4 @@
-"""RVL, the lossless depth code of compressedDepth (Wilson, "Fast Lossless Depth Image Compression", 2017)."""
+"""RVL, the lossless code of compressedDepth (Wilson, "Fast Lossless Depth Image Compression", 2017)."""
 
 import struct
 
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from kinectbench.stages.ingest.images import DamagedImageError
 
 HEADER = struct.Struct("<II")
-# A few bytes can code a whole image of zeros, so that the header alone decides what is allocated.
+# A few bytes can code an image of zeros, so the allocated memory depends on the header alone: it is limited.
 MAX_PIXELS = 1 << 24
 
 
 def decode_rvl(data: bytes, name: str) -> NDArray[np.uint16]:
     """Decode RVL as compressed_depth_image_transport stores it: `uint32 columns, rows`, then nibbles.
 
-    Runs of zeros and of other values alternate; each run's length, and each value's difference to the one
-    before (zigzag), is written three bits a nibble, least significant first, the fourth bit saying that more
-    follow; nibbles fill little-endian 32-bit words from the top (paper, section 3).
+    Runs of zeros and of other values alternate. The length of a run, and the difference of each value to the
+    previous one (zigzag), are written in nibbles with three bits each, least significant first; the fourth
+    bit says that more follow. Nibbles fill little-endian 32-bit words from the top (paper, section 3).
 
     Args:
         data: header and code.
-        name: where it comes from, for messages.
+        name: source of the data, for messages.
 
     Returns:
         (rows, columns) uint16.
@@ -58,7 +58,7 @@ def encode_rvl(depth: NDArray[np.uint16]) -> bytes:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
-    """The number at a nibble, and the position after it; -1 if the data ends within it."""
+    """Read the number at a nibble; return it and the next position, -1 if the data ends inside it."""
     value, shift = 0, 0
     while nibble < 8 * len(words) and shift < 30:
         bits = (int(words[nibble >> 3]) >> (28 - 4 * (nibble & 7))) & 15
@@ -76,7 +76,7 @@ def _decode(words: NDArray[np.uint32], depth: NDArray[np.uint16]) -> bool:
     while position < len(depth):
         zeros, nibble = _number(words, nibble)
         values, nibble = _number(words, nibble)
-        # The encoder may end after the last zeros.
+        # The encoder may stop before the last zeros.
         if zeros < 0 or position + zeros > len(depth):
             return False
         position += zeros

@@ -1,4 +1,4 @@
-"""One reader for each format; the table that selects a reader, bags included; and the code of its depth."""
+"""The table of readers, one for each format; it selects a reader, and detects how depth is coded."""
 
 import importlib
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from kinectbench.stages.ingest.readers.color_only import without_depth
 from kinectbench.stages.ingest.recording import FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.sources import check_count, check_link, check_there, files_below
 
-# name -> "module:class"; the first that recognises a layout reads it, so special layouts come first.
+# name -> "module:class"; the first reader that recognises a path reads it, so special layouts come first.
 FORMATS = {
     "realsense": "kinectbench.stages.ingest.bags.realsense:RealsenseRecording",
     "rosbag1": "kinectbench.stages.ingest.bags.rosbag1:Rosbag1Recording",
@@ -46,34 +46,34 @@ FORMATS = {
 }
 
 TRUTH = "truth.json"
-# Native units of 16-bit depth a metre: all that it can say lies within kilometres, or 6.5 cm.
+# Limits of native units of 16-bit depth per metre: the range of depth is then from 6.5 cm to kilometres.
 LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
-# Enough to find a recording near a path that is none; others are not looked at.
+# Most files and folders to search for recordings, and for a hint beside a path that is no recording.
 LOOKED_AT, LOOKED_AT_FOR_HINT = 1_000_000, 1000
-# Units a metre: bits are rotated in depth that is kept in millimetres.
+# Units per metre: depth with rotated bits is in millimetres.
 MM_SCALE = 1000.0
 
 
 @cache
 def reader_of(name: str) -> type[Recording]:
-    """The class that reads the format of that name in FORMATS."""
+    """The class of the reader with this name in FORMATS."""
     module, _, class_name = FORMATS[name].partition(":")
     reader: type[Recording] = getattr(importlib.import_module(module), class_name)
     return reader
 
 
 def name_suffixes() -> tuple[str, ...]:
-    """Possible endings of recordings' names, such as ".bag"."""
+    """The suffixes that recordings' names may have, such as ".bag"."""
     return tuple(sorted({suffix for name in FORMATS for suffix in reader_of(name).suffixes}))
 
 
 def format_of(path: Path) -> str | None:
-    """The name of the format that a folder or file is in, by layout and first bytes; None if unknown."""
+    """The name of a folder's or file's format, by layout and first bytes; None if unknown."""
     return next((name for name in FORMATS if reader_of(name).recognises(path)), None)
 
 
 def says_intrinsics(path: Path) -> bool:
-    """Whether the format of a recording has a place for intrinsics; else its reader takes the usual ones."""
+    """Whether a recording's format stores intrinsics; if not, its reader uses the usual ones."""
     return format_of(path) not in (None, "klg", "redwood_zip")
 
 
@@ -83,12 +83,12 @@ def open_recording(
     """Open a recording of any known format.
 
     Args:
-        path: folder or file.
-        camera: values that override the recording's.
-        follow_links: links in it are followed; else one that holds any is refused.
+        path: the folder or file.
+        camera: values that override those of the recording.
+        follow_links: whether to follow links; otherwise a recording that contains any is refused.
 
     Raises:
-        RecordingError: it is not there, its format is unknown, or it cannot be used.
+        RecordingError: the recording is missing, of unknown format, or unusable.
     """
     try:
         reader = reader_of(known_format(path))
@@ -106,11 +106,11 @@ def open_recording(
 
 
 def known_format(path: Path) -> str:
-    """The name of the format that a folder or file is in, as `format_of`.
+    """The name of a folder's or file's format; see `format_of`.
 
     Raises:
-        RecordingError: it is not there, or its format is unknown.
-        OSError: it cannot be read.
+        RecordingError: the path is missing, or its format is unknown.
+        OSError: the path cannot be read.
     """
     check_there(path)
     if not (path.is_dir() or path.is_file()):
@@ -124,18 +124,18 @@ def known_format(path: Path) -> str:
 
 
 def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
-    """Every file of a recording, sorted: the path itself, or all in the folder that are not hidden.
+    """List every file of a recording, sorted: the path itself, or all files of the folder but hidden ones.
 
-    What was clicked on its object is none of them: it is asked for in benchmark.yaml, and no frame. Files
-    outside the folder that belong to it come last. Nothing is listed before its format is known.
+    The file with the point clicked on the object is not included, because it is a setting. Files outside the
+    folder that belong to the recording come last. A folder is listed only once its format is known.
 
     Args:
-        path: folder or file; it may be a link itself.
-        follow_links: files and folders in it may be links, too.
+        path: the folder or file; it may itself be a link.
+        follow_links: whether files and folders in it may be links, too.
 
     Raises:
-        RecordingError: its format is unknown, or it holds links that are not to be followed, what is no plain
-            file, or too many files.
+        RecordingError: the format is unknown, or the recording contains links that must not be followed,
+            something that is no plain file, or too many files.
     """
     try:
         files = _files_of(reader_of(known_format(path)), path, follow_links)
@@ -147,7 +147,7 @@ def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
 
 
 def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[Path]:
-    """`source_files` of a recording whose reader is known: to find it, folders are listed."""
+    """List the files of a recording whose reader is known; see `source_files`."""
     if not path.is_dir():
         return [path]
     beside = reader.files_beside(path)
@@ -157,20 +157,20 @@ def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[P
 
 
 def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str]]:
-    """Every recording in a folder and below, as (path, format), sorted; none lies inside another.
+    """Find every recording in a folder and below: pairs (path, format), sorted; recordings are not nested.
 
-    A folder that cannot be read, that begins with a dot, that a build made, or that holds the truth of a
-    simulated recording is passed over, with what lies below it.
+    A folder is skipped, with all below it, if it is unreadable, starts with a dot, was made by a build, or
+    contains the ground truth of a simulated recording.
 
     Args:
-        folder: where they are looked for.
-        most: after so many files and folders the others are not looked at.
+        folder: the folder to search.
+        most: largest number of files and folders to look at.
     """
     return list(_recordings_below(folder, iter(range(most))))
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """Like `find_recordings`; each file or folder uses up one of the numbers."""
+    """Search like `find_recordings`; each file or folder takes one of `numbers`."""
     if next(numbers, None) is None:
         return
     try:
@@ -189,7 +189,7 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
 
 
 def _is_built(folder: Path) -> bool:
-    """Whether a stage made the folder; a manifest.json of another program does not say so."""
+    """Whether a stage made the folder; a manifest.json of another program does not count."""
     try:
         return Manifest.read_if_there(folder) is not None
     except StorageError:
@@ -197,8 +197,8 @@ def _is_built(folder: Path) -> bool:
 
 
 def _check_scale(path: Path, scale: float) -> None:
-    """Refuse a depth scale that no recording has, from any source."""
-    if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # which NaN is not
+    """Refuse an impossible depth scale, whatever its source."""
+    if not LEAST_DEPTH_SCALE <= scale <= MOST_DEPTH_SCALE:  # false for NaN
         raise IntrinsicsError(
             f"{path}: 1 m cannot be {scale:g} units of 16-bit depth; correct the recording's depth scale, or "
             "give `camera: {depth_scale: ...}` (units a metre, such as 1000 or 5000)"
@@ -206,7 +206,7 @@ def _check_scale(path: Path, scale: float) -> None:
 
 
 def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording with the delay of given poses removed; its reader corrected colour."""
+    """Remove the delay of given poses; the recording's reader has corrected that of colour."""
     given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
     if given is not None:
         given = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
@@ -231,14 +231,13 @@ def _unknown(path: Path) -> str:
 
 
 def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording with its depth decoded by the detected code.
+    """The recording with a reader for its depth's code, given or detected.
 
-    Rotated depth is looked for where depth is PNG in mm and the settings give no `depth_scale`. In a layout
-    whose depth usually is rotated (`often_rotated`) it is no news, and multiples of eight are enough;
-    elsewhere a warning says so.
+    Rotated bits are searched for if depth is PNG in mm and the settings give no `depth_scale`. In a layout
+    that usually has rotated bits (`often_rotated`), multiples of eight are enough and there is no warning.
 
     Raises:
-        RecordingError: the settings name a code, and its depth is not PNG images.
+        RecordingError: the settings name a code, but depth is not in PNG images.
     """
     if not isinstance(recording, FileRecording):
         if camera.depth_code is None:
@@ -268,7 +267,7 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
 
 
 def _some_depth(recording: FileRecording) -> Iterator[NDArray[np.uint16]]:
-    """Some depth images as they are stored, evenly over the recording; codes for none are 0."""
+    """Some depth images as stored, evenly spread over the recording; codes for no measurement become 0."""
     count = len(recording)
     for index in np.unique(np.linspace(0, count - 1, min(SAMPLED_IMAGES, count)).astype(int)).tolist():
         file = recording.places[index].depth

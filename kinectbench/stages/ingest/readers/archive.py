@@ -1,4 +1,4 @@
-"""A zip archive read in place: nothing is unpacked to disk, and memory is bounded."""
+"""Read a zip archive in place: nothing is unpacked to disk, and memory is limited."""
 
 import re
 import weakref
@@ -11,41 +11,41 @@ from kinectbench.core.untrusted import HEAD_BYTES, open_plain, printable, size_o
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.stages.ingest.images import DamagedImageError
 
-# Of a zip archive's first local header (APPNOTE.TXT 4.3.7).
+# Signature of a zip archive's first local header (APPNOTE.TXT 4.3.7).
 MAGIC = b"PK\x03\x04"
-# Three members a frame, an hour at 30 frames a second; each is listed with its name and times.
+# Most members: three for each frame of an hour at 30 frames a second; and bytes per row of the directory.
 MOST_MEMBERS, ROW_BYTES = 350_000, 128
-# An image or JSON of a recording is smaller: 16-bit depth of 4096x4096 pixels has 32 MB.
+# Largest image or JSON of a recording: 16-bit depth of 4096x4096 pixels has 32 MB.
 LARGEST_MEMBER_BYTES = 64 << 20
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# OSError where a member lies before the archive's begin.
+# OSError occurs if a member's offset is before the archive's start.
 DAMAGE = (*DAMAGED_ZIP, OSError)
 
 
 @dataclass
 class Archive:
-    """Members of a zip archive by name; opened at first use, once per process."""
+    """The members of a zip archive by name; the archive is opened at first use, once per process."""
 
     path: Path
     _zip: zipfile.ZipFile | None = field(default=None, repr=False)
 
     def __reduce__(self) -> tuple[type["Archive"], tuple[Path]]:
-        """Another process opens the archive itself."""
+        """Pickled by its path: another process opens the archive itself."""
         return Archive, (self.path,)
 
     def names(self) -> list[str]:
         """The names of all members.
 
         Raises:
-            RecordingError: the archive is damaged, cut off, or holds what no recording does.
+            RecordingError: the archive is damaged, truncated, or has members that no recording has.
         """
         return self._opened().namelist()
 
     def read(self, name: str) -> bytes:
-        """A member, unpacked.
+        """Read and unpack a member.
 
         Raises:
-            DamagedImageError: it is missing, damaged, encrypted, or larger than an image can be.
+            DamagedImageError: the member is missing, damaged, encrypted, or too large for an image.
         """
         where = f"{self.path}: {name}"
         try:
@@ -83,10 +83,10 @@ class Archive:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive whose members lead out of it or overlap.
+    """Refuse an archive with members that lead out of it or overlap.
 
     Raises:
-        ValueError: one does; the message says how.
+        ValueError: the archive has such a member; the message says which problem.
     """
     for name in archive.namelist():
         if name.startswith("/") or ".." in name.split("/") or "\\" in name:
@@ -96,11 +96,11 @@ def _check_members(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def holds(path: Path, member: re.Pattern[bytes]) -> bool:
-    """Whether a file is a zip archive, perhaps truncated, whose first or last members include such a name."""
+    """Whether a file is a zip archive, perhaps truncated, whose first or last members have such a name."""
     if not path.is_file():
         return False
     with open_plain(path) as file:
-        # Names of the first members lie in the first bytes, and those of the last in the last.
+        # The first bytes contain the names of the first members, and the last bytes those of the last.
         start = file.read(HEAD_BYTES)
         if not start.startswith(MAGIC):
             return False

@@ -1,4 +1,4 @@
-"""The calibration of an Azure Kinect or Femto: `calibration.json`, as the sensor itself stores it."""
+"""The calibration of an Azure Kinect or Femto: `calibration.json`, as the sensor stores it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,38 +14,38 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 
 CALIBRATION_FILE = "calibration.json"
 DEPTH_LOCATION, COLOR_LOCATION = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
-# The SDK's intrinsic_transformation.c: both are Brown's model with six radial terms, as OpenCV has it, but
-# for the cross terms of tangential distortion, which Rational6KT takes half as large.
+# By the SDK's intrinsic_transformation.c both are Brown's model with six radial terms, as in OpenCV; but
+# Rational6KT halves the cross terms of tangential distortion.
 BROWN_CONRADY = "CALIBRATION_LensDistortionModelBrownConrady"
 RATIONAL = "CALIBRATION_LensDistortionModelRational6KT"
 UNDISTORT = "undistort its images, and bring them in another format (`kinectbench formats`)"
 PARAMETERS = 14
-# Depth modes by the size of their images: side of the sensor's image once it is binned, and what is cropped
-# on the left and above (the SDK's mode_specific_calibration.c).
+# Depth modes by image size: size of the sensor's image after binning, and pixels cropped at the left and top
+# (the SDK's mode_specific_calibration.c).
 DEPTH_MODES = {
     (320, 288): (512, (96, 90)),
     (640, 576): (1024, (192, 180)),
     (512, 512): (512, (0, 0)),
     (1024, 1024): (1024, (0, 0)),
 }
-# The colour sensor's image is 4:3; early calibrations are of its 16:9 middle.
+# The colour sensor's image is 4:3; early calibrations are of its middle part, 16:9.
 COLOR_HEIGHT, EARLY_HEIGHT = 3 / 4, 9 / 16
-# Where calibration says none: 120 degrees (the SDK's own value).
+# Used if the calibration states none: 120 degrees (the SDK's value).
 USUAL_RADIUS = 1.7
 LEAST_RADIUS = 1e-4
 
 
 @dataclass(frozen=True)
 class AzureCamera:
-    """One camera of the file.
+    """One camera in the file.
 
     Attributes:
-        sensor_px: width and height of the sensor.
-        focal: fx and fy, shares of the sensor's width and height.
-        center: cx and cy, the same, (0, 0) at the corner of the first pixel.
-        distortion: k1 k2 p1 p2 k3 k4 k5 k6, as OpenCV orders them.
+        sensor_px: width and height of the sensor, pixels.
+        focal: fx and fy as shares of the sensor's width and height.
+        center: cx and cy as shares of the sensor's width and height; (0, 0) is the corner of the first pixel.
+        distortion: k1 k2 p1 p2 k3 k4 k5 k6, in OpenCV's order.
         T_camera_rig: (4, 4), metres.
-        radius: distortion is defined up to this distance from the axis, on the plane at depth 1.
+        radius: largest distance from the axis, on the plane at depth 1, at which distortion is defined.
     """
 
     sensor_px: tuple[int, int]
@@ -58,14 +58,14 @@ class AzureCamera:
 
 @dataclass(frozen=True)
 class AzureCalibration:
-    """Both cameras; colour is None if the file has none."""
+    """The depth camera and the colour camera; colour is None if the file has none."""
 
     of_depth: AzureCamera
     of_color: AzureCamera | None
 
     @classmethod
     def of(cls, raw: dict[str, object], path: Path) -> "AzureCalibration":
-        """Take the cameras from the file's object; `path` is the recording, for messages.
+        """Read the cameras from the file's JSON object; `path` is the recording, for messages.
 
         Raises:
             RecordingError: the depth camera is missing, or a value is invalid.
@@ -81,10 +81,10 @@ class AzureCalibration:
         return cls(placed[DEPTH_LOCATION], placed.get(COLOR_LOCATION))
 
     def depth(self, size_px: tuple[int, int], path: Path) -> tuple[Intrinsics, tuple[float, ...]]:
-        """Intrinsics, and distortion in OpenCV's order, of depth images of that size.
+        """Intrinsics, and distortion in OpenCV's order, for depth images of this size.
 
         Raises:
-            RecordingError: no depth mode has that size.
+            RecordingError: no depth mode has this size.
         """
         camera = self.of_depth
         if size_px in DEPTH_MODES:
@@ -99,7 +99,7 @@ class AzureCalibration:
         return _in_pixels(camera, size_px, (0, 0)), camera.distortion
 
     def color(self, size_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-        """Relation of colour images of that size to depth; None if the file has no colour camera."""
+        """Calibration of colour images of this size relative to depth; None without colour camera."""
         if self.of_color is None:
             return None
         whole = (size_px[0], size_px[0] * COLOR_HEIGHT)
@@ -109,7 +109,7 @@ class AzureCalibration:
         return ColorCalibration(used.camera(size_px, path), self.of_color.distortion if distorted else (), T)
 
     def beyond_radius(self, camera: Camera) -> Bools:
-        """(height, width) bool: pinhole pixels of depth outside the distortion model's range."""
+        """(height, width) bool: pinhole pixels of depth for which the distortion model is undefined."""
         rays = camera.rays()
         return np.asarray(np.hypot(rays[..., 0], rays[..., 1]) > self.of_depth.radius)
 
@@ -117,7 +117,7 @@ class AzureCalibration:
 def _in_pixels(
     camera: AzureCamera, image_px: tuple[float, float], crop_px: tuple[float, float]
 ) -> Intrinsics:
-    """Intrinsics of an image from those of the sensor's, minus the cropped offset."""
+    """Intrinsics of an image from those of the sensor, minus the cropped offset."""
     fx, fy = (share * px for share, px in zip(camera.focal, image_px, strict=True))
     cx, cy = (c * px - crop - 0.5 for c, px, crop in zip(camera.center, image_px, crop_px, strict=True))
     return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
@@ -164,7 +164,7 @@ def _camera(raw: dict[str, object], where: str) -> AzureCamera:
 
 
 def _place(raw: dict[str, object], where: str) -> Float64:
-    """Rig to camera (4, 4), metres, of Rotation (nine numbers by row) and Translation."""
+    """Transform (4, 4) from rig to camera, metres, from Rotation (nine numbers by rows) and Translation."""
     R, t_m = json_numbers(raw.get("Rotation")), json_numbers(raw.get("Translation"))
     if R.size == 9 and t_m.size == 3:
         T = rigid_or_none(rigid(R.reshape(3, 3), t_m.reshape(3)))

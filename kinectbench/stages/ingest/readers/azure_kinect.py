@@ -1,9 +1,9 @@
-"""Recordings of Azure Kinect and Orbbec's Femto: Matroska files of k4arecorder, tracks DEPTH and COLOR.
+"""Recordings of Azure Kinect and Orbbec's Femto: Matroska files by k4arecorder, tracks DEPTH and COLOR.
 
-As the sensor's SDK writes and reads them (its record and transformation folders, MIT): depth is 16-bit
-big-endian mm, colour MJPG, NV12, YUY2 or BGRA; `calibration.json` is attached. In it intrinsics are shares of
-the whole sensor with (0, 0) at its corner; a depth mode bins the sensor's pixels and crops them, colour is
-cropped to the height of its mode. Distortion is Brown's with six radial terms, undefined beyond MetricRadius.
+Layout by the sensor's SDK (its record and transformation folders, MIT): depth is 16-bit big-endian mm; colour
+is MJPG, NV12, YUY2 or BGRA; `calibration.json` is attached. Its intrinsics are shares of the whole sensor
+with (0, 0) at the sensor's corner. A depth mode bins and crops the sensor's pixels; colour is cropped to the
+height of its mode. Distortion is Brown's with six radial terms, undefined beyond MetricRadius.
 """
 
 from collections.abc import Iterator
@@ -40,18 +40,18 @@ EBML_MAGIC = b"\x1a\x45\xdf\xa3"
 SUFFIX = ".mkv"
 MARKS = (b"K4A_", b"b16g")
 TRACKS = ("DEPTH", "COLOR", "IR")
-# Matroska's segment, whose size is known once the file was closed; a size of ones is not.
+# The id of Matroska's segment. Its size is written when the file is closed; before, it consists of ones.
 SEGMENT = b"\x18\x53\x80\x67"
 UNKNOWN_SIZE = (1 << 56) - 1
-# An image's bytes begin this far behind where its block begins, at most (Matroska: id, size, track, time).
+# Most bytes between the start of a block and its image (Matroska: id, size, track, time).
 BLOCK_HEAD_BYTES = 64
-# What OpenCV calls the formats that are not JPEG.
+# OpenCV's conversions of the formats that are not JPEG.
 RAW_COLOR = {"NV12": "COLOR_YUV2BGR_NV12", "YUY2": "COLOR_YUV2BGR_YUY2", "BGRA": "COLOR_BGRA2BGR"}
 RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
 
 
 class Place(NamedTuple):
-    """The position of an image in the file."""
+    """The place of an image in the file."""
 
     stamp_ns: int
     start: int
@@ -68,12 +68,12 @@ class AzureFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class AzureKinectRecording(Recording):
-    """A .mkv of k4arecorder; needs kinectbench[azure].
+    """A .mkv by k4arecorder; needs kinectbench[azure].
 
     Attributes:
-        calibration: of its cameras.
-        color_mode: how colour is stored, such as MJPG; "" where there is none.
-        undistortion: how depth becomes a pinhole image, or None.
+        calibration: calibration of its cameras.
+        color_mode: format of colour, such as MJPG; "" without colour.
+        undistortion: makes pinhole images from depth; None if not needed.
     """
 
     format: ClassVar[str] = "azure_kinect"
@@ -87,21 +87,21 @@ class AzureKinectRecording(Recording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is a Matroska file that is named .mkv, or has Azure Kinect's tags or code of depth."""
+        """Whether the path is a Matroska file named .mkv, or with the tags or depth codec of Azure Kinect."""
         if not path.is_file():
             return False
         with open_plain(path) as file:
-            # Of a file of another kind no more is read: folders hold thousands of them.
+            # Read no more of other files: folders contain thousands of them.
             if file.read(len(EBML_MAGIC)) != EBML_MAGIC:
                 return False
             if path.suffix.lower() in cls.suffixes:
                 return True
-            head = file.read(HEAD_BYTES)  # names its tracks; k4arecorder's own is far shorter
+            head = file.read(HEAD_BYTES)  # names the tracks; k4arecorder's head is far shorter
         return any(mark in head for mark in MARKS)
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read tags and calibration, and find every image; nothing is decoded."""
+        """Read tags and calibration, and find every image, without decoding any."""
         with _opened(path) as container:
             tracks = _tracks(container)
             depth_track, color_track = tracks.get("DEPTH"), tracks.get("COLOR")
@@ -153,7 +153,7 @@ class AzureKinectRecording(Recording):
         )
 
     def frame(self, index: int) -> RawFrame:
-        """Read any frame."""
+        """Read and decode a frame."""
         place = self.places[index]
         name = f"{self.path}: the frame at byte {place.depth.start}"
         shape = self.camera.height, self.camera.width
@@ -174,7 +174,7 @@ class AzureKinectRecording(Recording):
             return file.read(place.length)
 
     def _color(self, place: Place | None) -> tuple[str, bytes] | None:
-        """Colour as encoded, or as PNG if raw; None if its length is wrong."""
+        """Colour as encoded, or as PNG if it is raw; None if its length is wrong."""
         if place is None or not (self.color_calibration or self.color_registered):
             return None
         data = self._bytes(place)
@@ -187,7 +187,7 @@ class AzureKinectRecording(Recording):
 
 @contextmanager
 def _opened(path: Path) -> Iterator["InputContainer"]:
-    """The open container, closed afterwards; PyAV's errors become one line."""
+    """Open the container, and close it after the block; PyAV's errors become one line."""
     try:
         import av
     except ModuleNotFoundError as error:
@@ -196,8 +196,8 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
             what="no-package",
         ) from error
     try:
-        # Of a name alone, others of FFmpeg's readers might take it for a list of other files; and nothing is
-        # to be decoded to find out what a track is, whatever size it claims.
+        # A file object, because other readers of FFmpeg might take a name for a list of files. And nothing
+        # may be decoded to find out about a track, whatever size the track claims.
         with (
             open_plain(path) as file,
             av.open(file, "r", format="matroska", container_options={"codec_whitelist": "none"}) as container,
@@ -210,7 +210,7 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
 
 
 def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
-    """The video tracks by the names that k4arecorder gives them, DEPTH, COLOR and IR."""
+    """The video tracks by k4arecorder's names DEPTH, COLOR and IR."""
     named = {str(track.metadata.get("title", "")).upper(): track for track in container.streams.video}
     numbered = {str(track.id): track for track in container.streams.video}
     by_tag = {name: numbered.get(container.metadata.get(f"K4A_{name}_TRACK", "")) for name in TRACKS}
@@ -219,12 +219,12 @@ def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
 
 
 def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
-    """Width and height of the track's images.
+    """Width and height of a track's images, pixels.
 
     Raises:
-        RecordingError: no camera takes such images; memory is asked for by their size.
+        RecordingError: no camera has such images; their size determines the memory.
     """
-    # A track of a codec that FFmpeg does not know has neither.
+    # A track with a codec that FFmpeg does not know has neither.
     width, height = (int(getattr(track, side, 0)) for side in ("width", "height"))
     if min(width, height) <= 0 or is_too_large(width, height):
         raise RecordingError(
@@ -234,13 +234,13 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
 
 
 def _color_mode(track: "VideoStream") -> str:
-    """The encoding of colour, such as MJPG."""
+    """The format of colour, such as MJPG."""
     mode = str(track.metadata.get("K4A_COLOR_MODE", "")).partition("_")[0]
     return mode or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
 
 
 def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
-    """The calibration that is attached to the file."""
+    """The calibration that is attached to the file, as a JSON object."""
     for attachment in container.streams.attachments:
         if attachment.name == CALIBRATION_FILE and attachment.data:
             return object_of(
@@ -255,10 +255,10 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Positions of all depth and colour images, in file order; and the file's faults.
+    """Find the places of all depth and colour images, in file order; and the file's faults.
 
     Raises:
-        RecordingError: there are more than a recording may have.
+        RecordingError: there are more images than a recording may have.
     """
     import av
 
@@ -287,7 +287,7 @@ def _cut(path: Path, frames: int) -> list[str]:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     start = head.find(SEGMENT) + len(SEGMENT)
     size = head[start : start + 8]
-    # Recorders write the size with eight bytes, as they fill it in at the end.
+    # Recorders reserve eight bytes for the size, and fill it in at the end.
     if len(size) < 8 or size[0] != 1:
         return []
     length = int.from_bytes(size[1:], "big")
@@ -297,10 +297,10 @@ def _cut(path: Path, frames: int) -> list[str]:
 
 
 def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
-    """The first byte of an image whose block begins at `position`.
+    """Find the first byte of an image whose block starts at `position`.
 
     Raises:
-        RecordingError: they do not lie in the file as they are.
+        RecordingError: the image's bytes are not in the file unchanged.
     """
     file.seek(position)
     region = file.read(len(data) + BLOCK_HEAD_BYTES)
@@ -315,14 +315,14 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
 
 
 def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
-    """The images by their stamps, each stamp once; and a warning."""
+    """Sort images by stamp, each stamp once; and a warning about others."""
     order, repeated = first_by_stamp([place.stamp_ns for place in places])
     warnings = [f"{path}: {repeated} images repeat a stamp and were left out"] if repeated else []
     return [places[i] for i in order], warnings
 
 
 def _raw_bgr(data: bytes, mode: str, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
-    """Raw colour as (height, width, 3); None if its length is wrong."""
+    """Convert raw colour to BGR (height, width, 3); None if its length is wrong."""
     import cv2
 
     width, height = size_px

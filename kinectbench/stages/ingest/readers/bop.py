@@ -1,4 +1,4 @@
-"""One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and an object's masks."""
+"""One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and masks of an object."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,21 +32,21 @@ from kinectbench.stages.ingest.recording import (
 )
 
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
-# Matrices are one camera's if they differ by no more; its images' principal points if they differ by whole
-# pixels, up to this.
+# Matrices are of one camera if they differ by no more than the first; principal points of images that were
+# cut from one camera's image differ by whole pixels, up to the second.
 MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
 Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BopRecording(FileRecording):
-    """A BOP scene; colour is registered to depth, as the format asks; its frames count seconds.
+    """A BOP scene; colour is registered to depth, as the format requires; its frames count seconds.
 
-    Images that were cut out of one camera's, as T-LESS' for training are, have principal points that differ
-    by whole pixels: they are moved to one.
+    Images that were cut from one camera's image, as T-LESS' training images, have principal points that
+    differ by whole pixels: the images are shifted to a common principal point.
 
     Attributes:
-        moved_px: by how much each image is moved right and down, on a larger one; empty: by nothing.
+        moved_px: shift of each image to the right and down, on a larger image; empty: no shifts.
     """
 
     format: ClassVar[str] = "bop"
@@ -61,7 +61,7 @@ class BopRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read the cameras, which must be one, and choose the masks of the object."""
+        """Read the cameras, which must be the same, and choose the object's masks."""
         cameras = _read_by_image(path / "scene_camera.json")
         if not cameras or not all(isinstance(camera, dict) for camera in cameras.values()):
             raise IntrinsicsError(f"{path / 'scene_camera.json'}: must hold an object for each image")
@@ -109,7 +109,7 @@ class BopRecording(FileRecording):
         )
 
     def frame(self, index: int) -> RawFrame:
-        """Read the files of a frame, shifted."""
+        """Read the files of a frame, and shift the images."""
         frame = super().frame(index)
         if not self.moved_px:
             return frame
@@ -118,7 +118,7 @@ class BopRecording(FileRecording):
         return replace(frame, depth=_moved(frame.depth, by_px, self.camera), mask=mask)
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame, moved; then it is encoded again."""
+        """Colour of a frame; if it is shifted, it is encoded again."""
         encoded = super().color(index)
         if encoded is None or not self.moved_px:
             return encoded
@@ -127,17 +127,17 @@ class BopRecording(FileRecording):
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
-    """An image (height, width, ...) right and down on one of the camera's size, 0 around it."""
+    """Shift an image (height, width, ...) right and down on a canvas of the camera's size, 0 around it."""
     (right, down), (height, width) = by_px, image.shape[:2]
     if height + down > camera.height or width + right > camera.width:
-        return image  # of another size than the first, which is refused
+        return image  # another size than the first image's: refused later
     larger = np.zeros((camera.height, camera.width, *image.shape[2:]), image.dtype)
     larger[down : down + height, right : right + width] = image
     return larger
 
 
 def _read_by_image(file: Path) -> dict[int, Any]:
-    """A JSON object whose keys are image numbers."""
+    """Read a JSON object whose keys are image numbers."""
     content = read_json_object(file, "image numbers")
     try:
         return {int(key): value for key, value in content.items() if 0 <= int(key) < 10**9}
@@ -148,7 +148,7 @@ def _read_by_image(file: Path) -> dict[int, Any]:
 def _shared(
     path: Path, cameras: dict[int, dict[str, Any]]
 ) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
-    """The common matrix and depth scale (mm a unit) of all images after shifting each by some pixels."""
+    """The common matrix and depth scale (mm per unit) of all images, and the shift of each image, pixels."""
     file = path / "scene_camera.json"
     of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
     K, scales = np.stack([matrix for matrix, _ in of_images]), np.array([scale for _, scale in of_images])
@@ -170,7 +170,7 @@ def _shared(
 
 
 def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[Float64, float]:
-    """The matrix (3, 3) and the depth scale (mm a unit) of an image."""
+    """The matrix (3, 3) and the depth scale (mm per unit) of an image."""
     try:
         K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
     except (KeyError, TypeError, ValueError) as error:
@@ -182,7 +182,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
 
 
 def _pose(camera: dict[str, object]) -> Float64 | None:
-    """Camera to world, of `cam_R_w2c` and `cam_t_w2c` (mm); None if it has none."""
+    """Camera to world from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
     R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:
         return None
@@ -191,12 +191,12 @@ def _pose(camera: dict[str, object]) -> Float64 | None:
 
 
 def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
-    """The object's visible mask in each image; and warnings.
+    """The file of the object's visible mask in each image; and warnings.
 
-    Without an object it is the only one of the scene; of one that is in an image twice the first.
+    Without `object_id` the scene's only object is used; if an object is twice in an image, the first mask.
 
     Raises:
-        RecordingError: the object that is asked for is not in the scene.
+        RecordingError: the requested object is not in the scene.
     """
     file = path / "scene_gt.json"
     if not file.is_file() or not (path / "mask_visib").is_dir():

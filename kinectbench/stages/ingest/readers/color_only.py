@@ -1,4 +1,4 @@
-"""Messages for an unsupported path: colour without depth, or depth of another layout or kind."""
+"""Messages on unsupported paths: colour without depth, or depth of an unsupported layout or kind."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -9,7 +9,7 @@ from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, is_16_bi
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-# Enough to tell a recording from a stray picture, and to find a folder of depth.
+# Enough images to be a recording, or a folder of depth, and not a stray picture.
 LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
@@ -18,10 +18,10 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """What a video or an unknown folder of images lacks; None if it is neither.
+    """A message on what a video or an unknown folder of images lacks; None if the path is neither.
 
     Raises:
-        OSError: a file in it cannot be read.
+        OSError: a file cannot be read.
     """
     if path.is_file():
         video = path.suffix.lower() in VIDEO_SUFFIXES
@@ -51,7 +51,7 @@ def without_depth(path: Path) -> str | None:
 
 
 def _unread_kind(path: Path) -> str | None:
-    """The message on EXR depth images, which are not supported."""
+    """A message on EXR depth images, which are not supported; None without such images."""
     if not path.is_dir():
         return None
     children = [child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir()]
@@ -67,7 +67,7 @@ def _unread_kind(path: Path) -> str | None:
 
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """The folder itself and those in it, with their images; those without any are left out."""
+    """Yield the folder and the folders in it with their images; folders without images are skipped."""
     children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
     for folder in [path, *children]:
         files = (file for file in islice(listed_paths(folder), LOOKED_AT) if file.is_file())

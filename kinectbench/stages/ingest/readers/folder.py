@@ -1,4 +1,4 @@
-"""Plain folders: `depth/` and `color/` images with an intrinsics file, as Open3D and Redwood use them."""
+"""Plain folders: `depth/` and `color/` images with a file of intrinsics, as Open3D and Redwood use them."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -51,20 +51,20 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
-# The PrimeSense camera of Redwood's scans, by the data set's own documents.
+# The PrimeSense camera of Redwood's scans, by the data set's documents.
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 @dataclass(frozen=True)
 class DepthFormat:
-    """The format of a folder's depth files, if not 16-bit PNG.
+    """The format of a folder's depth files, if they are not 16-bit PNG.
 
     Attributes:
-        depth_scale: units a metre as it is read, if it is float.
-        float_scale: units a metre of the floats; None: it is none.
-        channels: the 8-bit channels of the high and the low byte.
-        kind: of their values, and a file that holds such, as `FileRecording` has it.
-        warnings: what people should know, a line each.
+        depth_scale: units per metre of float depth as it is read.
+        float_scale: units per metre of the stored floats; None: depth is not float.
+        channels: the 8-bit channels with the high and the low byte.
+        kind: the type of the values and an example file, as in `FileRecording`.
+        warnings: lines for the user.
     """
 
     depth_scale: float | None = None
@@ -75,7 +75,7 @@ class DepthFormat:
 
     @classmethod
     def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
-        """By the first depth image that is whole."""
+        """Determine the format from the first undamaged depth image."""
         with suppress(DamagedImageError):
             return first_whole(lambda frame: cls._of(frame.depth, settings), files)
         return cls()
@@ -103,10 +103,10 @@ class DepthFormat:
 
 
 class FolderRecording(FileRecording):
-    """A folder with `depth/`, maybe `color/` (or rgb/, image/), intrinsics and maybe a trajectory.
+    """A folder with `depth/`, optionally `color/` (or rgb/, image/), intrinsics, and optionally a trajectory.
 
-    File names that hold time stamps give these, and pair colour with depth. Others have none: a file name
-    that is a number counts seconds, or else the order does.
+    Stamps in file names are the frames' stamps, and pair colour with depth. Without stamps, the number in a
+    name, or else the order, counts seconds.
     """
 
     format: ClassVar[str] = "folder"
@@ -118,7 +118,7 @@ class FolderRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth images in depth/, or beside colour images."""
+        """Whether the folder has depth images, in depth/ or beside colour images."""
         depth = path / "depth"
         if depth.is_dir():
             return any(listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
@@ -126,7 +126,7 @@ class FolderRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the images, pair them by the times or numbers in their names, read camera and trajectory."""
+        """List the images, pair them by times or numbers in their names, and read camera and trajectory."""
         depth = depth_images(path)
         files, recorded, paired = pair_files(depth, color_images(path), settings, path)
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
@@ -168,20 +168,20 @@ class FolderRecording(FileRecording):
 def pair_files(
     depth: NamedImages, color: NamedImages, settings: CameraSettings, path: Path
 ) -> tuple[tuple[FrameFiles, ...], tuple[tuple[int, ...], tuple[int, ...]], tuple[str, ...]]:
-    """The frames of two lists of images, which have names only; masks are left to the reader.
+    """Pair two lists of images by their names into frames; masks are left to the reader.
 
     Args:
-        depth: in the order in which people count.
-        color: likewise; may be empty.
-        settings: the delay of colour.
+        depth: depth images in numeric order.
+        color: colour images in numeric order; may be empty.
+        settings: gives the delay of colour.
         path: the recording's folder.
 
     Returns:
-        The frames by their stamps; the stamps of depth and of colour in the order of the lists, as
-        `Recording.recorded` has them; and warnings.
+        The frames sorted by stamp; the stamps of depth and of colour in the order of the lists, as for
+            `Recording.recorded`; and warnings.
 
     Raises:
-        RecordingError: there is nothing to pair them by.
+        RecordingError: the names allow no pairing.
     """
     partners, color_ns = pair_images(
         depth.stems, color.stems, delay_s=settings.color_delay_s, where=str(path)
@@ -194,7 +194,7 @@ def pair_files(
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
-    """Intrinsics of Redwood's camera, for files with the names and size of its scans; else unknown."""
+    """Intrinsics of Redwood's camera, if names and size are those of its scans; else unknown."""
     if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
         return Intrinsics()
     note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"

@@ -1,4 +1,4 @@
-"""The images of a plain folder: in depth/ and color/, or side by side with a word in their names."""
+"""Find the images of a plain folder: in depth/ and color/, or side by side with a word in their names."""
 
 import re
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from kinectbench.stages.ingest.images import is_depth_png
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-# YCB-Video: 000001-depth.png beside 000001-color.png; others have the word first, or between.
+# YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
-# The head of a PNG, which tells its bits.
+# Bytes of a PNG that contain its number of bits.
 HEAD_BYTES = 26
 
 
 @dataclass(frozen=True)
 class NamedImages:
-    """The images of one stream in numeric order.
+    """The images of one stream, in numeric order.
 
     Attributes:
-        files: their paths.
-        stems: what their names say of frames: without what they end in, and without the word for the stream.
+        files: paths of the images.
+        stems: names of the frames: file names without suffix, and without the word for the stream.
     """
 
     files: tuple[Path, ...]
@@ -32,12 +32,12 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """The depth images of a recording's folder; none if it has none."""
+    """The depth images in a recording's folder; empty without any."""
     folder = path / "depth"
     if not folder.is_dir():
         return beside_each_other(path, DEPTH_WORD)
     suffixes = {file.suffix.lower() for file in listed_paths(folder)} & DEPTH_SUFFIXES
-    # Pictures of depth may lie beside the depth itself.
+    # Pictures of depth may be beside the depth itself.
     raw = suffixes - {".png"}
     if raw and ".png" in suffixes:
         pngs = listed_paths(folder, wanted=lambda name: name.lower().endswith(".png"))
@@ -47,7 +47,7 @@ def depth_images(path: Path) -> NamedImages:
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """A line on images in depth/ of a kind that was not read."""
+    """A line on images in depth/ of an unsupported kind."""
     folder = path / "depth"
     if not folder.is_dir() or not read.files:
         return ()
@@ -66,7 +66,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 
 def color_images(path: Path) -> NamedImages:
-    """The colour images of a recording's folder; none if it has none."""
+    """The colour images in a recording's folder; empty without any."""
     folder = next((path / name for name in COLOR_FOLDERS if (path / name).is_dir()), None)
     if folder is not None:
         return in_folder(folder, COLOR_SUFFIXES)
@@ -74,7 +74,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder holds 16-bit depth and colour, named by a word each; reads one head."""
+    """Whether a folder contains 16-bit depth and colour, each named by a word; reads one file's header."""
     if not path.is_dir():
         return False
     depth = next(listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
@@ -90,7 +90,7 @@ def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
 
 
 def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
-    """The images of a folder that have a word in their names."""
+    """The images in a folder whose names contain a word."""
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
@@ -100,7 +100,7 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
 
 
 def is_16_bit(file: Path) -> bool:
-    """Whether a file begins like depth, a grey PNG with 16 bits a pixel."""
+    """Whether a file starts like depth: a grey PNG with 16 bits per pixel."""
     return is_depth_png(read_head(file, HEAD_BYTES))
 
 
@@ -110,6 +110,6 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
 
 
 def _without(word: re.Pattern[str], stem: str) -> str:
-    """A name without the word; both remaining sides are joined by an underscore."""
+    """A name without the word; the parts on both sides are joined by an underscore."""
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem

@@ -1,8 +1,8 @@
-"""ElasticFusion's logs (.klg), read frame by frame; truncated ones are read to their end.
+"""ElasticFusion's logs (.klg), read frame by frame; a truncated log is read to its end.
 
 Layout, little-endian (ElasticFusion's RawLogReader): `int32 frames`; then per frame `int64 stamp in
 microseconds, int32 depth bytes, int32 colour bytes`, depth, colour. Depth is uint16 mm, raw or by zlib;
-colour is raw, a JPEG, or not there. Neither size nor intrinsics are in the file.
+colour is raw, a JPEG, or missing. The file contains neither image size nor intrinsics.
 """
 
 import struct
@@ -26,7 +26,7 @@ from kinectbench.stages.ingest.sources import check_count
 
 COUNT, HEAD = struct.Struct("<i"), struct.Struct("<qii")
 DEPTH_SCALE = 1000.0
-# ElasticFusion's defaults.
+# ElasticFusion's default size.
 SIZE_PX = (640, 480)
 CAMERA = Intrinsics(640, 480, 528.0, 528.0, 320.0, 240.0)
 NS_PER_US = 1000
@@ -34,7 +34,7 @@ ZLIB_STARTS = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
 
 
 class PackedFrame(NamedTuple):
-    """Position of a frame's images: stamp in nanoseconds, offset and sizes in bytes."""
+    """Place of a frame's images: stamp in nanoseconds, offset and sizes in bytes."""
 
     stamp_ns: int
     position: int
@@ -44,15 +44,15 @@ class PackedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PackedRecording(Recording):
-    """A file with consecutive frames, depth raw or by zlib."""
+    """A file of consecutive frames, with depth raw or by zlib."""
 
-    # Of a frame's images, colour lies before depth.
+    # Whether colour precedes depth within a frame.
     color_first: ClassVar[bool] = False
 
     places: tuple[PackedFrame, ...]
 
     def frame(self, index: int) -> RawFrame:
-        """Read any frame."""
+        """Read and decode a frame."""
         place = self.places[index]
         name = f"{self.path}: the frame at byte {place.position}"
         if place.depth_bytes + place.color_bytes > UNPACKED_BYTES:
@@ -70,20 +70,20 @@ class PackedRecording(Recording):
         return RawFrame(name, place.stamp_ns, pixels, self.color(color, name))
 
     def is_raw(self, depth: bytes, size: int) -> bool:
-        """Whether the depth of a frame, which has `size` bytes, is not packed."""
+        """Whether depth that takes `size` bytes is stored raw."""
         return len(depth) == size
 
     @abstractmethod
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """The colour of a frame as passed on: (suffix, encoded), or None."""
+        """Colour of a frame for output: (suffix, encoded), or None."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KlgRecording(PackedRecording):
-    """An ElasticFusion log; colour is registered to depth, as ElasticFusion requires it.
+    """An ElasticFusion log; colour is registered to depth, as ElasticFusion requires.
 
     Attributes:
-        swap_red_blue: colour is stored with red and blue exchanged.
+        swap_red_blue: whether colour is stored with red and blue exchanged.
     """
 
     format: ClassVar[str] = "klg"
@@ -94,12 +94,12 @@ class KlgRecording(PackedRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is named .klg; the format has no signature."""
+        """Whether the path is named .klg; the format has no signature."""
         return path.suffix.lower() in cls.suffixes and path.is_file()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Find the frames; size and intrinsics are from the settings, else ElasticFusion's defaults."""
+        """Find the frames; size and intrinsics are from the settings, or else ElasticFusion's defaults."""
         recorded, warnings = Intrinsics(), []
         if settings.fx is None:
             recorded = CAMERA
@@ -122,7 +122,7 @@ class KlgRecording(PackedRecording):
         )
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame, red and blue in their places."""
+        """Colour of a frame, with red and blue in the right order."""
         if not data:
             return None
         shape = self.camera.height, self.camera.width, 3
@@ -136,7 +136,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """The frames with their stamps, else with counted ones; their order, each stamp once; and warnings."""
+    """The frames, with counted stamps if theirs are no times; their order, each stamp once; and warnings."""
     warnings, why = [], no_times([frame.stamp_ns for frame in frames])
     if why:
         frames = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]
@@ -148,10 +148,10 @@ def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], lis
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:
-    """Unpack zlib data of exactly `size` bytes; allocates no more.
+    """Unpack zlib data of exactly `size` bytes, without allocating more.
 
     Raises:
-        DamagedImageError: it is damaged, or makes another number of bytes.
+        DamagedImageError: the data is damaged, or has another size.
     """
     try:
         unpacker = zlib.decompressobj()
@@ -166,7 +166,7 @@ def inflated(data: bytes, size: int, name: str) -> bytes:
 
 
 def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame], list[str]]:
-    """Every whole frame in file order; and the file's faults."""
+    """Find every complete frame, in file order; and the file's faults."""
     frames: list[PackedFrame] = []
     with open_plain(path) as file:
         size = size_of(file)
@@ -203,7 +203,7 @@ def _damaged(path: Path, frames: list[PackedFrame], declared: int, what: str) ->
 
 
 def _check_first(path: Path, depth: bytes, color: bytes, size_px: tuple[int, int]) -> None:
-    """Refuse a file whose first frame is no frame of that size."""
+    """Refuse a file whose first frame does not have this image size."""
     pixels = size_px[0] * size_px[1]
     says = (
         f"{size_px[0]}x{size_px[1]}; if they are of another size, give `camera: {{width: ..., height: ...}}`"

@@ -1,10 +1,10 @@
-"""Folders with a transforms.json whose frames have depth: nerfstudio's data sets, and Polycam's made by it.
+"""Folders with a transforms.json and depth: data sets of nerfstudio, and Polycam's that it converted.
 
-As nerfstudio's page on data conventions says: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are of all frames
-or of each; `transform_matrix` is camera to world in OpenGL's axes; the first pixel's centre is (0.5, 0.5).
-Depth is in mm, or as `depth_unit_scale_factor` (instant-ngp's `integer_depth_scale`) says, metres a unit.
-`mask_path` is not read: it is of pixels to leave out of training, not of an object. That page says that z is
-up, but poses of COLMAP are not turned so, and the file does not tell: gravity is not known.
+By nerfstudio's page on data conventions: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are given for all
+frames or for each; `transform_matrix` is camera to world in OpenGL's axes; the centre of the first pixel is
+(0.5, 0.5). Depth is in mm, or in metres per unit of `depth_unit_scale_factor` (instant-ngp's
+`integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. That
+page says that z is up, but poses by COLMAP are not, and the file does not say which: gravity is unknown.
 """
 
 from dataclasses import dataclass, field
@@ -44,12 +44,12 @@ FILE = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")
 SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
 PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
-# In Brown's order; a fourth radial term is not in his model.
+# Brown's coefficients in order; his model has no fourth radial term.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
-# All keys that are read, of a frame or of all frames.
+# All keys that are read, for a frame or for all frames.
 FRAME_KEYS = (*PINHOLE_KEYS, *BROWN_KEYS, "w", "h", "k4", "camera_model", "transform_matrix")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-# Of depth images, where `depth_unit_scale_factor` does not say otherwise: nerfstudio's default.
+# Unit of depth without `depth_unit_scale_factor`: nerfstudio's default.
 METRES_PER_UNIT = 0.001
 
 Frame = dict[str, object]
@@ -57,10 +57,10 @@ Frame = dict[str, object]
 
 @dataclass(frozen=True, kw_only=True)
 class NerfstudioRecording(PhoneRecording):
-    """A transforms.json with depth; frames count seconds in the order of their depth's names.
+    """A transforms.json with depth; frames count seconds, in the order of their depth's names.
 
     Attributes:
-        undistortion: how its images become pinhole images, or None.
+        undistortion: makes pinhole images; None if not needed.
     """
 
     format: ClassVar[str] = "nerfstudio"
@@ -70,22 +70,22 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth, or is in no other readable format."""
+        """Whether the folder has a transforms.json that names depth, or that no other format explains."""
         if not (path / FILE).is_file():
             return False
-        head = read_head(path / FILE)  # in which the first frame lies
+        head = read_head(path / FILE)  # contains the first frame
         return any(f'"{key}"'.encode() in head for key in DEPTH_KEYS) or not (path / "depth").is_dir()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read the frames that have depth, their one camera, and their poses."""
+        """Read the frames that have depth, their common camera, and their poses."""
         shared, frames, warnings = _read_frames(path)
         files = tuple(
             FrameFiles(index * NS_PER_S, path / depth, _color(path, frame))
             for index, (depth, frame) in enumerate(frames)
         )
         size_px = first_depth_size(files)
-        # Values of a frame, else of all frames; unused keys are left out.
+        # Values of the frame, or else of all frames; other keys are dropped.
         whole = [
             {key: home[key] for key in FRAME_KEYS for home in (shared, frame) if key in home}
             for _, frame in frames
@@ -110,11 +110,11 @@ class NerfstudioRecording(PhoneRecording):
         )
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Take lens distortion out."""
+        """Remove lens distortion."""
         return self.undistortion.depth(depth) if self.undistortion else depth
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at the size of depth, without lens distortion; or None."""
+        """Colour of a frame at depth's size, without lens distortion; or None."""
         color = super().color(index)
         if color is None or self.undistortion is None:
             return color
@@ -123,7 +123,7 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Values for all frames; frames with depth, in the order of its names; and warnings."""
+    """Read the values for all frames; the frames with depth, in the order of its names; and warnings."""
     file = path / FILE
     content = read_json_object(file, "frames")
     frames = content.pop("frames", None)
@@ -147,7 +147,7 @@ def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> obje
 
 
 def _name(file: Path, name: object) -> str:
-    """The name of a file in the folder."""
+    """Check that a name is that of a file in the folder, and return it."""
     try:
         if not isinstance(name, str):
             raise ValueError("is no name")
@@ -167,7 +167,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """The intrinsics of the depth images; and warnings."""
+    """Intrinsics of the depth images; and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
@@ -196,7 +196,7 @@ def _intrinsics(
 
 
 def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
-    """Brown's coefficients k1 k2 p1 p2 k3, which all frames share."""
+    """Brown's coefficients k1 k2 p1 p2 k3, which must be equal for all frames."""
     file = path / FILE
     rows = {tuple(number_of(f.get(key, 0), f"{file}: '{key}'") for key in BROWN_KEYS) for f in frames}
     if len(rows) > 1 or any(frame.get("k4") for frame in frames):
@@ -208,7 +208,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world in metres, without nerfstudio's `applied_scale`."""
+    """Camera to world, metres, with nerfstudio's `applied_scale` undone."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")
@@ -223,5 +223,5 @@ def _matrix(path: Path, value: object, scale: float) -> Float64 | None:
     if T.shape != (4, 4):
         raise GivenPosesError(f"{path / FILE}: 'transform_matrix' must be four rows of four numbers")
     T[:3, 3] /= scale
-    with np.errstate(invalid="ignore"):  # of what is not finite
+    with np.errstate(invalid="ignore"):  # values may not be finite
         return np.asarray(T @ OPENGL_FROM_OPTICAL)

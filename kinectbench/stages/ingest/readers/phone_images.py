@@ -1,4 +1,4 @@
-"""Common parts of phones with LiDAR: one camera, colour far larger than depth, confidence."""
+"""Common parts for phones with LiDAR: one camera, colour far larger than depth, and confidence."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +12,13 @@ from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr
 from kinectbench.stages.ingest.intrinsics import Intrinsics
 from kinectbench.stages.ingest.recording import FileRecording, read_image_file
 
-# Of ARKit's colour images, where none is there to tell.
+# Size of ARKit's colour images, used if there is none.
 COLOR_PX = (1920, 1440)
 # ARKit's camera looks along -z with y up, as OpenGL's does.
 OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
-# Polycam's own page says that intrinsics differ "a pixel or two" from frame to frame, as a phone focuses.
+# By Polycam's page, intrinsics differ "a pixel or two" between frames, because a phone focuses.
 USUAL_PX = 2.0
-# Frames that differ by more of the focal length are of several cameras.
+# Frames whose focal lengths differ by more than this share are from several cameras.
 LARGEST_SHARE = 0.03
 # ARKit's world: y is up by gravity (`gravity`, the default of ARConfiguration.worldAlignment).
 GRAVITY_UP = (0.0, 1.0, 0.0)
@@ -26,18 +26,18 @@ GRAVITY_UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PhoneRecording(FileRecording):
-    """Images of a phone: scales colour to the size of depth, and leaves out depth of low confidence.
+    """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped.
 
     Attributes:
-        confidence: the confidence image of each frame (0, 1, 2), or None.
-        min_confidence: depth below is no measurement.
+        confidence: file of each frame's confidence image (0, 1, 2), or None.
+        min_confidence: depth with lower confidence counts as no measurement.
     """
 
     confidence: tuple[Path | None, ...] = ()
     min_confidence: int = 0
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Turn depth of low confidence into 0."""
+        """Set depth of low confidence to 0."""
         file = self.confidence[index] if self.confidence else None
         if file is None or self.min_confidence == 0:
             return depth
@@ -47,7 +47,7 @@ class PhoneRecording(FileRecording):
         return np.where(confidence >= self.min_confidence, depth, np.uint16(0))
 
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A confidence image (height, width) as 0, 1 or 2: low, middle, high."""
+        """Convert a confidence image (height, width) to 0, 1 or 2: low, middle, high."""
         return image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
@@ -62,12 +62,12 @@ class PhoneRecording(FileRecording):
         return self.shrunk(decode_color_bgr(data, str(file)))
 
     def shrunk(self, bgr: NDArray[np.uint8]) -> tuple[str, bytes]:
-        """Colour (height, width, 3) averaged over the pixels of depth, as PNG."""
+        """Average colour (height, width, 3) over the pixels of depth, and encode it as PNG."""
         return shrunk_png(bgr, (self.camera.width, self.camera.height))
 
 
 def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, bytes]:
-    """Colour (height, width, 3) averaged over the pixels of an image of that width and height, as PNG."""
+    """Average colour (height, width, 3) over the pixels of an image of this size, and encode it as PNG."""
     import cv2
 
     if bgr.shape[1::-1] != size_px:
@@ -76,7 +76,7 @@ def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, b
 
 
 def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> Intrinsics:
-    """Intrinsics (3, 3) of colour for depth of another size; integer pixel centres, edges that agree."""
+    """Scale colour's intrinsics (3, 3) to depth's size; pixel centres are integers, image edges coincide."""
     x, y = depth_px[0] / color_px[0], depth_px[1] / color_px[1]
     return Intrinsics(
         fx=float(K[0, 0]) * x,
@@ -89,10 +89,10 @@ def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> 
 def scaled_to_depth(
     K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int], path: Path
 ) -> Intrinsics:
-    """Intrinsics (3, 3) of colour for depth of another size, once both have the same shape.
+    """Scale colour's intrinsics (3, 3) to depth's size, if both images have the same aspect ratio.
 
     Raises:
-        RecordingError: they differ in shape by more than a pixel of depth.
+        RecordingError: the aspect ratios differ by more than a pixel of depth.
     """
     (width, height), fits = color_px, min(color_px) > 0
     if not fits or abs(width * depth_px[1] / height - depth_px[0]) > 1:
@@ -104,17 +104,17 @@ def scaled_to_depth(
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """The median camera of frames whose intrinsics differ a little.
+    """The median camera of frames with slightly different intrinsics.
 
     Args:
         rows: (n, 4) fx, fy, cx, cy of each frame, pixels.
         path: the recording, for messages.
 
     Returns:
-        The pinhole matrix (3, 3), and a warning where frames differ by more than is usual.
+        The pinhole matrix (3, 3), and a warning if frames differ more than usual.
 
     Raises:
-        RecordingError: a focal length is not positive, or frames differ so much that they are of several
+        RecordingError: a focal length is not positive, or frames differ so much that they are from several
             cameras.
     """
     fx, fy, cx, cy = np.median(rows, axis=0).tolist()

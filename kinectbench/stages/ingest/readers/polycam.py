@@ -1,9 +1,9 @@
-"""Polycam's raw data: keyframes/ with depth, images and cameras of each frame, named by microseconds.
+"""Polycam's raw data: keyframes/ with depth, images and cameras, named by microseconds.
 
-As Polycam's own page says (github.com/PolyCam/polyform): depth is in mm; confidence 0, 127 or 255; a JSON of
-each frame holds intrinsics, width and height of its image, and `t_00` to `t_23`, camera to world row by row
-in ARKit's axes, aligned with gravity, y up. `corrected_cameras/`, `corrected_images/` are the optimised poses
-and the undistorted images.
+By Polycam's page (github.com/PolyCam/polyform): depth is in mm; confidence is 0, 127 or 255; a JSON for each
+frame has intrinsics, width and height of its image, and `t_00` to `t_23`, camera to world by rows, in ARKit's
+axes aligned with gravity, y up. `corrected_cameras/` and `corrected_images/` contain the optimised poses and
+the undistorted images.
 """
 
 import re
@@ -30,9 +30,9 @@ from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, fi
 # Depth is in millimetres, stamps in microseconds.
 DEPTH_SCALE = 1000.0
 NS_PER_US = 1000
-# Longer numbers are no microseconds that 64-bit nanoseconds hold.
+# Larger numbers of microseconds do not fit 64-bit nanoseconds.
 STAMP_US = re.compile(r"[0-8]?\d{1,15}")
-# The highest of three levels of confidence: 0, 127 and 255.
+# The highest of the three confidence values 0, 127 and 255.
 HIGH = 255
 CAMERA_KEYS = ("fx", "fy", "cx", "cy", "width", "height")
 # Rows and columns of the camera-to-world matrix.
@@ -40,7 +40,7 @@ POSE_KEYS = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
 
 
 class PolycamRecording(PhoneRecording):
-    """A folder of Polycam's raw data; uses its optimised poses if present."""
+    """A folder of Polycam's raw data; its optimised poses are used if present."""
 
     format: ClassVar[str] = "polycam"
     looks_for: ClassVar[str] = "a folder with keyframes/depth and keyframes/cameras or corrected_cameras"
@@ -55,7 +55,7 @@ class PolycamRecording(PhoneRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the depth images by stamp, and read the camera of each."""
+        """List the depth images by stamp, and read the camera of each image."""
         inside = path / "keyframes"
         corrected = any((inside / "corrected_cameras").glob("*.json"))
         kind = "corrected_" if corrected else ""
@@ -99,14 +99,14 @@ class PolycamRecording(PhoneRecording):
         )
 
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Polycam's 0, 127 and 255 as 0, 1 and 2."""
+        """Convert Polycam's 0, 127 and 255 to 0, 1 and 2."""
         return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
 
 
 def _shared(
     folder: Path, cameras: list[dict[str, object] | None]
 ) -> tuple[Float64, tuple[int, int], list[str]]:
-    """The pinhole matrix of all images, their size, and warnings."""
+    """The common pinhole matrix of the images, their size, and warnings."""
     known = [camera for camera in cameras if camera]
     if not known:
         raise RecordingError(
@@ -122,11 +122,11 @@ def _shared(
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world in optical axes."""
+    """Camera to world in optical axes; None without a usable pose."""
     if camera is None or POSE_KEYS[0] not in camera:
         return None
     numbers = json_numbers([camera.get(key) for key in POSE_KEYS])
     if numbers.shape != (12,):
         raise GivenPosesError(f"{camera['file']}: t_00 to t_23 must be numbers")
-    with np.errstate(invalid="ignore"):  # of what is not finite
+    with np.errstate(invalid="ignore"):  # values may not be finite
         return np.asarray(np.vstack([numbers.reshape(3, 4), [0, 0, 0, 1]]) @ OPENGL_FROM_OPTICAL)

@@ -1,4 +1,4 @@
-"""Poses in text: of all frames in one file (TUM, RTAB-Map, KITTI, matrices), or one a frame, pose/N.txt."""
+"""Read poses from text: one file for all frames (TUM, RTAB-Map, KITTI, matrices), or one per frame."""
 
 import re
 from collections.abc import Sequence
@@ -18,13 +18,13 @@ from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.recording import FrameFiles, first_file
 
-# The first that is there: RTAB-Map's and many others', TUM's, that of ICL and Replica.
+# Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
-# Values of a row: a stamp, a position and a quaternion; the same with an id; matrices without or with their
+# Number of values in a row: stamp, position and quaternion; the same and an id; matrix without and with its
 # last row.
 STAMPED, WITH_ID, KITTI, MATRIX = 8, 9, 12, 16
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
-# Names of files that may hold poses in a layout that is not read.
+# Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|groundtruth|cam2world|c2w)).+"
     r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)",
@@ -34,12 +34,12 @@ POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
-    """A message part on files that look like poses; "" if there are none."""
+    """A part of a message on files that look like poses; "" without such files."""
     return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
 
 
 def unread_poses(path: Path) -> list[str]:
-    """A line that names files that look like poses, of a folder none of whose poses are read; or none."""
+    """A line on files that look like poses, for a folder without readable poses; empty without such files."""
     beside = named_like_poses(path)
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
@@ -47,27 +47,27 @@ def unread_poses(path: Path) -> list[str]:
 
 
 def pose_file(path: Path) -> Path | None:
-    """The recording's file with all poses, or None."""
+    """The recording's file with all poses; None without one."""
     return first_file(path / name for name in POSE_FILES)
 
 
 def read_pose_file(
     file: Path, stamps_ns: Sequence[int], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read a file of poses, camera to world.
+    """Read a file with the poses of all frames, camera to world.
 
-    TUM's rows are of the frames of their stamps. Where only the rows have stamps, and are as many as frames,
-    each is of one frame, in their order. RTAB-Map's rows with an id are of the frames that are numbered so.
-    Matrices, 12 or 16 values a row or four a row below each other, are of the frames in their order; where a
-    number stands above each, of the frames of these numbers, from 0.
+    Rows of TUM belong to the frames with their stamps. If only the rows have stamps, and there are as many
+    rows as frames, rows and frames are in the same order. Rows of RTAB-Map with an id belong to the frames
+    with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of frames; with
+    a number above each matrix, they belong to the frames with these indices, from 0.
 
     Args:
-        file: text, a pose a row.
-        stamps_ns: of the frames, strictly increasing.
-        stems: names of their depth images, without what they end in.
+        file: text file with a pose in each row.
+        stamps_ns: stamps of the frames, strictly increasing.
+        stems: names of the depth images without suffix.
 
     Raises:
-        RecordingError: a row holds something else, or the frame of a pose cannot be determined.
+        RecordingError: a row has other content, or the frame of a pose is ambiguous.
     """
     rows = text_rows(file)
     lengths = {len(row.translate(PUNCTUATION).split()) for _, row in rows}
@@ -94,18 +94,18 @@ def read_pose_file(
     if numbered and (len(trajectory.stamps_ns) < len(rows) or set(trajectory.stamps_ns) == set(frames_ns)):
         return trajectory, warnings
     if numbered:
-        # Counted from 0 or 1: by equal numbers each pose would be of the frame beside its own.
+        # One counts from 0 and the other from 1: equal numbers would give each frame its neighbour's pose.
         shift = int(trajectory.stamps_ns[0] - frames_ns[0]) // NS_PER_S
         message = f"{file}: its numbers are {shift:+d} off those of the frames: rows are taken in their order"
         warnings = [*warnings, message]
     elif len(trajectory.stamps_ns) < len(rows) or not are_of_today(trajectory.stamps_ns.tolist()):
-        # They repeat, or may be steps since the frame before: only the rows' order tells.
+        # The stamps repeat, or may be steps since the previous frame: only the order of rows is usable.
         trajectory, warnings = read_trajectory_file(file, len(stems))
     return GivenTrajectory(frames_ns, trajectory.T_world_camera), warnings
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
-    """Matrices of the frames whose number is the id of a row; None of the others."""
+    """Matrices for the frames whose number is the id of a row; None for the others."""
     poses = {}
     for where, row in rows:
         words = row.replace(",", " ").split()
@@ -121,7 +121,7 @@ def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float6
 
 
 def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]]:
-    """A row per matrix from rows of four values: three a pose, or four, the last 0 0 0 1."""
+    """Join rows of four values into one row per matrix: three rows, or four with the last 0 0 0 1."""
     values = [parse_floats(row.translate(PUNCTUATION).split(), where) for where, row in rows]
     side = 4 if len(values) > 3 and all(row == [0, 0, 0, 1] for row in values[3::4]) else 3
     if len(rows) % side:
@@ -140,14 +140,14 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:
-    """Redwood log, `i j k` and four matrix rows, camera to world: the matrix of the i-th frame, or NaN.
+    """Read a Redwood log: `i j k`, then four matrix rows, camera to world; frame i's matrix, or NaN.
 
     Args:
-        file: blocks of five rows; of the first only the number of the frame counts.
-        frames: how many there are.
+        file: blocks of five rows; of the first row only the frame's number is used.
+        frames: number of frames.
 
     Raises:
-        RecordingError: a block is not whole, or names no frame.
+        RecordingError: a block is incomplete, or names no frame.
     """
     rows = text_rows(file)
     if len(rows) % 5:
@@ -171,7 +171,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 
 def pose_folder(path: Path) -> Path | None:
-    """The recording's folder with a text file of each pose, or None."""
+    """The recording's folder with a text file for each pose; None without one."""
     folders = (path / name for name in POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
@@ -179,18 +179,18 @@ def pose_folder(path: Path) -> Path | None:
 def read_pose_folder(
     path: Path, files: Sequence[FrameFiles], T_camera_depth: Float64 | None = None
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the pose of each frame that has one; one that is not finite is of a frame that was lost.
+    """Read the poses of frames from a file each; a pose that is not finite means that the frame was lost.
 
     Args:
         path: the recording.
-        files: its frames, stamps strictly increasing.
-        T_camera_depth: (4, 4), depth camera to the camera that the poses are of, metres; None: the same.
+        files: files of the frames, stamps strictly increasing.
+        T_camera_depth: (4, 4), depth camera to the camera of the poses, metres; None: the same camera.
 
     Returns:
         The trajectory of the depth camera, or None if no frame has a usable pose; and warnings.
 
     Raises:
-        RecordingError: a file does not hold 16 numbers.
+        RecordingError: a file does not contain 16 numbers.
     """
     folder = pose_folder(path)
     if folder is None:
@@ -203,7 +203,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """`trajectory_from_matrices`; no trajectory and no warning if every frame was lost."""
+    """`trajectory_from_matrices`, but without trajectory and warning if every frame was lost."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

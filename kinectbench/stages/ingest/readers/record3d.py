@@ -1,8 +1,8 @@
-"""Record3D's .r3d files: zip archives of `metadata` (JSON) and rgbd/N.jpg, N.depth and N.conf of each frame.
+"""Record3D's .r3d files: zip archives of `metadata` (JSON), and rgbd/N.jpg, N.depth and N.conf per frame.
 
-As the app's author says (in answers at github.com/marek-simonik/record3d): depth is float32 metres and
-confidence uint8, both packed by LZFSE, row by row; K goes column by column, for colour of w x h pixels; poses
-are quaternions x y z w and positions, camera to world in OpenGL's axes; the face camera's stand still.
+By the app's author (in answers at github.com/marek-simonik/record3d): depth is float32 metres and confidence
+uint8, both by rows and packed by LZFSE; K is by columns, for colour of w x h pixels; poses are quaternions x
+y z w and positions, camera to world in OpenGL's axes. Poses of the face camera do not move.
 """
 
 import re
@@ -43,13 +43,14 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 NAMED = re.compile(rb"rgbd/\d{1,9}\.depth")
 MEMBER = re.compile(r"rgbd/(\d{1,9})\.depth")
 METADATA = "metadata"
-# Of LiDAR and of face cameras, where an older file does not say it; no phone's depth is larger.
+# Depth sizes of LiDAR and of face cameras, used if an older file does not state it; no phone has larger
+# depth.
 USUAL_PX = ((256, 192), (640, 480), (960, 720))
 LARGEST_SIDE_PX = 4096
 
 
 class ArchivedFrame(NamedTuple):
-    """A frame in the archive: stamp in nanoseconds, and its number in the names of its members."""
+    """A frame in the archive: stamp in nanoseconds, and the number in the names of its members."""
 
     stamp_ns: int
     number: int
@@ -57,12 +58,12 @@ class ArchivedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Record3dRecording(Recording):
-    """A .r3d file: scales colour to the size of depth, and leaves out depth of low confidence.
+    """A .r3d file: colour is scaled to depth's size, and depth of low confidence is dropped.
 
     Attributes:
-        archive: gives the members.
-        members: the names of all.
-        min_confidence: depth below is no measurement.
+        archive: reads the members.
+        members: names of all members.
+        min_confidence: depth with lower confidence counts as no measurement.
     """
 
     format: ClassVar[str] = "record3d"
@@ -77,7 +78,7 @@ class Record3dRecording(Recording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is named .r3d, or is a zip archive that holds its depth."""
+        """Whether the path is named .r3d, or is a zip archive with depth as Record3D names it."""
         return (path.is_file() and path.suffix.lower() in cls.suffixes) or holds(path, NAMED)
 
     @classmethod
@@ -117,7 +118,7 @@ class Record3dRecording(Recording):
         stem, size = f"rgbd/{place.number}", self.camera.height * self.camera.width
         name = f"{self.path}: {stem}.depth"
         metres = np.frombuffer(_unpacked(self.archive.read(f"{stem}.depth"), 4 * size, name), "<f4")
-        with np.errstate(invalid="ignore", over="ignore"):  # of what is no depth
+        with np.errstate(invalid="ignore", over="ignore"):  # values may be no depth
             depth = quantised(metres.reshape(shape))
         if self.min_confidence and f"{stem}.conf" in self.members:
             packed = self.archive.read(f"{stem}.conf")
@@ -140,7 +141,7 @@ class Record3dRecording(Recording):
 
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:
-    """Unpack LZFSE data of `size` bytes; allocates at most one more."""
+    """Unpack LZFSE data of `size` bytes, allocating at most one byte more."""
     try:
         import imagecodecs
     except ImportError as error:
@@ -165,7 +166,7 @@ def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, objec
 
 
 def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple[int, int], list[str]]:
-    """The pinhole matrix of colour, its size, and warnings."""
+    """The pinhole matrix of colour, colour's size, and warnings."""
     width, height = (int(number_of(metadata.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
     rows = json_numbers(metadata.get("perFrameIntrinsicCoeffs"))
     if rows.ndim != 2 or rows.shape[1:] != (4,):
@@ -180,7 +181,7 @@ def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple
 def _depth_size(
     archive: Archive, metadata: dict[str, object], color_px: tuple[int, int], numbers: list[int]
 ) -> tuple[int, int]:
-    """Width and height of depth: dw and dh of the metadata, else the known size with as many bytes."""
+    """Width and height of depth: dw and dh of the metadata, or else the known size with as many bytes."""
     where = f"{archive.path}: {METADATA}"
     if metadata.get("dw") is None or metadata.get("dh") is None:
         for long, short in USUAL_PX:
@@ -197,10 +198,10 @@ def _depth_size(
 
 
 def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
-    """The frames' times if all have one and they increase; else frames counted at `fps`."""
+    """The frames' times if every frame has one and they increase, else counted at `fps`; and warnings."""
     times_s = json_numbers(metadata.get("frameTimestamps"))
     usable = times_s.ndim == 1 and numbers[-1] < len(times_s)
-    if usable and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # which NaN is not
+    if usable and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # false for NaN
         stamps_ns = [round(float(times_s[number]) * NS_PER_S) for number in numbers]
         if all(after > before for before, after in pairwise(stamps_ns)):
             return stamps_ns, []
@@ -213,7 +214,7 @@ def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> t
 def _trajectory(
     path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world in optical axes; None if the camera never moved, as for the face camera."""
+    """Camera to world in optical axes; None if the camera never moved (face camera); and warnings."""
     poses = metadata.get("poses")
     if poses is None:
         return None, []

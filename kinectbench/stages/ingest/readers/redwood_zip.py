@@ -1,8 +1,8 @@
-"""Scans of the Redwood 3dscan data set (redwood-data.org/3dscan) in the zip archives they come in.
+"""Scans of the Redwood 3dscan data set (redwood-data.org/3dscan), in their zip archives.
 
-depth/ and rgb/NUMBER-MICROSECONDS, depth in mm as PNG, colour as JPEG; by the data set's own page its
-PrimeSense cameras make 640x480 images with 525, 525, 319.5, 239.5, which the archive does not say. Depth
-comes every 33.369 ms and colour every 33.516 ms, each numbered by itself: equal numbers are soon of other
+depth/ and rgb/ have NUMBER-MICROSECONDS, depth in mm as PNG, colour as JPEG. By the data set's page its
+PrimeSense cameras have images of 640x480 with 525, 525, 319.5, 239.5; the archive does not state this. Depth
+comes every 33.369 ms and colour every 33.516 ms, each with its own numbers: equal numbers soon have different
 times.
 """
 
@@ -21,8 +21,8 @@ from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.folder import DEPTH_SCALE, PRIMESENSE
 from kinectbench.stages.ingest.recording import RawFrame, Recording, first_whole, tried
 
-# Its images are named by a count of seven digits and a stamp of twelve in microseconds, as in
-# depth/0000002-000000033369.png of scan 00033 of redwood-3dscan; a count of up to nine is read.
+# Images are named by a number of seven digits and a stamp of twelve in microseconds, such as
+# depth/0000002-000000033369.png of scan 00033 of redwood-3dscan; numbers of up to nine digits are accepted.
 NAMED = re.compile(rb"(?:depth|rgb)/\d{1,9}-\d{12}\.(?:png|jpg)")
 MEMBER = re.compile(r"(?:[^/]+/)?(depth|rgb)/(\d{1,9}-\d{12})\.(?:png|jpg)")
 
@@ -37,10 +37,10 @@ class ZippedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RedwoodZipRecording(Recording):
-    """A scan in its zip archive; its trajectory is not in it.
+    """A scan in its zip archive, which does not contain the trajectory.
 
     Attributes:
-        archive: gives the images.
+        archive: reads the images.
     """
 
     format: ClassVar[str] = "redwood_zip"
@@ -52,12 +52,12 @@ class RedwoodZipRecording(Recording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is a zip archive that holds images named as Redwood's are."""
+        """Whether the path is a zip archive with images named as Redwood names them."""
         return holds(path, NAMED)
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the images; nothing is unpacked but the first of each kind."""
+        """List the images; only the first of each kind is unpacked."""
         archive = Archive(path)
         matches = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
         depth, color = _named(matches, "depth"), _named(matches, "rgb")
@@ -104,14 +104,14 @@ class RedwoodZipRecording(Recording):
 
 
 def _named(matches: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
-    """The images of a folder as (stem, whole name), in numeric order."""
-    # Not as paths, which of two hundred thousand names would take two seconds.
+    """The images of a folder as (stem, full name), in numeric order."""
+    # Not as paths: two hundred thousand of them would take two seconds.
     names = [(match[2], match[0]) for match in matches if match[1] == folder]
     return sorted(names, key=lambda name: (counting_key(name[0]), name[1]))
 
 
 def _first_size(archive: Archive, names: list[str]) -> tuple[int, int] | None:
-    """Width and height in pixels of the first image that is whole, or None."""
+    """Width and height in pixels of the first undamaged image, or None."""
     try:
         return first_whole(lambda name: image_header(archive.read(name), name)[1:], names)
     except DamagedImageError:

@@ -1,4 +1,4 @@
-"""3D Scanner App's folders (all data): depth_, conf_ and frame_ files of each frame, JSON of its camera."""
+"""Folders of 3D Scanner App (all data): depth_, conf_ and frame_ files per frame, and JSON of its camera."""
 
 import re
 from itertools import pairwise
@@ -30,7 +30,7 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
-# What is read of the JSON of a frame.
+# Keys of a frame's JSON that are read; and those that are required, in words.
 CAMERA_KEYS, NEEDED = ("time", "intrinsics", "cameraPoseARFrame"), "intrinsics and cameraPoseARFrame"
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
 
@@ -87,7 +87,7 @@ class ScannerAppRecording(PhoneRecording):
 
 
 def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
-    """A square matrix that is stored row by row."""
+    """A square matrix that is stored by rows."""
     numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
@@ -95,15 +95,15 @@ def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world in optical axes."""
+    """Camera to world in optical axes; None without a usable pose."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
-    with np.errstate(invalid="ignore"):  # of what is not finite
+    with np.errstate(invalid="ignore"):  # values may not be finite
         return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
 
 
 def _stamps_ns(path: Path, cameras: list[dict[str, object] | None]) -> tuple[list[int], list[str]]:
-    """The frames' times if all have one and they increase; else the frames count seconds."""
+    """The frames' times if every frame has one and they increase, else counted seconds; and warnings."""
     times_s = json_numbers([camera.get("time") if camera else None for camera in cameras])
     if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):
         stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]

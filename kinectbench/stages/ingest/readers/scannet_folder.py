@@ -1,8 +1,8 @@
-"""Folders that ScanNet's reader exports: depth/N.png, color/N.jpg, pose/N.txt and intrinsic/.
+"""Folders exported by ScanNet's reader: depth/N.png, color/N.jpg, pose/N.txt and intrinsic/.
 
-As its SensReader writes them: depth in mm; a pose is camera to world, of minus infinity where the frame was
-lost; `intrinsic_depth.txt` and `intrinsic_color.txt` are 4x4 pinhole matrices, `extrinsic_*.txt` each
-camera's place in the rig. The smaller release (frames_25k) has `intrinsics_depth.txt` beside the folders.
+By ScanNet's SensReader: depth is in mm; a pose is camera to world, with minus infinity if the frame was lost;
+`intrinsic_depth.txt` and `intrinsic_color.txt` are 4x4 pinhole matrices, and `extrinsic_*.txt` place each
+camera in the rig. The smaller release (frames_25k) has `intrinsics_depth.txt` beside the folders.
 """
 
 from pathlib import Path
@@ -32,12 +32,12 @@ class ScannetFolderRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth/, and its intrinsics by one of ScanNet's names."""
+        """Whether the folder has depth/, and intrinsics under one of ScanNet's names."""
         return (path / "depth").is_dir() and _matrix_file(path, "depth") is not None
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the depth images, pair them with colour, and read poses of the same name."""
+        """List the depth images, pair them with colour, and read the poses of the same name."""
         depth = in_folder(path / "depth", frozenset({".png"}))
         if not depth.files:
             raise RecordingError(
@@ -81,6 +81,6 @@ def _matrix_file(path: Path, camera: str) -> Path | None:
 
 
 def _read_extrinsic(path: Path, camera: str) -> Float64:
-    """The pose (4, 4) of "depth" or "color" in the rig, metres; the identity if missing."""
+    """The transform (4, 4) from "depth" or "color" to the rig, metres; the identity if missing."""
     file = path / "intrinsic" / f"extrinsic_{camera}.txt"
     return read_matrix(file, 4) if file.is_file() else np.eye(4)

@@ -1,4 +1,4 @@
-"""ScanNet's .sens files (version 4), read frame by frame; truncated ones are read to their end.
+"""ScanNet's .sens files (version 4), read frame by frame; a truncated file is read to its end.
 
 Layout, little-endian (ScanNet's SensReader): `u32 4, u64 length, name`, four float32 4x4 matrices (colour
 intrinsic and extrinsic, depth intrinsic and extrinsic), `i32 colour compression (0 raw, 1 PNG, 2 JPEG), i32
@@ -35,7 +35,7 @@ VERSION = 4
 LONGEST_NAME, SHORT_NAME = 4096, 64
 COLOR_SUFFIXES = {1: ".png", 2: ".jpg"}
 RAW, ZLIB = 0, 1
-# Later stamps are no stamps.
+# Later stamps are invalid.
 LATEST_NS = 2**53 * NS_PER_US
 
 
@@ -56,7 +56,7 @@ class SensHead(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensRecording(PackedRecording):
-    """A .sens file; its intrinsics and extrinsics relate colour to depth.
+    """A .sens file; its intrinsics and extrinsics calibrate colour relative to depth.
 
     Attributes:
         head: the file's header.
@@ -71,7 +71,7 @@ class SensRecording(PackedRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether it is named .sens, or begins with version 4 and a short printable name."""
+        """Whether the path is named .sens, or starts with version 4 and a short printable name."""
         if not path.is_file():
             return False
         if path.suffix.lower() in cls.suffixes:
@@ -85,7 +85,7 @@ class SensRecording(PackedRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read the head and find the frames; nothing is decoded."""
+        """Read the header and find the frames, without decoding any."""
         with open_plain(path) as file:
             head = _read_head(file, path)
             frames, matrices, cut = _find_frames(file, head, path)
@@ -97,7 +97,7 @@ class SensRecording(PackedRecording):
             [f"{path}: {cut}: {len(frames)} of {head.frames} frames are whole and are read"] if cut else []
         )
         if len({frame.stamp_ns for frame in frames}) == 1 or max(f.stamp_ns for f in frames) > LATEST_NS:
-            # Some files have no stamps: then the frames count seconds.
+            # Some files have no stamps: their frames count seconds.
             frames = [frame._replace(stamp_ns=index * NS_PER_S) for index, frame in enumerate(frames)]
         frames, order, faults = timed(frames, path)
         places = tuple(frames[i] for i in order)
@@ -121,11 +121,11 @@ class SensRecording(PackedRecording):
         )
 
     def is_raw(self, depth: bytes, size: int) -> bool:
-        """Whether depth is declared raw and has the matching length."""
+        """Whether depth is declared raw, and has the matching length."""
         return self.head.depth_compression == RAW and super().is_raw(depth, size)
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame as encoded, or as PNG if raw."""
+        """Colour of a frame as encoded, or as PNG if it is raw."""
         suffix = COLOR_SUFFIXES.get(self.head.color_compression)
         if not data or suffix is not None:
             return (suffix, data) if data and suffix else None
@@ -167,7 +167,7 @@ def _read_head(file: BinaryIO, path: Path) -> SensHead:
 
 
 def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:
-    """Every whole frame in file order, with its pose; and the file's faults, or ""."""
+    """Find every complete frame, in file order, with its pose; and the file's faults, or ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
     position, size = file.tell(), size_of(file)
@@ -189,7 +189,7 @@ def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[Packe
 def _trajectory(
     stamps_ns: list[int], matrices: list[Float64], head: SensHead, path: Path
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The depth camera's poses; not finite for lost frames."""
+    """The poses of the depth camera; not finite for lost frames."""
     if not any(np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     T_camera_depth = rigid_or_none(head.depth_extrinsic)

@@ -1,4 +1,4 @@
-"""7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`, in mm; ScanNet's tools' info.txt."""
+"""7-Scenes folders: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`, in mm; or with ScanNet's info.txt."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -40,8 +40,8 @@ from kinectbench.stages.ingest.recording import (
 
 DEPTH_SCALE = 1000.0
 INVALID = 65535
-# Beside the frames or above them, depth's own first: of 7-Scenes' followers (3DMatch, tsdf-fusion, the Amazon
-# Picking Challenge), and of ScanNet's and BundleFusion's exports.
+# Intrinsics beside the frames or in the folder above, depth's own first: in data sets of this layout
+# (3DMatch, tsdf-fusion, the Amazon Picking Challenge), and in exports of ScanNet and BundleFusion.
 MATRIX_FILES = (
     "camera-intrinsics.txt",
     "camera-intrinsics.depth.txt",
@@ -51,23 +51,23 @@ MATRIX_FILES = (
 )
 FILES_ABOVE = MATRIX_FILES[:4]
 INFO_FILES = ("_info.txt", "info.txt")
-# The dataset's own intrinsics, for its own image size.
+# The data set's intrinsics, for its image size.
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 COLOR_KINDS = ("color.png", "color.jpg", "color.jpeg")
 DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.depth\.png")
-# The row of info.txt, as ScanNet's tools export it, that tells depth's intrinsics.
+# Key of depth's intrinsics in info.txt, as ScanNet's tools export it.
 DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
 
 
 @dataclass(frozen=True)
 class ScannetRig:
-    """The cameras of one rig, from a file.
+    """The calibration of depth and colour, from a file.
 
     Attributes:
-        file: the file, or the recording where none says it.
-        depth: of the depth camera.
-        color: the transform of colour to depth, or None if missing.
-        registered: colour is registered to depth, whatever the file states.
+        file: the file; the recording if no file states the calibration.
+        depth: intrinsics of the depth camera.
+        color: calibration of colour relative to depth, or None if missing.
+        registered: whether colour is registered to depth, whatever the file states.
     """
 
     file: Path
@@ -77,9 +77,9 @@ class ScannetRig:
 
 
 class SevenScenesRecording(FileRecording):
-    """One sequence of Microsoft 7-Scenes, or of its layout.
+    """One sequence of Microsoft 7-Scenes, or in its layout.
 
-    It has no stamps: a frame's number counts seconds. Its poses are 4x4, camera to world, and are
+    The layout has no stamps: a frame's number counts seconds. Poses are 4x4, camera to world, and are
     projected onto the rigid transforms.
     """
 
@@ -90,7 +90,7 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder holds a frame-XXXXXX.depth.png."""
+        """Whether the folder contains a frame-XXXXXX.depth.png."""
         return path.is_dir() and any(listed_paths(path, wanted=DEPTH_NAME.fullmatch))
 
     @classmethod
@@ -139,34 +139,34 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def files_beside(cls, path: Path) -> tuple[Path, ...]:
-        """The intrinsics in the folder above, if they are the ones to be read."""
+        """The file of intrinsics in the folder above, if that is the one to read."""
         file = _camera_file(path)
         return () if file is None or file.parent == path else (file,)
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Turn 65535 (invalid) into 0."""
+        """Set 65535 (invalid) to 0."""
         return np.where(depth == INVALID, np.uint16(0), depth)
 
 
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of files above a folder that may belong to it, by the names in it; none if it is no sequence."""
+    """Files in the parent folder that may belong to a folder with these names; empty if it is no sequence."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 
 def _camera_file(path: Path) -> Path | None:
-    """The file of intrinsics: in the folder, or above it, as in 3DMatch and tsdf-fusion."""
+    """The file of intrinsics: in the folder, or in the folder above, as in 3DMatch and tsdf-fusion."""
     own = first_file(path / name for name in MATRIX_FILES)
     info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
 
 
 def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> ScannetRig | None:
-    """The cameras in the file; None without it."""
+    """Read the cameras from the file; None without it."""
     if file is None:
         return None
     if file.name in INFO_FILES:
         return read_info(file, color_px)
-    # Depth that is to be seen with colour's intrinsics lies on colour's pixels.
+    # Depth to be used with colour's intrinsics has colour's pixels.
     return ScannetRig(
         file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px
     )
@@ -175,7 +175,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
 ) -> tuple[ScannetRig, list[str]]:
-    """The data set's own Kinect; and a warning, unless the settings give a camera or it is the data set."""
+    """The data set's Kinect; with a warning, unless the settings give a camera or it is 7-Scenes itself."""
     if size_px != (KINECT.width, KINECT.height):
         return ScannetRig(path, Intrinsics()), []
     is_given = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
@@ -188,7 +188,7 @@ def _default_rig(
 
 
 def _marks_holes(files: Sequence[FrameFiles]) -> bool:
-    """Whether 65535 marks missing depth: so in 7-Scenes itself, not in data sets of its layout."""
+    """Whether 65535 marks missing depth, as in 7-Scenes itself, but not in other data sets of its layout."""
 
     def marked(frame: FrameFiles) -> bool:
         return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())
@@ -199,24 +199,24 @@ def _marks_holes(files: Sequence[FrameFiles]) -> bool:
 
 
 def _beside(depth: Path, kind: str) -> Path:
-    """The file of another kind, such as "pose.txt", of the same frame."""
+    """The file of another kind, such as "pose.txt", for the same frame."""
     return depth.with_name(f"{depth.name.removesuffix('depth.png')}{kind}")
 
 
 def is_info(file: Path) -> bool:
-    """Whether the file describes the cameras of such a recording."""
+    """Whether the file is an info.txt that describes the cameras."""
     return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
 
 
 def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
-    """Read info.txt: `name = numbers` in each row, matrices as 16 numbers row by row.
+    """Read info.txt: rows of `name = numbers`, matrices as 16 numbers by rows.
 
     Args:
         file: `info.txt` or `_info.txt`.
-        color_px: width and height of the colour images; 0, 0 where there is none.
+        color_px: width and height of the colour images; 0, 0 without colour.
 
     Raises:
-        RecordingError: depth's intrinsics are missing, or a row does not hold the numbers it should.
+        RecordingError: depth's intrinsics are missing, or a row has unexpected values.
     """
     rows = {}
     for where, row in text_rows(file):

@@ -1,4 +1,4 @@
-"""StrayScanner's folders: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
+"""Folders of StrayScanner: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
 
 import os
 import re
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 
 DEPTH_SCALE = 1000.0
 NUMBER = re.compile(r"\d{1,9}")
-# An MP4 begins with a box of four bytes' length and this name.
+# An MP4 starts with a box: four bytes of length and this name.
 MP4_HEAD = b"\0\0\0\0ftyp"
-# What FFmpeg within OpenCV says on standard error: nothing (av_log's AV_LOG_QUIET).
+# Makes FFmpeg within OpenCV print nothing (av_log's AV_LOG_QUIET).
 FFMPEG_SAYS, NOTHING = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass
 class _Video:
-    """Frames of a video by number; those in a row are read without seeking."""
+    """The frames of a video by number; consecutive frames are read without seeking."""
 
     path: Path
     capture: "VideoCapture | None" = None
     next: int = 0
 
     def frame(self, number: int) -> NDArray[np.uint8] | None:
-        """BGR (height, width, 3) uint8; None if the video does not hold it."""
+        """A frame as BGR (height, width, 3) uint8; None if the video does not contain it."""
         import cv2
 
         with _quiet():
             if self.capture is None:
                 self.capture = cv2.VideoCapture()
-                if read_head(self.path, len(MP4_HEAD))[4:] == MP4_HEAD[4:]:  # nothing else is tried
+                if read_head(self.path, len(MP4_HEAD))[4:] == MP4_HEAD[4:]:  # other files are not tried
                     self.capture.open(str(self.path), cv2.CAP_FFMPEG)
             sides_px = [
                 self.capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
@@ -64,10 +64,10 @@ class _Video:
 
 @dataclass(frozen=True, kw_only=True)
 class StrayScannerRecording(PhoneRecording):
-    """A StrayScanner folder; its poses are camera to world in optical axes, as in its own tools.
+    """A folder of StrayScanner; its poses are camera to world in optical axes, as in its own tools.
 
     Attributes:
-        numbers: of each frame in the video.
+        numbers: number of each frame in the video.
         video: the video, or None.
     """
 
@@ -124,7 +124,7 @@ class StrayScannerRecording(PhoneRecording):
         )
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at the size of depth, from the video."""
+        """Colour of a frame from the video, at depth's size."""
         if self.video is None:
             return None
         number = self.numbers[index]
@@ -135,7 +135,7 @@ class StrayScannerRecording(PhoneRecording):
 
 
 def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
-    """Each row's frame number, and its pose."""
+    """The number and the pose of the frame in each row."""
     lines = text_rows(path)
     if not lines:
         raise RecordingError(f"{path}: is empty")
@@ -161,10 +161,10 @@ def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from printing about a video that it cannot read."""
+    """Keep OpenCV from printing about videos that it cannot read."""
     import cv2
 
-    os.environ.setdefault(FFMPEG_SAYS, NOTHING)  # looked at when the first video is opened
+    os.environ.setdefault(FFMPEG_SAYS, NOTHING)  # read when the first video is opened
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

@@ -1,7 +1,7 @@
 """Sequences of SUN3D: image/ and depth/NUMBER-MICROSECONDS, intrinsics.txt, extrinsics/DATE.txt.
 
-As its own reader has it: depth in mm with rotated bits, on colour's pixels; the newest file in extrinsics/
-holds three rows of four numbers for each colour image, camera to world.
+By SUN3D's own reader: depth is in mm with rotated bits, on colour's pixels; the newest file in extrinsics/
+has three rows of four numbers for each colour image, camera to world.
 """
 
 from pathlib import Path
@@ -23,12 +23,12 @@ from kinectbench.stages.ingest.readers.pose_files import finite_trajectory
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
 
 DEPTH_SCALE = 1000.0
-# Of a pose in extrinsics/: three rows of a 4x4 matrix.
+# Numbers of a pose in extrinsics/: three rows of a 4x4 matrix.
 NUMBERS_A_POSE = 12
 
 
 class Sun3dRecording(FileRecording):
-    """One sequence of SUN3D; image names hold the stamps."""
+    """One sequence of SUN3D; image names contain the stamps."""
 
     format: ClassVar[str] = "sun3d"
     looks_for: ClassVar[str] = "a folder with image/, depth/0000001-000000000000.png and extrinsics/*.txt"
@@ -36,7 +36,7 @@ class Sun3dRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has image/, SUN3D's intrinsics.txt, and stamps in the names of depth."""
+        """Whether the folder has image/, SUN3D's intrinsics.txt, and stamps in the names of depth images."""
         whole = (
             (path / "image").is_dir() and (path / "depth").is_dir() and (path / "intrinsics.txt").is_file()
         )
@@ -76,7 +76,7 @@ class Sun3dRecording(FileRecording):
 
 
 def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[int]]:
-    """The images of a folder in the order of their stamps, and these, nanoseconds."""
+    """The images of a folder sorted by stamp, and their stamps, nanoseconds."""
     files = in_folder(folder, suffixes).files
     stamps_ns = stamps_of_names([file.stem for file in files])
     rows = sorted(zip(stamps_ns, files, strict=True), key=lambda row: row[0])
@@ -86,10 +86,10 @@ def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[
 def _read_poses(
     path: Path, color_ns: list[int], depth_ns: list[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of the newest file: one per colour image, or per depth image if the numbers match.
+    """The poses in the newest file: one per colour image, or per depth image if their numbers match.
 
     Raises:
-        RecordingError: there are as many poses as neither.
+        RecordingError: the number of poses matches neither.
     """
     files = sorted(visible(path / "extrinsics", "*.txt"))
     if not files:

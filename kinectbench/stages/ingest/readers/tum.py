@@ -1,4 +1,4 @@
-"""TUM RGB-D folders: `depth.txt`, `rgb.txt`, maybe `groundtruth.txt`; depth in 1/5000 m."""
+"""TUM RGB-D folders: `depth.txt`, `rgb.txt`, optionally `groundtruth.txt`; depth in 1/5000 m."""
 
 from pathlib import Path
 from typing import ClassVar, Self
@@ -33,14 +33,14 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 5000.0
-# What `accelerometer_axes` in camera.json says of accelerometer.txt: the optical axes of the depth camera.
+# Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
 
 class TumRecording(FileRecording):
     """A folder in the layout of the TUM RGB-D benchmark; colour is registered to depth.
 
-    Intrinsics come from `camera.json` in the folder, ETH3D's `calibration.txt`, or from the settings.
+    Intrinsics come from `camera.json` in the folder, from ETH3D's `calibration.txt`, or from the settings.
     """
 
     format: ClassVar[str] = "tum"
@@ -71,7 +71,7 @@ class TumRecording(FileRecording):
         color, color_ns, color_warnings = _in_order(color_rows, path / "rgb.txt")
         warnings += [*depth_warnings, *color_warnings]
         delay_s, where = settings.color_delay_s, str(path)
-        if why:  # counted rows are not times of two streams
+        if why:  # counted stamps do not relate two streams
             stems = ([file.stem for _, file in rows] for rows in (depth, color))
             partners, _ = pair_images(*stems, delay_s=delay_s, where=where)
         else:
@@ -115,9 +115,9 @@ class TumRecording(FileRecording):
 
 
 def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
-    """Up at some frames, by accelerometer.txt, if the camera's file says that its axes are those of depth.
+    """Up at some frames from accelerometer.txt, if the camera's file says that it has depth's axes.
 
-    The benchmark's own recordings have such a file, in the axes of the Kinect's sensor.
+    Recordings of the benchmark itself have such a file in the axes of the Kinect's sensor.
     """
     file = path / "accelerometer.txt"
     if camera_file is None or camera_file.suffix != ".json" or not file.is_file():
@@ -136,7 +136,7 @@ def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> 
 
 
 def _read_rows(path: Path) -> list[tuple[int, Path]]:
-    """Rows `stamp file` as (ns, path), in their order."""
+    """Read rows `stamp file` as (ns, path), in their order."""
     rows = []
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
@@ -151,14 +151,14 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
 
 
 def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
-    """The same rows, one a second."""
+    """The rows with stamps that count seconds."""
     return [(stamp_ns, file) for stamp_ns, (_, file) in zip(counted_ns(len(rows)), rows, strict=True)]
 
 
 def _in_order(
     rows: list[tuple[int, Path]], path: Path
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """Rows ordered by stamp, each stamp once; stamps as listed; and warnings."""
+    """Rows sorted by stamp, each stamp once; the stamps as listed; and warnings."""
     stamps_ns = [stamp for stamp, _ in rows]
     order, repeated = first_by_stamp(stamps_ns)
     warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []

@@ -1,8 +1,8 @@
 """Scenes of WildRGB-D: rgb/, depth/ and masks/ as PNG, `metadata` (JSON), cam_poses.txt.
 
-As the data set's own page says (github.com/wildrgbd/wildrgbd): depth is in mm; `metadata` holds w, h and K,
-whose nine numbers go column by column; a line of cam_poses.txt is a frame's number and its 4x4 matrix row by
-row, camera to world in OpenCV's axes.
+By the data set's page (github.com/wildrgbd/wildrgbd): depth is in mm; `metadata` has w, h and K with nine
+numbers by columns; a line of cam_poses.txt has a frame's number and its 4x4 matrix by rows, camera to world
+in OpenCV's axes.
 """
 
 import re
@@ -33,14 +33,14 @@ NUMBER = re.compile(r"\d{1,9}")
 
 
 class WildRgbdRecording(FileRecording):
-    """One scene of WildRGB-D, with the masks of its object; frame numbers count as seconds."""
+    """One scene of WildRGB-D, with masks of its object; frame numbers count seconds."""
 
     format: ClassVar[str] = "wildrgbd"
     looks_for: ClassVar[str] = "a folder with depth/, metadata and cam_poses.txt or masks/ (rgb/)"
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth/, metadata, and the poses or the masks."""
+        """Whether the folder has depth/, metadata, and poses or masks."""
         has_object_files = (path / "cam_poses.txt").is_file() or (path / "masks").is_dir()
         return has_object_files and (path / "metadata").is_file() and (path / "depth").is_dir()
 
@@ -77,7 +77,7 @@ class WildRgbdRecording(FileRecording):
 
 
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of available frames, camera to world."""
+    """The poses of the existing frames, camera to world."""
     file = path / "cam_poses.txt"
     if not file.is_file():
         return None, []

@@ -1,11 +1,11 @@
 """Objects of YCB's Berkeley RGB-D data: five PrimeSense cameras around a turntable, depth in HDF5.
 
-NPc_A.h5 holds `depth` and NPc_A.jpg colour of camera c at angle A of the turntable, degrees. calibration.h5
-holds the cameras, poses/NP5_A_pose.h5 the place of NP5's colour camera on the turntable. Keys and the unit,
-0.1 mm times NPc_ir_depth_scale, are those of YCB's script ycb_generate_point_cloud.py, as it lies in
-chenxi-wang/ycb-scripts and StefanieStoppel/CVP_YCB_preprocessing; so is that masks/NPc_A_mask.pbm has the
-pixels of colour, and 0 where the object is. Not verified on a file here: that NPc_rgb_d are OpenCV's k1 k2 p1
-p2 k3.
+NPc_A.h5 has `depth`, and NPc_A.jpg is colour, of camera c at angle A of the turntable, degrees.
+calibration.h5 has the cameras, and poses/NP5_A_pose.h5 the pose of NP5's colour camera relative to the
+turntable. Keys and the unit, 0.1 mm times NPc_ir_depth_scale, are those of YCB's script
+ycb_generate_point_cloud.py (in chenxi-wang/ycb-scripts and StefanieStoppel/CVP_YCB_preprocessing). So is the
+convention that masks/NPc_A_mask.pbm has colour's pixels, and 0 on the object. Not verified here on a file:
+that NPc_rgb_d are OpenCV's k1 k2 p1 p2 k3.
 """
 
 import re
@@ -41,12 +41,12 @@ from kinectbench.stages.ingest.recording import (
 
 SENSORS = ("NP1", "NP2", "NP3", "NP4", "NP5")
 CALIBRATION = "calibration.h5"
-# The head of a bitmap: P1 or P4, comments, width and height (Netpbm's pbm(5)).
+# The header of a bitmap: P1 or P4, comments, width and height (Netpbm's pbm(5)).
 BITMAP = re.compile(rb"P[14](?:\s+#[^\n]*)*\s+(\d{1,6})\s+(\d{1,6})\s")
 NAMED = re.compile(r"NP[1-5]_(\d{1,9})")
-# Units of 0.1 mm a metre.
+# Units per metre: 0.1 mm.
 DEPTH_SCALE = 10_000.0
-# A key of calibration.h5, and its shape.
+# Keys of calibration.h5 and the shapes of their arrays.
 SHAPES = {
     "{}_depth_K": (3, 3),
     "{}_rgb_K": (3, 3),
@@ -60,7 +60,7 @@ POSE = "H_table_from_reference_camera"
 
 
 class YcbRecording(FileRecording):
-    """What one of the cameras saw of an object; the world turns with the table; angles count seconds."""
+    """The images of an object by one camera; the world turns with the table; angles count seconds."""
 
     format: ClassVar[str] = "ycb"
     looks_for: ClassVar[str] = (
@@ -74,7 +74,7 @@ class YcbRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the depth images of one camera by angle, with their colour and poses."""
+        """List the depth images of one camera by angle, with colour and poses."""
         there = [sensor for sensor in SENSORS if (path / f"{sensor}_0.h5").is_file()]
         sensor = settings.sensor or there[0]
         found = {
@@ -121,7 +121,7 @@ class YcbRecording(FileRecording):
         )
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
-        """The mask in a file; one of colour that lies elsewhere is brought onto the pixels of depth."""
+        """The mask in a file, on depth's pixels; a mask on colour's pixels is registered to depth."""
         pixels = _bitmap(read_image_file(file), str(file))
         if self.color_calibration is None:
             return np.asarray(pixels == 0)
@@ -136,10 +136,10 @@ class YcbRecording(FileRecording):
 
 
 def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
-    """A bitmap of Netpbm: (height, width), 0 where it is black.
+    """Read a Netpbm bitmap: (height, width), 0 where it is black.
 
     Raises:
-        DamagedImageError: it is none, is damaged, or has too many pixels.
+        DamagedImageError: the data is no bitmap, is damaged, or has too many pixels.
     """
     import cv2
 
@@ -153,7 +153,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]]:
-    """What calibration.h5 says of a camera, by the keys of SHAPES; and what it lacks."""
+    """The values in calibration.h5 for a camera, by the keys of SHAPES; and the missing keys."""
     names = {key: key.format(sensor) for key in SHAPES}
     if not (path / CALIBRATION).is_file():
         return {}, [
@@ -166,10 +166,10 @@ def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]
 
 
 def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Float64]:
-    """The arrays that an HDF5 file has, float64.
+    """Read the arrays that an HDF5 file has, float64.
 
     Raises:
-        RecordingError: one is not finite or of another shape.
+        RecordingError: an array is not finite or has another shape.
     """
     most = max(int(np.prod(shape)) for shape in shapes.values())
     try:
@@ -186,7 +186,7 @@ def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 
 
 def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
-    """Of the depth images; they are pinhole images, as YCB's script takes them."""
+    """Intrinsics of the depth images, which are pinhole images, as in YCB's script."""
     if DEPTH_K not in said:
         return Intrinsics()
     scale = float(said[SCALE][0]) if SCALE in said else 1.0
@@ -199,7 +199,7 @@ def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
 
 
 def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-    """How colour lies to depth, if that is said."""
+    """Calibration of colour relative to depth; None if the file does not have it."""
     places = [rigid_or_none(said[key]) for key in (COLOR_FROM_NP5, DEPTH_FROM_NP5) if key in said]
     color, *depth = places or [None]
     if COLOR_K not in said or color is None or not depth or depth[0] is None:
@@ -213,7 +213,7 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The place of the depth camera on the turntable at each angle; and what is missing for it."""
+    """Poses of the depth camera relative to the turntable, by angle; and what is missing for them."""
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]
