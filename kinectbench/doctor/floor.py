@@ -43,7 +43,7 @@ SCATTER_TIMES = 4.0
 SCATTERS = (
     "the frames scatter by {seen_mm:.0f} mm about the floor, a Kinect's depth at {far_m:.1f} m by "
     "{expected_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try "
-    "`trajectory: refine` or `track`, record with more of the floor in view, or give a box"
+    "`trajectory: refine` or `ignore`, record with more of the floor in view, or give a box"
 )
 BY_FRAMES = "{why}; that is what {count} frames show by themselves: a build fuses all, and may still find it"
 

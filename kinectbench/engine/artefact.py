@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 13,
     "track": 14,
     "fuse": 6,
-    "segment": 41,
+    "segment": 42,
     "sample-views": 4,
     "pairs": 3,
     "suggest": 7,

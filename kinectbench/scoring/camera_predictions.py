@@ -9,12 +9,13 @@ import numpy as np
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.types import Progress
+from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.types import Float64, Progress
 from kinectbench.core.untrusted import lies_below
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.camera.solid import closed_mesh, refuse_mesh
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
 from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
@@ -110,7 +111,22 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
     T = similarity_to_camera(method, file.name, file.target.name)
     found = agreement(shape, points_m, T, view.T_world_camera, T_world_grid)
     T_grid_camera = invert_rigid(T_world_grid) @ view.T_world_camera
-    return replace(found, beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS))
+    return replace(
+        found,
+        beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
+        refused=_refused(shape, T_grid_camera, float(size_m)),
+    )
+
+
+def _refused(shape: CameraShape, T_grid_camera: Float64, voxel_size_m: float) -> str:
+    """Why the solid of a closed mesh cannot be made; "" if it can, or if the shape is no closed mesh."""
+    if (mesh := closed_mesh(shape)) is None:
+        return ""
+    try:
+        refuse_mesh(transform_points(T_grid_camera, mesh.vertices_m), mesh.faces, voxel_size_m)
+    except PredictionError as error:
+        return str(error).partition(";")[0]
+    return ""
 
 
 def check_camera(
@@ -172,24 +188,30 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 
 
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
-    """A line for each slip of unit or axes, and notes on what may be what a method predicts all the same.
+    """A line for each slip of unit or axes or refused solid; notes on what a method may well predict.
 
     The one rule of `check`, where slips are errors, and of the warnings of `score`.
     """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
+    problems = [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip]
     others = {name: one for name, one in compared.items() if not slips[name]}
+    problems += [
+        f"{name}: {one.refused}, so that it cannot be scored; keep the object alone"
+        for name, one in others.items()
+        if one.refused
+    ]
     notes = [
         f"{name}: {one.beyond_share:.0%} of it (bound {SCENE:.0%}) lies far beyond the object: the whole "
         "scene? Keep the object alone"
         for name, one in others.items()
-        if one.is_scene
+        if one.is_scene and not one.refused
     ]
     if far := [name for name, one in others.items() if one.is_large]:
         notes.append(
             f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view "
             f"measured, such as {far[0]}; no usual slip of unit or axes explains it"
         )
-    return [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip], notes
+    return problems, notes
 
 
 def missing_in_camera(name: str) -> str:

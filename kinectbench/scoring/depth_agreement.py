@@ -71,12 +71,14 @@ class Agreement:
         beyond_share: share of its surface more than a cube's side from the middle of the pair's cube.
         slips: in words what would explain the distance, each with the distance without it, the simplest
             first; () where it is small, or nothing does. Of a shape with a mirror plane there are several.
+        refused: why `score` refuses it: its solid cannot be made; "" if it can.
     """
 
     distance_m: float
     diagonal_m: float
     slips: tuple[tuple[str, float], ...] = ()
     beyond_share: float = 0.0
+    refused: str = ""
 
     @property
     def is_scene(self) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 import analytic_release
 import numpy as np
 import pytest
+import trimesh
 from small_benchmark import run_here
 
 from kinectbench.core.errors import PredictionError
@@ -100,6 +101,26 @@ def test_check_and_score_doubt_a_whole_room(published: Release, tmp_path: Path) 
     assert notes[0].endswith("of the size of what it measured; up to 1% is well, beyond 10% is named")
     warned = score(published, folder, method="n", protocols=["camera"]).warnings
     assert f"{notes[1]}; `kinectbench check` looks at all" in warned
+
+
+def test_check_names_a_closed_mesh_whose_solid_score_refuses(published: Release, tmp_path: Path) -> None:
+    """The right shape, and a ball 50 m away: no slip of unit or axes explains it."""
+    folder = written(published, tmp_path / "stray")
+    target = published.targets[0]
+    own = analytic_release.true_in_camera(target.recording, target.category, target.view)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
+    points = np.concatenate([own.points_m, np.add(ball.vertices, [0, 0, 50.0])])
+    faces = np.concatenate([own.faces, ball.faces + len(own.points_m)])
+    (folder / f"{target.name}.ply").unlink()
+    write_shape(CameraShape("mesh", points, faces.astype(np.int64)), folder / target.name)
+    method = read_in_camera(folder)
+    assert method is not None
+    problems, notes = check_camera(published, folder, method)
+    (line,) = problems
+    assert line.startswith(f"{target.name}: lies more than ") and line.endswith("keep the object alone")
+    assert not any(target.name in note for note in notes)
+    failures = score(published, folder, method="n", protocols=["camera"]).failures
+    assert [f"{one.recording}/{one.view}" for one in failures] == [target.name]
 
 
 def test_a_mesh_in_the_camera_frame_without_a_declaration_is_answered(

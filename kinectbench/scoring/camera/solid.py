@@ -123,13 +123,30 @@ def _is_same_place(T_cells: Float64) -> bool:
     return bool(np.abs(T_cells - np.eye(4)).max() < 1e-6)
 
 
-def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
-    from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
+    """Refuse a mesh whose solid cannot be made in the cells of the truth.
 
-    grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
-    vertices = _in_cells(truth, vertices_m)
+    Args:
+        vertices_m: (n, 3) in the truth's grid, metres.
+        faces: (m, 3).
+        voxel_size_m: edge of a cell.
+
+    Raises:
+        PredictionError: the mesh is too far away, or has too many faces across each other.
+    """
+    from kinectbench.core.voxels.solid import costs_too_much
+
+    vertices = _in_cells(voxel_size_m, vertices_m)
     if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
+
+
+def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
+    from kinectbench.core.voxels.solid import voxelize_solid
+
+    refuse_mesh(vertices_m, faces, truth.voxel_size_m)
+    grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
+    vertices = vertices_m / truth.voxel_size_m
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
@@ -142,17 +159,17 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     from kinectbench.scoring.camera.winding import inside_winding
 
-    found = inside_winding(_in_cells(truth, vertices_m), faces, FULL_CELLS)
+    found = inside_winding(_in_cells(truth.voxel_size_m, vertices_m), faces, FULL_CELLS)
     if found is None:
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
     return Solid(pack(found[0]), found[1])
 
 
-def _in_cells(truth: SpaceTruth, vertices_m: Float64) -> Float64:
+def _in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
     """Vertices (n, 3) in cells of the truth; those that are too far away are refused."""
-    vertices = vertices_m / truth.voxel_size_m
+    vertices = vertices_m / voxel_size_m
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
-        far_m = MAX_FAR * FULL_CELLS * truth.voxel_size_m
+        far_m = MAX_FAR * FULL_CELLS * voxel_size_m
         raise PredictionError(
             f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
             what="far-off",

@@ -15,11 +15,13 @@ from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.estimate import IouEstimate
 from kinectbench.stages.segment.judge.quality import (
+    _stands_on_its_rim,
     _underside_question,
     _unsupported,
     _warnings,
     detached_pieces,
 )
+from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -90,3 +92,21 @@ def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: Und
     lines = _underside_question(replace(shape_of(solid), underside=underside), word)
     assert len(lines) == (over and word == "unseen")
     assert not lines or lines[0].startswith("5% of the solid is a guess that one word decides")
+
+
+@pytest.mark.parametrize("word", ["unseen", "closed", "open"])
+@pytest.mark.parametrize("legs", [False, True])
+@pytest.mark.parametrize("from_below", [False, True])
+def test_open_is_said_to_have_no_effect_on_what_stands_on_its_rim(
+    word: Underside, legs: bool, from_below: bool
+) -> None:
+    """A box upside down counts as solid, whatever is said: the floor closes it."""
+    solid = np.zeros((20, 20, 20), bool)
+    solid[4:16, 4:16, FLOOR_LAYERS:] = True
+    if legs:
+        solid[5:15, :, : FLOOR_LAYERS + 8] = False
+    underside = np.zeros_like(solid)
+    underside[5:15, 5:15, FLOOR_LAYERS : FLOOR_LAYERS + 3] = from_below
+    lines = _stands_on_its_rim(replace(shape_of(solid), underside=underside), word)
+    assert len(lines) == (word == "open" and not legs and not from_below)
+    assert not lines or lines[0].startswith("`underside: open` has no effect: 100% of the solid's outline")

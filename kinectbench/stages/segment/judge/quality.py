@@ -28,6 +28,7 @@ from kinectbench.stages.segment.judge.estimate import (
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
+from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS
 from kinectbench.stages.segment.solid.solid import Solids, SolidShape
 
 # Limits of a verdict without warnings.
@@ -39,6 +40,9 @@ MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
 DETACHED_VOXELS, FARTHEST_DETACHED_M = 3, 0.5
 # A handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
+# A solid stands on the floor where it reaches one of so many layers of voxels above it, and as a whole if
+# this share of its outline does: a chair's legs have a few hundredths of it, a box on its rim all.
+RIM_LAYERS, STANDING_SHARE = 2, 0.5
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
@@ -81,7 +85,8 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    unsupported, advice = _unsupported(chosen, together), tuple(f.advice(report.first_rad) for f in frontiers)
+    unsupported = [*_unsupported(chosen, together), *_stands_on_its_rim(together, rules.underside)]
+    advice = tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
     of_odd, of_even = (_box_part(solid_box(half, chosen.floor, box.yaw_rad)) for half in (odd, even))
@@ -164,6 +169,20 @@ def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, .
         f"{share:.0%} of the solid is a guess that one word decides: say in benchmark.yaml "
         "`underside: closed` if no space behind the underside is open to the air, and it is known; or "
         "`underside: open`",
+    )
+
+
+def _stands_on_its_rim(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
+    """A line if `underside: open` is stated and has no effect: the floor closes what stands on its rim."""
+    lowest = shape.solid[..., : FLOOR_LAYERS + RIM_LAYERS].any(axis=2)
+    standing = int(lowest.sum()) / max(1, int(shape.solid.any(axis=2).sum()))
+    from_below = int(shape.underside.sum()) / max(1, int(shape.solid.sum()))
+    if underside != "open" or standing < STANDING_SHARE or from_below > LEAST_UNDERSIDE_SHARE:
+        return ()
+    return (
+        f"`underside: open` has no effect: {standing:.0%} of the solid's outline stands on the floor, where "
+        "no camera can look under it, so a space inside counts as solid; turn the object over to record its "
+        "inside, or leave the word out",
     )
 
 
