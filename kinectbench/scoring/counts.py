@@ -178,7 +178,7 @@ def ceiling_tallies(
 
 
 def reduced(full: NDArray[np.bool_], side: int) -> Float32:
-    """Return the occupied share of each cell of a coarser grid in the same box: (side, side, side) float32."""
+    """Return the occupied share of each cell of a coarser grid, same box: (side, side, side) float32."""
     if len(full) % side == 0:
         return _block_shares(full, side)
     weights = _overlaps(len(full), side)

@@ -245,7 +245,7 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
 
 
 def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Bring a cube into native bytes and C order, in place: the largest accepted one takes half a gigabyte."""
+    """Bring a cube into native bytes and C order, in place: the largest takes half a gigabyte."""
     if not array.dtype.isnative:
         array = array.byteswap(inplace=True).view(array.dtype.newbyteorder("="))
     if not array.flags.c_contiguous:

@@ -72,7 +72,7 @@ def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """Return the share of the object outside the cube, of the true solid if it is open, else of seen points."""
+    """Return the cut-off share of the object, and what it is of: the true solid, or the seen points."""
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
         points_m, of = seen_m, "seen"
