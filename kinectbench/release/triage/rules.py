@@ -35,8 +35,8 @@ LEAST_TRACKED = 0.9
 # The space behind openings is large if it has half of the solid's volume; unknown voxels are many if they are
 # a third (chosen by hand: they decide nothing).
 MOST_BEHIND, MOST_UNKNOWN = 0.5, 0.33
-# Largest angle from a direction around the object to the nearest camera: beyond a third of a turn a whole
-# side of a box is never seen.
+# Widest gap between camera directions around the object: beyond a third of a turn no camera sees a whole side
+# of a box.
 MOST_UNSEEN_RAD = 2.1
 # F-score at 10 mm of a reference that fits: below it a person should look. Simulated objects reach 0.97 or
 # more against their own meshes (docs/evidence/ground-truth.md).
