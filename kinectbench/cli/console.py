@@ -141,8 +141,8 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
     """Print details of objects: what an estimate rests on, what widens it, and what to record again.
 
     Args:
-        rows: a recording each.
-        frontiers: of those that were up to date say what to record again; of others the warnings say it.
+        rows: one summary for each recording.
+        frontiers: whether to print what to record again for current recordings; for new ones, warnings do.
     """
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
@@ -286,9 +286,9 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
 
 
 class RecordingBars:
-    """Progress bars: one for each recording in work, and one over all if there are several.
+    """Progress bars: one for each recording that is being built, and one over all if there are several.
 
-    It is called with (recording, stage, done, total), and reports outcomes; see
+    Call the object with (recording, stage, done, total); it also reports outcomes. See
     `kinectbench.engine.parallel.Watcher`.
     """
 

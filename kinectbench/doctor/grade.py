@@ -30,7 +30,7 @@ def check_grade(
 
     Args:
         probe: at a recording whose given trajectory can be read.
-        tracking: what counts as disagreement.
+        tracking: settings that define disagreement.
         mode: the trajectory mode of the build. Refined poses are graded only after refinement.
     """
     count = len(probe.recording)

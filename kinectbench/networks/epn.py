@@ -55,7 +55,7 @@ class EPN(Network):
     def _initialise(self) -> None:
         """Draw weights and biases within 1 / sqrt(inputs of a value), scales of normalisation in [0, 1].
 
-        Source: the modules of Torch7 that the source uses, whose `reset` it does not change.
+        Source: the default `reset` of the Torch7 modules that the authors use.
         """
         for layer in self.modules():
             if isinstance(layer, nn.BatchNorm3d):

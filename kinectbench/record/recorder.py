@@ -68,7 +68,7 @@ class Clock:
         """Return the frame with increasing stamps.
 
         Args:
-            frame: as the device gave it.
+            frame: the frame from the device.
             now_ns: the monotonic time of its arrival, nanoseconds.
         """
         stamp_ns = frame.stamp_ns + self._offset_ns

@@ -275,7 +275,7 @@ class _Slice(io.RawIOBase):
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
-    """Return an archive's files by name; names that lead elsewhere and duplicates become problems."""
+    """Return an archive's files by name; names that lead elsewhere and duplicates are listed as problems."""
     entries: dict[str, Entry] = {}
     problems = []
     for stated_name, entry in members:

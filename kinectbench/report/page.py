@@ -121,7 +121,7 @@ def write_report(
 
 
 def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
-    """Return the paper's tables to show beside scores; none in space, where the paper has none."""
+    """Return the paper's tables to show beside scores; none beside scores in the camera frame."""
     in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
     if scores and not in_cells:
         return ()

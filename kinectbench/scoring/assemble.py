@@ -45,8 +45,8 @@ def make_table(
     Args:
         release: the release that was predicted.
         method: the method's name.
-        results: of every pair that was counted, also of the validation split.
-        thresholds: of every category of the test split.
+        results: result of every counted pair, also of the validation split.
+        thresholds: threshold of every category of the test split.
         rates: base rates.
         failures: why a prediction could not be scored.
         settings: see `describe`.

@@ -27,11 +27,11 @@ class ObjectQuality:
     """The quality of an object's truth.
 
     Attributes:
-        category: of the object.
+        category: the object's category.
         estimated_iou: mean over the object's recordings; None if the value of one recording is not known.
-        estimated_iou_low: likewise, the lower end of the interval of the estimated IoU.
-        estimated_iou_high: likewise, the upper end.
-        repeatability_iou: likewise.
+        estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
+        estimated_iou_high: mean upper end of that interval.
+        repeatability_iou: mean repeatability IoU over the object's recordings.
         unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
             the rows are of an older version without this share.
     """
@@ -49,7 +49,7 @@ class ObjectMeans:
     """The objects of one category under one protocol.
 
     Attributes:
-        names: of the objects, sorted.
+        names: names of the objects, sorted.
         values: (k, m) mean over each object's pairs of every metric in `AVERAGED`; NaN where not computed.
         weights: (k,) weight of each object in the category's mean.
         pairs: number of pairs of these objects.

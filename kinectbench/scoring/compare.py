@@ -70,7 +70,7 @@ class Comparison:
     Attributes:
         metric: such as "iou".
         protocol: such as "known".
-        methods: their names.
+        methods: names of the methods.
         means: {scope: {method: mean}}.
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
         groups: {scope: {method: letters}}: methods that share a letter do not differ significantly.

@@ -74,7 +74,7 @@ class PairJob:
         target: the pair.
         truth: the pair file.
         file: the prediction's file, None for an empty grid.
-        threshold: of the surface metrics; None leaves them out.
+        threshold: threshold of the surface metrics; None leaves these metrics out.
         counting: how the pair is counted.
         earlier: the pair's result in the journal of an interrupted run, or None.
         check: whether the pair is counted again, and refused if the kept result differs.

@@ -49,8 +49,8 @@ class Plan:
 
         Args:
             shard: the part.
-            surface: whether surface metrics are counted, at the threshold that all validation pairs of a
-                category give, or those of all categories where it has none.
+            surface: whether surface metrics are computed. Their threshold is chosen on all validation pairs
+                of a category, or of all categories if it has none.
         """
         mine = {target for target in self.files if shard.holds(target.recording)}
         needed = {target.category for target in mine if target.split == "test" and surface}

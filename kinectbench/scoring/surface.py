@@ -1,9 +1,9 @@
 """Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
 
-A set's surface is its cells with an empty 6-neighbour (outside the grid is empty). Distances between cell
-centres are exact. Each surface cell that the protocol counts has the distance of the nearest known cell of
-the other surface (under `paper`: of the nearest cell). So under `occluded` the nearest cell of a hidden one
-may have been seen.
+The surface of a set of cells is its cells with an empty 6-neighbour; cells outside the grid are empty. A
+distance is exact, between cell centres: from a surface cell that the protocol counts to the nearest known
+cell of the other surface (under `paper`: known or not). So under `occluded`, a hidden cell may be nearest to
+a cell that the view saw.
 """
 
 import math

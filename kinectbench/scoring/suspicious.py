@@ -23,7 +23,7 @@ def suspicious_lines(
     Args:
         method: the method's name; a baseline may predict nothing, or the same everywhere.
         results: the result of every counted pair; without a prediction its `cells` is 0.
-        thresholds: of every category of the test split.
+        thresholds: threshold of every category of the test split.
     """
     outside = {t.name: of.outside_share for t, of in results.items() if of.outside_share >= LEAST_OUTSIDE}
     if outside:

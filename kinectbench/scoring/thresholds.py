@@ -128,11 +128,11 @@ def _said_of(
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
-    """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` it was found on.
+    """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` they come from.
 
     Raises:
-        SettingsError: missing or unreadable, a category is missing, a threshold is not one of the seventeen,
-            or it was found on an object of the test split.
+        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not one of
+            the seventeen, or it was chosen on an object of the test split.
     """
     try:
         content = read_plain(path, ThresholdsFile.MAX_BYTES)

@@ -20,7 +20,7 @@ class PackedTruth:
 
     Attributes:
         full: the solid true shape.
-        known: where the truth is trusted.
+        known: cells where the truth is trusted.
         seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.

@@ -126,7 +126,7 @@ def voxels_beside(
 
 
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
-    """Return distances to the seeable solid's surface; to half a voxel near parts that it adds."""
+    """Return distances to the seeable solid's surface; to half a voxel near added parts."""
     from scipy import ndimage
 
     by_definition = cells.solid & ~cells.exact

@@ -100,8 +100,8 @@ class SolidFigures:
         fine: figures on 256^3 cells.
         coarse: figures on 64^3 cells of the same cube, each set if more than half of its 4^3 fine cells are.
             This IoU jumps: thin upright parts gain or lose a whole layer by a small shift.
-        exact_fine: as `fine`, against the exact solid.
-        exact_coarse: as `coarse`, against the exact solid.
+        exact_fine: same as `fine`, against the exact solid.
+        exact_coarse: same as `coarse`, against the exact solid.
         line_width_m: width of the lines of sight that define the seeable solid.
         closed_by_definition_share: volume that is solid only by definition, relative to the exact solid's.
         not_judged_share: volume in slits, relative to the exact solid's.

@@ -33,7 +33,7 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
     """Return the pixels that the projector reaches, by a depth buffer along its columns (exact).
 
     The projector is beside the camera in +x. So a point at column u of the camera lies at column
-    u - f b / z of the projector, in the same row; the shadow falls to the left of what casts it.
+    u - f b / z of the projector, in the same row; a shadow falls to the left of its object.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = nothing there.

@@ -221,9 +221,9 @@ class SimulationSpec(Settings):
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
     def rng(self, stream: int, index: int = 0) -> np.random.Generator:
-        """The random numbers of one stream (and one frame)."""
+        """Return the random generator of a stream (and a frame)."""
         return np.random.default_rng([self.seed, stream, index])
 
     def stamp_ns(self, index: int) -> int:
-        """True time of one frame in nanoseconds, whole microseconds."""
+        """Return the true time of a frame in nanoseconds, rounded to microseconds."""
         return FIRST_STAMP_NS + round(index * 10**6 / self.path.rate_hz) * 1000

@@ -115,7 +115,7 @@ class Guide:
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
     def pick(self, frame: Frame, pixel: tuple[int, int], keep: Callable[[], None] = lambda: None) -> str:
-        """Take what a pixel of a frame's depth shows as the object; return a sentence why not, or "".
+        """Choose the object at a pixel of a frame's depth; return "", or a sentence why it is not accepted.
 
         Args:
             frame: a frame that was given to `take`.

@@ -119,7 +119,7 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a line if a recording's quality.json is not what benchmark.json has of it.
+    """Yield a line if a recording's quality.json differs from benchmark.json.
 
     Args:
         name: the file's name.

@@ -38,7 +38,7 @@ MOST_BEYOND_CELLS = 1
 MAX_FAR_CELLS = 16 * FULL_CELLS
 # Largest volume that is compared: 2 m at 5 mm. Four grids of as many bytes take 256 MB.
 MOST_VOXELS, MOST_SIDE = 64 << 20, 1024
-# Pairs of axes across the lines along which each rule fills.
+# For each rule, the pairs of axes perpendicular to the lines that it fills along.
 ACROSS = {"winding": ((0, 1),), "seeable": ((0, 1),), "six-rays": ((0, 1), (0, 2), (1, 2))}
 # Stands for the coarse grid around an object, which is not published; no cell of it is known.
 NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))

@@ -102,7 +102,7 @@ def write_baselines(
     The same input gives the same bytes. method.json names the release that was predicted.
 
     Args:
-        release: of the predictions.
+        release: the release that is predicted.
         out: a folder of methods.
         names: some of `BASELINES`; default: all that are possible.
         jobs: number of processes.

@@ -61,7 +61,7 @@ def wooden_legs(
         half_m: x and y of the outermost legs' centres.
         head_m: top of the legs.
         thick_m: thickness at the top; a foot keeps at least 22 mm.
-        look: of all parts.
+        look: material of all parts.
         count: four, or six with a middle pair.
         upright: whether splayed legs are excluded, so that a shelf can be fixed to the legs.
     """
@@ -203,7 +203,7 @@ def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look
         reach_m: radius of the foot.
         head_m: top of the column.
         thick_m: diameter of the column.
-        look: of all parts.
+        look: material of all parts.
     """
     radius, kind = thick_m / 2, draw.choose(["plate", "trumpet", "trumpet", "drum"])
     if kind == "drum":
