@@ -1,4 +1,4 @@
-"""`kinectbench report`: the page, of a benchmark's build or of a release alone."""
+"""`kinectbench report`: write the page of a benchmark's build, or of a release alone."""
 
 from collections.abc import Sequence
 from pathlib import Path

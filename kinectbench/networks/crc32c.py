@@ -1,4 +1,4 @@
-"""CRC-32C, as TensorFlow's checkpoints use it. Import late: numba is slow to load."""
+"""Compute CRC-32C as in TensorFlow's checkpoints. Import late: numba is slow to load."""
 
 from functools import cache
 

@@ -212,7 +212,7 @@ def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
 
 
 def _known_mean(values: Sequence[float | None]) -> float | None:
-    """The mean, or None if a value is not known."""
+    """Return the mean; None if a value is not known."""
     known = [value for value in values if value is not None]
     return fmean(known) if known and len(known) == len(values) else None
 

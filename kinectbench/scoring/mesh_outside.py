@@ -1,4 +1,4 @@
-"""Share of a closed mesh outside the scored cube."""
+"""Compute the share of a closed mesh outside the scored cube."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""A submitted mesh as occupied voxels. The file is untrusted: its cost is bounded in advance."""
+"""Convert a submitted mesh to occupied voxels. The file is untrusted: its cost is bounded in advance."""
 
 from typing import IO
 

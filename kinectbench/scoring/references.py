@@ -1,4 +1,4 @@
-"""References of scores: base rates of categories, and names of baselines."""
+"""References for scores: base rates of categories, and names of baselines."""
 
 from collections.abc import Mapping
 from pathlib import Path

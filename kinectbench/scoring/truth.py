@@ -1,4 +1,4 @@
-"""The truth of a pair as scoring reads it: some of the pair file's grids, still packed."""
+"""Read the truth of a pair for scoring: some grids of the pair file, still packed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -47,7 +47,7 @@ LATER = {
 
 
 class GrownSettings(Settings):
-    """Settings to which some were added later."""
+    """Settings with keys that were added later (`LATER`)."""
 
     @model_serializer(mode="wrap")
     def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:

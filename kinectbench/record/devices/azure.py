@@ -1,4 +1,4 @@
-"""Azure Kinect by Microsoft's SDK: depth of its narrow mode, colour as the JPEG that the camera makes."""
+"""Azure Kinect by Microsoft's SDK: depth in its narrow mode; colour stays the JPEG that it encodes."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Shared parts of layouts: export.json, and the names of splits, categories and values in it."""
+"""Shared parts of all layouts: export.json, and its names of splits, categories and values."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera.
+"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera frame.
 
 Source: its repository, commit 2c93f81: `eval_wrapper/eval.py` reads a folder and writes into it.
 """

@@ -1,4 +1,4 @@
-"""SAM 3D Objects (Meta, 2025): a mesh in a box of side 1, and its pose in PyTorch3D's camera.
+"""SAM 3D Objects (Meta, 2025): a mesh in a box of side 1, and its pose in PyTorch3D's camera frame.
 
 Source: its repository, commit cf06676: `Inference(...)(image, mask, pointmap=...)` returns a dictionary;
 `layout_post_optimization_utils.get_mesh` and `transforms_3d.compose_transform` place the mesh.

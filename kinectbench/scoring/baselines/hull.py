@@ -1,4 +1,4 @@
-"""Bounds of a view: its convex hull, carved or not, and its silhouette extruded along the view."""
+"""Bounds from a single view: its convex hull, carved or not, and its silhouette extruded along the view."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ def silhouette(inputs: Inputs) -> Bools:
 
 
 def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
-    """Extrude along the rays from a camera at cell coordinates (3,); along z if it is not before the grid."""
+    """Extrude along rays from a camera at cell coordinates (3,); along z unless it is before the grid."""
     from kinectbench.scoring.baselines.kernels import sweep_plane, transposed
 
     count = len(partial)

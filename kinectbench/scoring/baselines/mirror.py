@@ -1,4 +1,4 @@
-"""The partial and its mirror image, by the best-supported vertical plane."""
+"""The baseline `mirror`: the partial and its mirror image by the best-supported vertical plane."""
 
 import numpy as np
 
@@ -60,5 +60,5 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
 
 
 def mirrored(points: Float64, normal: Float64, offset: float) -> Float64:
-    """Points (n, 3) mirrored by the plane normal . x = offset."""
+    """Return points (n, 3) mirrored by the plane normal . x = offset."""
     return points - 2 * ((points @ normal) - offset)[:, None] * normal

@@ -152,7 +152,7 @@ def _remove(path: Path) -> None:
 
 
 def _method(name: str, release: Release) -> MethodFile:
-    """method.json of a baseline."""
+    """Return method.json of a baseline."""
     return MethodFile(
         name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
     )

@@ -17,12 +17,12 @@ SMALLEST_RATE, LARGEST_RATE = 2.0**-14, 1 - 2.0**-11
 
 
 def empty(inputs: Inputs) -> NDArray[np.bool_]:
-    """An empty grid: (16, 16, 16) bool."""
+    """Return an empty grid: (16, 16, 16) bool."""
     return np.zeros((CONSTANT_CELLS,) * 3, np.bool_)
 
 
 def constant(inputs: Inputs) -> NDArray[np.float16]:
-    """The category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
+    """Return the category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
 
     Rates near 0 and 1 are clipped to what float16 can hold.
     """
@@ -30,7 +30,7 @@ def constant(inputs: Inputs) -> NDArray[np.float16]:
 
 
 def partial(inputs: Inputs) -> NDArray[np.bool_]:
-    """The input itself: `partial_256`, (256, 256, 256) bool."""
+    """Return the input itself: `partial_256`, (256, 256, 256) bool."""
     return inputs.partial
 
 
