@@ -125,7 +125,7 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 
 
 def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
-    """Write a benchmark.yaml into the new folder, build it, and print how long after the last frame."""
+    """Write a benchmark.yaml into the new folder, build it, and print the time since the last frame."""
     from dataclasses import replace
 
     from kinectbench.cli import console

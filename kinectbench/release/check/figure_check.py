@@ -143,7 +143,7 @@ def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
 
 
 def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a clause for each setting of a stage, and each source, that differs from benchmark.json."""
+    """Yield a clause for each stage's setting, licence or source that differs from benchmark.json."""
     if lineage.package_version != metadata.package_version:
         yield f"another package_version than in {BENCHMARK_JSON}"
     settings = metadata.settings.json_value()
