@@ -17,7 +17,7 @@ def mirror(inputs: Inputs) -> Bools:
     """Return the partial and its mirror image: (256, 256, 256) bool.
 
     The mirror plane is the best of 36 x 33 vertical planes through the grid: its mirror image has the most
-    cells on the partial, minus those in observed free space. The first wins a tie.
+    cells on the partial, minus those in observed free space. Of equally good ones, the first is taken.
     """
     partial = inputs.partial
     points = np.argwhere(partial).astype(np.float64) + 0.5

@@ -43,7 +43,7 @@ def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
 def nearest(inputs: Inputs) -> NDArray[np.bool_]:
     """Return the full shape of the training pair whose partial is most similar: (256, 256, 256) bool.
 
-    Similarity is the IoU of the partials at 64^3. The first wins a tie.
+    Similarity is the IoU of the partials at 64^3. Of equally good ones, the first is taken.
     """
     assert inputs.training is not None
     partials = inputs.training.partials
