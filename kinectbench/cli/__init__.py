@@ -1,1 +1,1 @@
-"""The command line: parse, call, show. Every algorithm lives in the rooms below."""
+"""The command line: parses options, calls the other rooms, prints results. It holds no algorithms."""

@@ -10,7 +10,7 @@ from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
 
 
 def _known_baselines(incomplete: str) -> list[str]:
-    """Names for the shell to complete."""
+    """Return names for shell completion."""
     from kinectbench.scoring.baselines.registry import BASELINES
 
     return [name for name in BASELINES if name.startswith(incomplete)]

@@ -1,4 +1,4 @@
-"""The command `kinectbench build`, and builds on behalf of other commands."""
+"""The command `kinectbench build`, and builds that other commands start."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
 
-# Rows of the table of `build` and of `build --status`: more of them nobody reads.
+# Most rows in the table of `build` and of `build --status`; nobody reads more.
 SHOWN_RECORDINGS = 100
 STILL_FAILS = (
     "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "
@@ -29,7 +29,7 @@ STILL_FAILS = (
 )
 
 
-# The command of what is built, where it has another name.
+# {what is built: its command}, where the command has another name.
 COMMANDS = {"pairs": ("build",), "suggest": ("segment", "--suggest")}
 OPTIONS = (
     *("config", "overrides", "jobs", "cluster", "shard", "time_limit", "force", "wait", "verbose", "as_json"),
@@ -68,7 +68,7 @@ STAGE_COMMANDS: Mapping[str, Command] = {
 
 
 def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
-    """Bring recordings up to date as far as a stage (`build`: all), print the outcome; returns the status."""
+    """Build recordings up to a stage (`build`: all stages), print the outcome; return the exit status."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
@@ -86,7 +86,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
             executor=executor,
             verbose=common.verbose,
             options=common.options,
-            # With --json, or for more recordings, current artefacts are not read.
+            # With --json, or for more recordings, the warnings of current artefacts are not repeated.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
     if common.as_json:
@@ -97,7 +97,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """The requested recordings in the part that `--shard` names; prints a message if there are none."""
+    """Return the requested recordings in the part that `--shard` names; print a message if there are none."""
     from kinectbench.cli import console
 
     chosen, part = chosen_jobs(common, ids), common.part
@@ -110,7 +110,7 @@ def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def tell_status(common: Common, ids: list[str] | None) -> int:
-    """Print which recordings are built, failed or missing; 3 unless all are built."""
+    """Print which recordings are built, failed or missing; return 3 unless all are built."""
     from kinectbench.cli import console
     from kinectbench.engine.place import in_words, statuses
 
@@ -130,18 +130,18 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """The table of `build_recordings`' results for the last stage, with warnings below it."""
+    """Print the table of `build_recordings`' results for the last stage, with warnings below it."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
     first = rows
-    if len(rows) > SHOWN_RECORDINGS:  # to draw all takes longer than to find that they are up to date
+    if len(rows) > SHOWN_RECORDINGS:  # drawing all takes longer than the check of whether they are current
         first = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
     shown = [row.summary for row in first]
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
-        # `build` has said already what to record again (`do this first`).
+        # `build` has already printed what to record again (`do this first`).
         console.object_lines(shown, frontiers=upto == "segment")
     if len(rows) > len(shown):
         current = sum(row.error is None and not row.made for row in rows)
@@ -150,7 +150,7 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
 
 
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """The requested recordings; an unknown id is refused with the most similar one."""
+    """Return the requested recordings; refuse an unknown id and suggest the most similar one."""
     from kinectbench.engine.stages import Job
     from kinectbench.settings.words import listed
 
@@ -168,9 +168,9 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 def build_recordings(
     common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, brief: bool = False
 ) -> "list[BuiltRecording]":
-    """Build, tell warnings and errors, and return what became of each recording, with its `error` or None.
+    """Build, print warnings and errors, and return each recording's result, with its `error` or None.
 
-    With `brief`, a failure that is not tried again, as nothing has changed, is reported without its reason.
+    With `brief`, a failure that is not tried again because nothing changed is printed without its reason.
     """
     if missing := missing_extra("build"):
         raise SettingsError(missing, what="no-package")
@@ -190,7 +190,7 @@ def build_recordings(
 
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
-    """A note if recordings will be built again because of other settings, such as `--set`."""
+    """Print a note if recordings will be built again because of other settings, such as `--set`."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.engine.pipeline import changed_settings
@@ -222,10 +222,10 @@ def build_jobs(
     options: Sequence[str] = (),
     again: bool = False,
 ) -> "list[BuiltRecording]":
-    """`build_recordings` for known jobs, on this many processes or by an executor.
+    """Do the work of `build_recordings` for given jobs, on this many processes or by an executor.
 
-    With `again`, warnings of current artefacts are repeated. `options` choose the same settings on a command
-    line, for the one that shows all warnings.
+    With `again`, warnings of current artefacts are repeated. `options` choose the same settings in the
+    printed command that shows all warnings.
     """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
@@ -245,7 +245,7 @@ def build_jobs(
         )
     rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
-        # Warn even if all is up to date: whoever has just drawn a mask expects it to be used.
+        # Warn even if all is current: somebody who has just drawn a mask expects it to be used.
         unused = _unused(job, upto)
         name = job.recording.id
         row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
@@ -266,9 +266,9 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print the most important warning of a recording, and how many more there are; without one, all.
+    """Print the most important warning of a recording, and the number of the rest; without it, print all.
 
-    The words `show_all` after `kinectbench` print all.
+    `kinectbench <show_all>` is the command that prints all.
     """
     from kinectbench.cli import console
 
@@ -276,7 +276,7 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
         console.recording_lines(name, "warning", own, "yellow")
         return
     console.recording_lines(name, "do this first", [first], "yellow")
-    # Whoever has just drawn a mask expects it to be used.
+    # Somebody who has just drawn a mask expects it to be used.
     without_effect = [line for line in own if ": not used" in line and line != first]
     console.recording_lines(name, "warning", without_effect, "yellow")
     more = len(own) - 1 - len(without_effect)
@@ -287,7 +287,7 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """The figures of a run's new and current results, and warnings of what is not used."""
+    """Return the figures of a run's new and current results, with warnings of files that are not used."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
@@ -295,7 +295,7 @@ def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "Record
 
 
 def _unused(job: "Job", upto: str) -> tuple[str, ...]:
-    """Warnings of masks that benchmark.yaml does not name, and of a `pick` beside `segment_by`."""
+    """Return warnings of masks that benchmark.yaml does not name, and of a `pick` beside `segment_by`."""
     own, views = job.recording, upto in ("sample-views", "pairs")
     name, lines = own.id, list[str]()
     if own.pick and own.segment_by and (views or upto == "segment"):
@@ -307,7 +307,7 @@ def _unused(job: "Job", upto: str) -> tuple[str, ...]:
 
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """Warn of recordings with the placeholder category that `init` writes if it knows none."""
+    """Warn of recordings with the placeholder category that `init` writes if it knows no category."""
     from kinectbench.cli import console
     from kinectbench.settings.template import UNKNOWN_CATEGORY
     from kinectbench.settings.words import listed
@@ -321,12 +321,12 @@ def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
 
 
 def built(rows: "list[BuiltRecording]") -> list[str]:
-    """Ids of the successful recordings."""
+    """Return the ids of the successful recordings."""
     return [row.recording for row in rows if row.error is None]
 
 
 def exit_status(rows: "list[BuiltRecording]") -> int:
-    """1 if no recording is usable, 3 if some failed, else 0; repeats which of several failed."""
+    """Return 1 if no recording is usable, 3 if some failed, else 0; print again which of several failed."""
     from kinectbench.cli import console
 
     failed = len(rows) - len(built(rows))
@@ -337,19 +337,19 @@ def exit_status(rows: "list[BuiltRecording]") -> int:
 
 
 def need_some(rows: "list[BuiltRecording]") -> list[str]:
-    """Ids of the successful recordings; ends the command if there are none."""
+    """Return the ids of the successful recordings; end the command if there are none."""
     if not built(rows):
         raise typer.Exit(exit_status(rows))
     return built(rows)
 
 
 def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
-    """The release named, or the local one; if there is none, it is built and published now.
+    """Return the named release, or the local one; if there is none, build and publish it now.
 
-    A release that was there before is read as it is: only `publish` writes over it.
+    An existing release is never changed here: only `publish` replaces it.
 
     Returns:
-        The release, and what `build_recordings` returned for it; nothing where the release was there.
+        The release, and the result of `build_recordings`; an empty list if the release existed.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
@@ -374,7 +374,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """Print which release is used if settings or builds differ from it."""
+    """Print which release is used, if settings or builds differ from it."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
@@ -387,7 +387,7 @@ def _tell_used(release: "Release") -> None:
 
 
 def release_here(benchmark: Path) -> Path:
-    """The folder of a release, which is fetched into this machine's cache if it is named by its URL."""
+    """Return the folder of a release; a release named by its URL is downloaded into the local cache."""
     from kinectbench.cli import console
 
     url = url_of(benchmark)

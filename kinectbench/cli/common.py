@@ -1,4 +1,4 @@
-"""Common options of commands as one value, and their output."""
+"""The options that commands share, as one value, and how commands print results."""
 
 import inspect
 import os
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Exit statuses, as docs/commands.md lists them.
 CANNOT_BE_USED = 1
 SOME_FAILED = 3
-# Parameters of commands, beside the shared ones, that may be URLs.
+# Parameters of commands, besides the shared ones, that may be URLs.
 AT_URLS = ("release",)
 DEFAULT_CONFIG = Path("benchmark.yaml")
 
@@ -32,17 +32,17 @@ class Common:
     """The options that many commands share; one that a command does not offer keeps its default.
 
     Attributes:
-        benchmark: a release to work on; None: the one of the benchmark that `config` describes.
-        config: the benchmark's settings; the build lies beside this file.
-        overrides: settings in place of those of the file, `SECTION.KEY=VALUE` each.
+        benchmark: a release to work on; None: the release of the benchmark that `config` describes.
+        config: the file of the benchmark's settings; the build is beside it.
+        overrides: settings that replace settings of the file, each `SECTION.KEY=VALUE`.
         jobs: the number of processes; None: one per core.
         force: whether to make current artefacts again.
         wait: whether to wait for another run in the same folder, or to stop.
         as_json: whether standard output is JSON.
         shard: the part of the recordings to work on, `I/N`; None: all.
         cluster: the address of a cluster, or `local:N`; None: processes of this machine.
-        time_limit: how long a recording may take, seconds; None: as long as it does.
-        verbose: whether all warnings are shown, and not only which one to see to first.
+        time_limit: how long a recording may take, seconds; None: no limit.
+        verbose: whether all warnings are shown, instead of only the one to handle first.
     """
 
     benchmark: Annotated[
@@ -90,15 +90,15 @@ class Common:
 
     @property
     def place(self) -> Path:
-        """The start of relative paths in benchmark.yaml: a folder, or a URL as a path."""
+        """The folder or URL from which relative paths in benchmark.yaml start, as a path."""
         return self.config.parent
 
     @property
     def root(self) -> Path:
-        """The folder that relative paths in benchmark.yaml start from.
+        """The folder from which relative paths in benchmark.yaml start.
 
         Raises:
-            SettingsError: it is in a store, where only some commands work.
+            SettingsError: the benchmark is in a store, where only some commands work.
         """
         url = url_of(self.place)
         if url is not None:
@@ -110,12 +110,12 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """A results folder: beside benchmark.yaml, or in the working folder if a release is named."""
+        """Return a results folder: beside benchmark.yaml, or in the working folder if a release is named."""
         return Path(name) if self.benchmark else self.root / name
 
     @property
     def options(self) -> list[str]:
-        """What chooses the same settings on another command line."""
+        """Return the options that choose the same settings on another command line."""
         given = [word for override in self.overrides or () for word in ("--set", override)]
         url = url_of(self.config)
         place = str(self.config) if url is None else shown(url)
@@ -140,10 +140,10 @@ class Common:
 
     @contextmanager
     def executor(self) -> Iterator["Executor | None"]:
-        """The requested cluster, within the block; None: processes of this machine.
+        """Connect to the requested cluster within the block; yields None for processes of this machine.
 
         Raises:
-            SettingsError, ClusterError: it is no address, or nothing answers there.
+            SettingsError, ClusterError: the address is invalid, or nothing answers there.
         """
         if self.cluster is None:
             yield None
@@ -182,16 +182,16 @@ class Common:
             console.say(*lines)
 
     def tell_written(self, *paths: Path) -> None:
-        """Print the files or folders that were written."""
+        """Print which files or folders were written."""
         self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
 
     def tell_problems(self, problems: list[str], well: str, shown: list[str] | None = None) -> None:
-        """Print one line per problem, on standard error, or one line that all is well; a thousand at most.
+        """Print one line per problem on standard error, at most a thousand, or one line that all is well.
 
         Args:
-            problems: for machines.
-            well: if there are none.
-            shown: the lines for a reader; default: `problems`.
+            problems: the problems, as printed in JSON.
+            well: the line if there are none.
+            shown: the lines for people; default: `problems`.
         """
         from kinectbench.cli import console
 
@@ -207,18 +207,18 @@ def takes(
 ) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
     """Add these options of `Common` to a command, which receives them as its first argument.
 
-    Typer reads options from a function's signature: here that is made of the command's own parameters and of
+    Typer reads options from a function's signature; here it is composed of the command's own parameters and
     the named fields of `Common`. The exit status that the command returns, if any, ends the process.
 
     Args:
-        names: of the fields.
-        at_url: whether the command works on a benchmark in a store, too; else it is refused at once.
+        names: names of the fields.
+        at_url: whether the command also works on a benchmark in a store; else a URL is refused at once.
     """
     shared = [field for field in fields(Common) if field.name in names]
     assert len(shared) == len(names), f"not all of {names} are fields of Common"
 
     def decorate(command: Callable[Concatenate[Common, ...], int | None]) -> Command:
-        """The command as typer sees it, with its own options and the shared ones."""
+        """Return the command as typer sees it, with its own options and the shared ones."""
 
         @wraps(command)
         def run(**options: Any) -> None:
@@ -249,7 +249,7 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
     """Refuse a URL as a local path, which would create or search folders named like its parts.
 
     Raises:
-        SettingsError: there is one.
+        SettingsError: an option is a URL.
     """
     for name, value in options.items():
         url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
@@ -260,7 +260,7 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:
-    """Ids of the local benchmark, for shell completion; none if benchmark.yaml is unreadable."""
+    """Return ids of the local benchmark for shell completion; none if benchmark.yaml is unreadable."""
     common = Common(config=context.params.get("config") or DEFAULT_CONFIG)
     try:
         known = [recording.id for recording in common.settings.recordings]

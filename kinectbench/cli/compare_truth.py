@@ -27,7 +27,7 @@ LEGEND = (
     "F: of the surface that both saw; IoU: of the solids, where the truth is known; "
     "off by: the mean distance, both ways"
 )
-# What --json says of the mesh of this run, which a refusal leaves among the `others`.
+# Keys of this run's mesh that --json prints; a refused mesh is among the `others`.
 COMPARED = ("reference", "sha256", "refused")
 FORMS = {"f_score_5mm": ".3f", "f_score_10mm": ".3f", "iou": ".3f"}
 
@@ -86,7 +86,7 @@ def compare_truth_command(
 
 
 def _in_json(new: "ComparedMesh", whole: "ReferenceFile") -> dict[str, object]:
-    """The file of all meshes, and which one this run compared."""
+    """Return the file of all meshes, and which mesh this run compared."""
     return {**whole.json_value(), "compared": {key: getattr(new, key) for key in COMPARED}}
 
 
@@ -95,7 +95,7 @@ def _refusal(name: str, of: "ComparedMesh") -> str:
 
 
 def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> None:
-    """Print what was accepted, now and before, beside the same objects."""
+    """Print the accepted meshes, of this run and earlier ones, for the same objects."""
     from kinectbench.cli import console
 
     shown = [_row(name, each) for name, (_, whole) in found.items() for each in whole.all if not each.refused]
@@ -107,7 +107,7 @@ def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> Non
 def _references(
     common: Common, ids: list[str] | None, reference: Path | None, references: Path | None
 ) -> dict[str, Path]:
-    """The mesh of each recording."""
+    """Return the mesh of each recording."""
     from kinectbench.lab.evaluate.reference import find_references
 
     names = {job.recording.id: job.recording.object_name for job in chosen_jobs(common, ids)}
@@ -122,7 +122,7 @@ def _references(
 
 
 def _row(name: str, found: "ComparedMesh") -> dict[str, object]:
-    """A recording in the table."""
+    """Return a recording's row in the table."""
     other, pose = found.runner_up, "one"
     if found.symmetric_axis_floor is not None:
         pose = "any turn about its axis of symmetry"

@@ -23,15 +23,16 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
 
 PLAIN_WIDTH = 160
-# Of a message: a library's message may quote much of a file. Ours have up to 400.
+# Most characters of a message: a library's message may quote much of a file. Our own have up to 400.
 LONGEST = 900
-# Lines of one kind: more than anybody reads; untrusted files may cause hundreds of thousands.
+# Most lines of one kind: nobody reads more; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
-# What is a file's own: a voxel and the number in it, a decimal, a length. Other numbers are sizes or counts.
+# Parts of a message that differ from file to file: a voxel with its value, a decimal, a length. Other numbers
+# are sizes or counts.
 MEASURED = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+(?= mm?\b)")
-# Where no bar can be drawn, a line is printed as often as this; shorter work prints none.
+# Where no bar can be drawn, a line is printed at this interval; shorter work prints none.
 LOG_EVERY_S = 10.0
-# The fields of a summary that each stage provides.
+# The fields of a summary that each stage fills.
 COLUMNS: Mapping[str, Mapping[str, str]] = {
     "ingest": {"frames": "frames", "damaged": "damaged"},
     "track": {"left_out": "left out", "lost": "lost"},
@@ -45,14 +46,14 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
 }
 PASSED_OVER = "frames that did not do as a view, and views without a pair"
-# How the page shows them; other figures have three decimals.
+# Formats of some fields; other figures have three decimals.
 FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
-# Keys of texts; other columns have numbers.
+# Keys of text columns; other columns have numbers.
 TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
-    """A console on which no text from a file steers the terminal: control characters are shown as `?`."""
+    """A console on which text from files cannot control the terminal: control characters are shown as `?`."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render with rich, then remove control characters except line ends."""
@@ -67,12 +68,12 @@ class SafeConsole(Console):
 err = SafeConsole(stderr=True)
 out = SafeConsole()
 if not out.is_terminal:
-    # Piped into a file or a log: room for whole cells.
+    # When output goes to a file or a log, this width leaves room for whole cells.
     out = SafeConsole(width=PLAIN_WIDTH)
 
 
 def one_line(text: str) -> str:
-    """A text for one line: line ends as spaces, other control characters as `?`.
+    """Return a text as one line: line ends become spaces, other control characters `?`.
 
     Texts longer than `LONGEST` characters lose their middle.
     """
@@ -80,27 +81,28 @@ def one_line(text: str) -> str:
 
 
 def say(*texts: str) -> None:
-    """One line for each text on standard output, without wrapping."""
+    """Print one line for each text on standard output, without wrapping."""
     for text in texts:
         typer.echo(one_line(text))
 
 
 def say_json(value: object) -> None:
-    """A value for machines on standard output, in one line; characters beyond ASCII are escaped."""
+    """Print a value as JSON on standard output, in one line; characters beyond ASCII are escaped."""
     typer.echo(json.dumps(value))
 
 
 def at_most(messages: Sequence[str]) -> list[str]:
-    """The first `MOST_LINES` messages, then a line with the number of the others."""
+    """Return the first `MOST_LINES` messages, then a line with the number of the rest."""
     more = len(messages) - MOST_LINES
     return [*messages[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])]
 
 
 def by_mistake(messages: Iterable[str]) -> list[str]:
-    """One line for each mistake: the first message about it, and of how many files it is.
+    """Return one line for each mistake: the first message about it, and the number of files with it.
 
     Args:
-        messages: `<file>: <what is wrong>`; one mistake differs in its file, voxel and measurements.
+        messages: `<file>: <what is wrong>`; messages about one mistake differ only in file, voxel and
+            measured values.
     """
     groups: dict[str, list[str]] = {}
     for message in messages:
@@ -112,21 +114,21 @@ def by_mistake(messages: Iterable[str]) -> list[str]:
 
 
 def lines(kind: str, messages: Sequence[str], style: str) -> None:
-    """Print one line per message on standard error, without wrapping, and the number of those left out.
+    """Print one line per message on standard error, without wrapping, and the number of messages left out.
 
     Args:
-        kind: what the lines begin with, such as "warning".
-        messages: shortened by `at_most`.
-        style: of `kind`, as rich has it.
+        kind: the beginning of the lines, such as "warning".
+        messages: the messages, of which `at_most` are printed.
+        style: rich's style for `kind`.
     """
     for message in at_most(messages):
-        # Names and messages hold untrusted text: never markup.
+        # Names and messages hold untrusted text, so no markup is interpreted.
         text = Text.assemble((f"{one_line(kind)}:", style), " ", one_line(message))
         err.print(text, highlight=False, soft_wrap=True)
 
 
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
-    """`lines` about a recording, without repeating an id that equals its path."""
+    """Print `lines` about a recording, without repeating an id that equals its path."""
     lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
 
 
@@ -136,11 +138,11 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Details below the table: what an object's estimate rests on and what widens it, what to record again.
+    """Print details of objects: what an estimate rests on, what widens it, and what to record again.
 
     Args:
-        rows: a recording each.
-        frontiers: of those that were up to date say what to record again; of others the warnings say it.
+        rows: one summary for each recording.
+        frontiers: whether to print what to record again for current recordings; for new ones, warnings do.
     """
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
@@ -158,7 +160,7 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
-    """The last line of a run in which some recordings failed: which, and how to continue."""
+    """Print the last line of a run in which some recordings failed: which ones, and how to continue."""
     from kinectbench.settings.words import listed
 
     failed = [row.recording for row in rows if row.error is not None]
@@ -172,7 +174,7 @@ def failures(rows: "Sequence[BuiltRecording]") -> None:
 
 
 def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
-    """The table at the end of a build: one line per recording, with what these stages can fill."""
+    """Return the table at the end of a build: one line per recording, with the columns of these stages."""
     columns = {"recording": "recording"}
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
@@ -202,14 +204,14 @@ def text_table(
     title: str | None = None,
     caption: str | None = None,
 ) -> WideTable:
-    """A table of rows; no cell is shortened: of many columns it has pieces.
+    """Return a table of rows without shortened cells; a table with many columns is split into pieces.
 
     Args:
         rows: values by key.
         columns: key and title of each column.
-        formats: how the numbers of some keys are shown; others have three decimals.
-        title: above it.
-        caption: below it.
+        formats: formats of the numbers of some keys; other numbers have three decimals.
+        title: title above the table.
+        caption: caption below the table.
     """
     made = WideTable(title=title, caption=caption, whole=True)
     for key, name in columns.items():
@@ -223,22 +225,22 @@ def _cell(value: object, spec: str) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
-        # Frames by their index.
+        # Frames are listed by their index.
         shown = ", ".join(map(str, value[:6])) + (" …" if len(value) > 6 else "")
         return f"{len(value)} (frame{'s' * (len(value) > 1)} {shown})" if value else "0"
     return format(value, spec) if isinstance(value, float) else str(value)
 
 
 class PlainLines:
-    """Lines such as `[  12 s] chair_01: track`, if no progress bar can be drawn."""
+    """Prints lines such as `[  12 s] chair_01: track`, if no progress bar can be drawn."""
 
     def __init__(self) -> None:
-        """Begin to count the seconds."""
+        """Start to count the seconds."""
         self._started = time.monotonic()
         self._last = self._started
 
     def say(self, text: str) -> None:
-        """A line, with the time since the beginning."""
+        """Print a line with the time since the start."""
         self._last = time.monotonic()
         seconds = self._last - self._started
         shown = f"[{seconds:4.0f} s] {one_line(text)}"
@@ -252,7 +254,7 @@ class PlainLines:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar; yields a function of (done, total)."""
+    """Show a progress bar within the block; yields a function of (done, total)."""
     plain = None if err.is_terminal else PlainLines()
     with _bars() as bars:
         task = bars.add_task(title, total=None)
@@ -268,7 +270,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
-    """A line that counts what has no known end; yields a function of (frames, seconds, what to do or "")."""
+    """Show a counter without a known end; yields a function of (frames, seconds, what to do or "")."""
     plain = None if err.is_terminal else PlainLines()
     with err.status(title) as status:
 
@@ -284,9 +286,9 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
 
 
 class RecordingBars:
-    """A progress bar for each recording in work, and one over all if there are several.
+    """Progress bars: one for each recording that is being built, and one over all if there are several.
 
-    It is called with (recording, stage, done, total), and reports outcomes; see
+    Call the object with (recording, stage, done, total); it also reports outcomes. See
     `kinectbench.engine.parallel.Watcher`.
     """
 
@@ -296,9 +298,9 @@ class RecordingBars:
         """Start without any bar.
 
         Args:
-            bars: where it is shown.
-            recordings: how many there will be, if that is known.
-            workers: how many are built at a time now.
+            bars: rich's progress display.
+            recordings: number of recordings, if known.
+            workers: returns the present number of parallel builds.
         """
         self._bars = bars
         self._recordings, self._workers = recordings, workers
@@ -326,7 +328,7 @@ class RecordingBars:
         )
 
     def ended(self, outcome: "Outcome") -> None:
-        """Report a finished or failed recording: a line in a log, if any work was done."""
+        """Report a finished or failed recording; prints a line in a log if any work was done."""
         self._ended += 1
         self._failed += outcome.error is not None
         if outcome.recording in self._tasks:
@@ -336,18 +338,18 @@ class RecordingBars:
         if self._all is not None:
             self._bars.update(self._all, description=f"recordings ({self._rest()})", completed=self._ended)
         if outcome.error and self._failed > MOST_LINES:
-            return  # counted: the last lines of the run say where the reasons are
+            return  # only counted; the last lines of the run say where reasons are
         if self._plain and (outcome.made or outcome.error):
             what = "failed" if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""
-            # Of several recordings, the errors of all may come late.
+            # With several recordings, the list of all errors may come late.
             why = f": {outcome.error}" if outcome.error and self._all is not None else ""
             self._plain.say(f"{outcome.recording}: {what}{count}{why}")
         elif outcome.error and self._all is not None:
             recording_lines(outcome.recording, "failed", [outcome.error], "red")
 
     def _rest(self) -> str:
-        """Such as `3 failed, 97 left, 8 workers, 12 min to go`."""
+        """Return a text such as `3 failed, 97 left, 8 workers, 12 min to go`."""
         left = (self._recordings or 0) - self._ended
         parts = [f"{self._failed} failed", f"{left} left"]
         if self._workers is not None:
@@ -365,13 +367,13 @@ class RecordingBars:
 def recording_bars(
     recordings: int | None = None, workers: Callable[[], int] | None = None
 ) -> Iterator[RecordingBars]:
-    """A progress bar per recording; yields a function of (recording, stage, done, total)."""
+    """Show a progress bar per recording; yields a function of (recording, stage, done, total)."""
     with _bars() as bars:
         yield RecordingBars(bars, recordings, workers)
 
 
 def duration(seconds: float) -> str:
-    """Such as `40 s`, `12 min` or `3.5 h`."""
+    """Return a duration such as `40 s`, `12 min` or `3.5 h`."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -9,9 +9,9 @@ from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, takes
 from kinectbench.core.errors import SettingsError
 
-# Each is a room `release/exchange/<layout>.py` with a function `export_<layout>`.
+# Each layout is a module `release/exchange/<layout>.py` with a function `export_<layout>`.
 Layout = Literal["recgan", "bop", "webdataset", "parquet", "rgbd"]
-# Those of `ADAPTERS` in scoring/adapters/registry.py, which is imported when one is asked for.
+# The keys of `ADAPTERS` in scoring/adapters/registry.py, which is imported only when needed.
 Method = Literal["rayst3r", "octmae", "sam3d", "pointr", "patchcomplete"]
 
 
@@ -50,7 +50,7 @@ def export_command(
 
 
 def _export_views(common: Common, out: Path, method: str | None) -> int:
-    """Write the views of a release, and tell what lacks colour or is cut."""
+    """Write the views of a release; print which views lack colour or are cropped."""
     from kinectbench.cli import console
     from kinectbench.release.exchange.rgbd import export_rgbd
     from kinectbench.scoring.adapters.registry import export_for

@@ -8,7 +8,7 @@ import typer
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
 
-# Files that `gc` lists one by one: a screen of them.
+# Most files that `gc` lists one by one: a screenful.
 SHOWN = 20
 
 

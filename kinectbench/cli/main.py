@@ -120,7 +120,7 @@ def _options(
     pass
 
 
-# What works on recordings needs an extra; the others say so where they need it.
+# Commands on recordings need an extra; the other commands report a missing package where they need it.
 ON_RECORDINGS = (
     *("record", "build", "inspect", *STAGE_COMMANDS, "track", "segment", "triage", "publish"),
     "compare-truth",
@@ -128,7 +128,7 @@ ON_RECORDINGS = (
 
 
 def _with_build(command: Command) -> Command:
-    """A command that prints one line if the extra `build` is not installed."""
+    """Wrap a command so that it prints one line if the extra `build` is not installed."""
 
     @wraps(command)
     def checked(*args: object, **options: object) -> None:
@@ -144,7 +144,7 @@ for _panel, _commands in PANELS.items():
         _checked = _with_build(_command) if _name in ON_RECORDINGS else _command
         app.command(_name, rich_help_panel=_panel)(_checked)
 
-# UsageError, wherever typer has it from.
+# UsageError, wherever typer imports it from.
 USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 
@@ -159,13 +159,13 @@ def main() -> None:
 
             console.lines("error", messages, "red")
         if status == INTERRUPTED:
-            # Within the block: after it another SIGTERM would end the process with a status of its own.
+            # Inside the block: after it, another SIGTERM would end the process with its own status.
             _exit_interrupted()
     sys.exit(status)
 
 
 def _exit_interrupted() -> NoReturn:
-    """Exit at once: libraries interrupted during import fail or change the status at Python's end."""
+    """Exit at once: libraries interrupted during import may fail at Python's end, or change the status."""
     garbage.collect()
     if "kinectbench.engine.processes" in sys.modules:
         from kinectbench.engine.processes import give_back_shared
@@ -177,7 +177,7 @@ def _exit_interrupted() -> NoReturn:
 
 
 def _show_what_can_be_shown() -> None:
-    """Print `?` for characters outside the terminal's encoding; Python would end with an error."""
+    """Print `?` for characters outside the terminal's encoding, where Python would raise an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -185,14 +185,14 @@ def _show_what_can_be_shown() -> None:
 
 @contextmanager
 def _own_words_only() -> Iterator[None]:
-    """Within the block only Python writes to standard error.
+    """Silence standard error for native libraries within the block; Python still writes to it.
 
-    libjpeg, libpng and FFmpeg complain there of every damaged image in words of their own, beside the line
-    that is said of it; worker processes inherit their silence.
+    libjpeg, libpng and FFmpeg print there about every damaged image, in addition to our own line. Worker
+    processes inherit the silence.
     """
     try:
         ours = sys.stderr.fileno() == STDERR
-    except (AttributeError, OSError):  # closed, or somebody's own, such as a test's
+    except (AttributeError, OSError):  # closed, or replaced, by a test for example
         ours = False
     if not ours:
         yield
@@ -215,7 +215,7 @@ def _own_words_only() -> Iterator[None]:
 
 
 def _run() -> tuple[int, tuple[str, ...]]:
-    """Exit status and error lines, if any; what fails after an interrupt has failed by it."""
+    """Return exit status and error lines; a failure after an interrupt counts as interrupted."""
     try:
         status, messages = _call()
         if status:
@@ -223,21 +223,21 @@ def _run() -> tuple[int, tuple[str, ...]]:
     except KeyboardInterrupt:
         status = INTERRUPTED
     if status == INTERRUPTED:
-        ignore_interrupts()  # a second one would interrupt the end
+        ignore_interrupts()  # a second one would interrupt the clean-up
         messages = (STOPPED,)
     return status, messages
 
 
 def _end_unanswered(number: int) -> None:
-    """Exit while a library computes, which Python cannot interrupt; runs on another thread."""
+    """Exit while a library computes, which Python cannot interrupt; called on another thread."""
     remove_half_filled()
-    sys.stderr.write(f"error: {STOPPED}\n")  # not by the console, whose lock may be held
+    sys.stderr.write(f"error: {STOPPED}\n")  # the console's lock may be held
     sys.stderr.flush()
     os._exit(128 + number)
 
 
 def _call() -> tuple[int, tuple[str, ...]]:
-    """Run the command; returns its exit status and error lines, if any."""
+    """Run the command; return its exit status and error lines, if any."""
     try:
         _refuse_unusable_urls(sys.argv[1:])
         return app(standalone_mode=False) or 0, ()
@@ -259,21 +259,21 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
     """Refuse unusable URLs as typed, before typer turns them into paths.
 
     Raises:
-        SettingsError: one lacks its bucket or host, or has another scheme.
+        SettingsError: a URL lacks its bucket or host, or has another scheme.
     """
     for before, argument in pairwise(("", *arguments)):
-        if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: judged by the engine
+        if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: the engine checks it
             continue
-        # `--config=URL`, `-cURL`, or the URL itself.
+        # The argument may be `--config=URL`, `-cURL`, or the URL itself.
         written = re.sub(r"--[a-z-]+=|-[a-z]=?", "", argument, count=1) if argument[:1] == "-" else argument
-        # `publish --to hf://user/name` judges its own.
+        # `publish --to hf://user/name` is checked by the command.
         to_hub = written.startswith("hf://") and "--to" in (before, argument.partition("=")[0])
         if not to_hub and (said := unusable(written)):
             raise SettingsError(printable(said, 300), what="bad-url")
 
 
 def _usage(error: Any) -> tuple[str, ...]:
-    """One line about wrong usage; nothing but the help if no command was given."""
+    """Return one line about wrong usage; nothing if no command was given, when only the help is shown."""
     if type(error).__name__ == "NoArgsIsHelpError":
         return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"

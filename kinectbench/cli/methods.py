@@ -19,7 +19,7 @@ Word = TypeVar("Word", bound=str)
 
 
 def _known_configs(incomplete: str) -> list[str]:
-    """Names for the shell to complete."""
+    """Return names for shell completion."""
     from kinectbench.networks.config_file import packaged_configs
 
     return [name for name in packaged_configs() if name.startswith(incomplete)]
@@ -162,7 +162,7 @@ def predict_command(
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
-    """The option's value among the valid ones, or an error that lists them."""
+    """Return the option's value if it is valid; else raise an error that lists the valid ones."""
     valid = tuple(known for known in words if known == word)
     if not valid:
         raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)
@@ -179,7 +179,7 @@ def _score(
     folder: Path,
     device: str,
 ) -> None:
-    """Predict and score without files of predictions; then write all files of `score` beside its table."""
+    """Predict and score without files of predictions; then write the same files as `score`."""
     from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
@@ -196,7 +196,7 @@ def _score(
     tell_problems([table])
     table.write(folder)
     with console.progress_bar("gallery") as progress:
-        # The few views that a page shows are predicted again: all of them would not fit in memory.
+        # The few views that a page shows are predicted again: all predictions would not fit in memory.
         cells = loaded_cells(
             release,
             lambda target: as_written(trained, release, run, target, device),

@@ -91,10 +91,10 @@ def publish_command(
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
-    """What puts a release to a URL, and returns the URL and what was done there.
+    """Return a function that uploads a release to a URL, and returns the URL and a summary.
 
     Raises:
-        SettingsError: nothing can be put there, or a package is not installed.
+        SettingsError: the URL does not allow uploads, or a package is not installed.
     """
     from kinectbench.cli import console
     from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
@@ -113,7 +113,7 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
-    """3 if recordings failed or did not pass the gate; a person's rejection is no failure."""
+    """Return 3 if recordings failed or did not pass the gate; a person's rejection is no failure."""
     return exit_status(rows) or (SOME_FAILED if summary.refused else 0)
 
 
@@ -127,10 +127,10 @@ def _publish_there(common: Common, recordings: list[str], options: "PublishOptio
 
 
 def store_at(url: str) -> "Store":
-    """The store to which a release is uploaded.
+    """Return the store to which a release is uploaded.
 
     Raises:
-        SettingsError: it is not a URL, or one where nothing can be put, or obstore is not installed.
+        SettingsError: `url` is no URL, does not allow uploads, or obstore is not installed.
     """
     from kinectbench.core.store.address import is_web, require_usable
     from kinectbench.core.store.store import Store
@@ -154,17 +154,17 @@ def publish_options(
     allow_poor: bool = False,
     isolate: bool = False,
 ) -> "PublishOptions":
-    """The options as a value.
+    """Return the options of `publish` as a value.
 
     Args:
-        settings: the benchmark's.
-        hold_back: splits.
+        settings: the benchmark's settings.
+        hold_back: splits whose truth is held back.
         thresholds: a threshold file, or None.
-        allow_poor: whether recordings that do not keep the limits are published, too.
-        isolate: whether one view of each object is published whose truth is held back.
+        allow_poor: whether recordings that violate limits are published, too.
+        isolate: whether only one view is published of each object with held-back truth.
 
     Raises:
-        SettingsError: no such split, an unusable threshold file, or nothing that can be isolated.
+        SettingsError: an unknown split, an unusable threshold file, or nothing to isolate.
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
@@ -232,7 +232,7 @@ def _tell(
 
 
 def _put_line(url: str, put: "PutSummary") -> str:
-    """Describe the upload, and mention another release that was there."""
+    """Return a line about the upload, with another release that was there before."""
     from kinectbench.cli import console
 
     if put.replaced is not None:
@@ -243,7 +243,7 @@ def _put_line(url: str, put: "PutSummary") -> str:
 
 
 def _put_value(url: str, put: "PutSummary") -> dict[str, object]:
-    """The same as JSON."""
+    """Return the same as `_put_line`, as JSON values."""
     keys = ("name", "version", "benchmark_sha256")
     replaced = None if put.replaced is None else {key: getattr(put.replaced, key) for key in keys}
     return {

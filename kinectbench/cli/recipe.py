@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from kinectbench.release.recipe import FetchedScan, Recipe
     from kinectbench.settings.sources import Scan
 
-# What `--stream` may take of the disk at any time, all that is built included.
+# Most bytes of disk that `--stream` uses at any time, built files included.
 STREAM_BYTES = 5_000_000_000
-# Of a scan beside its archive while it is built, as a multiple of the archive, and at least. Of 300 frames of
-# 640x480, an archive of 43 MB, 114 MB were measured: a copy of the frames, and what does not grow with them.
+# Bytes that the build of a scan needs besides its archive: at most this multiple of the archive, plus a
+# constant. Measured: 114 MB for 300 frames of 640x480 (archive of 43 MB): a copy of the frames, and files of
+# constant size.
 BUILD_RATIO, BUILD_BYTES = 2, 300_000_000
 
-# Intrinsics that differ by less are the same: data sets publish them with four digits.
+# Intrinsics with a smaller relative difference count as equal: data sets publish four digits.
 SAME_CAMERA = 1e-3
 
 
@@ -30,7 +31,7 @@ def fetch_recipe(
     *,
     stream: bool,
 ) -> int:
-    """Fetch the requested scans of a recipe and add them to its benchmark; returns the exit status."""
+    """Fetch the requested scans of a recipe and add them to its benchmark; return the exit status."""
     from kinectbench.cli import console
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
@@ -54,7 +55,7 @@ def fetch_recipe(
 
 
 def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
-    """Fetch, build and delete one scan after the other; the exit status."""
+    """Fetch, build and delete one scan after another; return the exit status."""
     from kinectbench.cli import console
     from kinectbench.cli.build import build_jobs
     from kinectbench.core.artefacts.manifest import Failed
@@ -72,7 +73,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
         build = recipe.out / "build" / scan.id
         failed = Failed.read_if_there(build) if build.is_dir() else None
         if is_slim(build / "sequence") or failed is not None:
-            if failed is None:  # a run that was killed may have left some
+            if failed is None:  # a killed run may have left some
                 slim(build)
                 remove_scan(recipe.out, scan)
             rows.append(
@@ -99,8 +100,8 @@ def _refuse_beyond(out: Path, size: int) -> None:
     """Refuse a scan whose build would exceed the limit of `--stream`.
 
     Raises:
-        StorageError: it would, even if nothing else were there: the next scan may be smaller.
-        NoRoomError: it would.
+        StorageError: this scan alone would exceed it; a smaller scan may still fit.
+        NoRoomError: this scan and the folder's content together would exceed it.
     """
     from kinectbench.core.errors import StorageError
     from kinectbench.core.untrusted import listed_below
@@ -121,7 +122,7 @@ def _refuse_beyond(out: Path, size: int) -> None:
 
 
 def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then: str) -> int:
-    """Print the state of the scans; 1 if none is present, 3 if some failed."""
+    """Print the state of the scans; return 1 if none is present, 3 if some failed."""
     from kinectbench.cli import console
 
     errors = [row.error for row in rows if row.error is not None]
@@ -143,7 +144,7 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
 
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
-    """A line for each scan that says other intrinsics itself than the recipe, whose are taken."""
+    """Return a line for each scan whose own intrinsics differ from the recipe's, which are used."""
     from math import isclose
 
     from kinectbench.core.errors import KinectBenchError
@@ -158,7 +159,7 @@ def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
             continue
         try:
             own = open_recording(path, scan.camera.model_copy(update=dict.fromkeys(NEEDED))).camera
-        except KinectBenchError:  # it says none, or the build will say what is wrong
+        except KinectBenchError:  # it has none, or the build reports the fault
             continue
         for key, value in given.items():
             if not isclose(value, getattr(own, key), rel_tol=SAME_CAMERA):

@@ -82,11 +82,11 @@ def record_command(
 
 @contextmanager
 def _begun(out: Path) -> "Iterator[BuildProcess | None]":
-    """Begin the build while one records; None if the package that it needs is missing."""
+    """Start the build while recording; yields None if the package that it needs is missing."""
     from kinectbench.core.extras import missing_extra
 
     if missing_extra("build"):
-        yield None  # the build says so
+        yield None  # the build reports it
         return
     from kinectbench.record.build_process import BuildProcess
 
@@ -99,7 +99,7 @@ def _begun(out: Path) -> "Iterator[BuildProcess | None]":
 
 @contextmanager
 def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess | None]":
-    """The guide while one records; None if it is not wanted, or, with a warning, if it cannot be started."""
+    """Start the guide while recording; yields None if it is not wanted or (with a warning) cannot start."""
     from kinectbench.cli import console
 
     if not (console.err.is_terminal if wanted is None else wanted):
@@ -125,7 +125,7 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 
 
 def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
-    """Write a benchmark.yaml into the new folder, build it, and say how long after the last frame it was."""
+    """Write a benchmark.yaml into the new folder, build it, and print the time since the last frame."""
     from dataclasses import replace
 
     from kinectbench.cli import console

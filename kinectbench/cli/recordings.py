@@ -1,4 +1,4 @@
-"""The commands before anything is built: what can be read, whether a recording is sound, a benchmark.yaml."""
+"""Commands before a build: `formats`, `inspect` and `init`."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
     from kinectbench.settings.models import RecordingSettings
 
-# How `formats` words the evidence for a reader.
+# Texts of `formats` for each kind of evidence.
 EVIDENCE = {
     "recording": "a real recording",
     "copy": "a real recording whose licence lets it be copied",
     "writer": "nothing real, but files written by the format's own description",
 }
-# Folders of results that lie beside a benchmark.yaml.
+# Folders with results beside a benchmark.yaml.
 OURS = frozenset(
     {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks", "triage", "evaluation"}
 )
-# Each marks a folder that is no recording: a simulation's truth, a benchmark, a release, an export, results.
+# Files that mark a folder as no recording: a simulation's truth, a benchmark, a release, an export, results.
 MARKS = ("truth.json", "benchmark.yaml", "benchmark.json", "export.json", "scores.json", "triage.json")
-# Of what `init` leaves out so many are named: three lines of a terminal.
+# Most folders left out by `init` that are named: three lines of a terminal.
 SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 
@@ -74,10 +74,10 @@ def init_command(
 def _benchmark_text(
     target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str]
 ) -> tuple[str, list[str]]:
-    """The text of a benchmark.yaml, and lines about it.
+    """Return the text of a benchmark.yaml, and lines about it to print.
 
     Raises:
-        SettingsError: there are no recordings, or the file that is there has an error.
+        SettingsError: there are no recordings, or the existing file has an error.
     """
     from kinectbench.cli import console
     from kinectbench.settings.reading import as_text
@@ -102,14 +102,14 @@ def _benchmark_text(
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
-    """Folders, and files named like recordings, that no reader recognises, at any depth, without nested ones.
+    """Return folders, and files named like recordings, that no reader recognises; nested ones are left out.
 
-    Folders that hold results, the truth of a simulated recording or hidden files are no recordings; nor are
-    another benchmark's, or those of a program, beside its pyproject.toml.
+    Folders with results, with a simulation's truth, or with hidden files are ignored; so are those of another
+    benchmark or of a program (beside a pyproject.toml).
 
     Args:
-        folder: where recordings were looked for.
-        recordings: those found in it.
+        folder: the searched folder.
+        recordings: the recordings found in it.
         suffixes: endings of files that are recordings, such as ".bag".
     """
     known = set(recordings)
@@ -132,7 +132,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
 
 
 def _children(folder: Path) -> list[Path]:
-    """The sorted content of a folder; empty if it is unreadable."""
+    """Return the sorted content of a folder; empty if it is unreadable."""
     try:
         return sorted(folder.iterdir())
     except OSError:
@@ -202,7 +202,7 @@ def inspect_command(
 
 
 def _of_benchmark(name: str) -> "RecordingSettings | None":
-    """The benchmark's recording with that id; None if there is none, or if a path has that name."""
+    """Return the benchmark's recording with that id; None if there is none, or if a path has that name."""
     if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None
     return next((known for known in Common().settings.recordings if known.id == name), None)
@@ -218,7 +218,7 @@ def _show(diagnosis: "Diagnosis") -> None:
     for finding in diagnosis.findings:
         head = Text(f"{finding.severity}: {finding.name}: ", style=STYLES[finding.severity])
         advice = f"; {finding.advice}" if finding.advice else ""
-        # Texts of recordings are untrusted: never markup.
+        # Texts of recordings are untrusted, so no markup is interpreted.
         text = Text.assemble(head, console.one_line(f"{finding.what}{advice}"))
         console.out.print(text, highlight=False, soft_wrap=True)
     console.say(f"verdict: {diagnosis.verdict}")

@@ -1,4 +1,4 @@
-"""`kinectbench report`: the page, of a benchmark's build or of a release alone."""
+"""`kinectbench report`: write the page of a benchmark's build, or of a release alone."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,7 +50,7 @@ def report_command(
 def _paper_table(
     common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
 ) -> int:
-    """The paper's table of score files: printed, or written to a file; nothing is built for it."""
+    """Print the paper's table of score files, or write it to a file; nothing is built."""
     from dataclasses import asdict
 
     from kinectbench.core.storage import replaced_file
@@ -81,7 +81,7 @@ def write_page(
     out: Path | None = None,
     baselines: bool = True,
 ) -> Path:
-    """The page of scores: of a release alone, or of the local benchmark with its build."""
+    """Write the page of scores: of a release alone, or of the local benchmark with its build."""
     from kinectbench.cli import console
     from kinectbench.report.run import page_of_benchmark, page_of_release
 

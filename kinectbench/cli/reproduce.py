@@ -14,9 +14,9 @@ from kinectbench.core.untrusted import printable
 if TYPE_CHECKING:
     from kinectbench.release.release import Release
 
-# 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. What `--set` says wins.
+# 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. `--set` overrides this.
 COUNT = 50
-# Characters of a name or a source in the table (chosen here).
+# Most characters of a name or a source in the table (chosen here).
 LONGEST_NAME = 200
 PAPER_REAL = (f"views.count={COUNT}", "pairs.framing=object")
 
@@ -69,7 +69,7 @@ def reproduce_command(
             progress=progress,
         )
     found = paper_tables(tables)
-    # Such as: it learnt from objects of the test.
+    # Such as a warning that a method learnt from test objects.
     warned = [f"{table.method}: {line}" for table in tables for line in table.warnings]
     console.lines("warning", warned, "yellow")
     text = "\n".join([paper_markdown(found), f"- {_origin(release)}", *(f"- {line}" for line in warned), ""])
@@ -80,7 +80,7 @@ def reproduce_command(
 
 
 def _origin(release: "Release") -> str:
-    """What the pairs are, in a line of the table."""
+    """Return a line of the table about the origin of the pairs."""
     pairs, info = release.split("test"), release.metadata
     counted = f"{len(pairs)} pairs of {printable(info.name, LONGEST_NAME)}"
     if info.settings.recordings is None:

@@ -22,7 +22,7 @@ CLOSE = "make open meshes in the camera frame solid: winding, or poisson (also p
 UPSAMPLING = "of other sides than 256: half-pixel, or corner-aligned (the paper's SciPy call)"
 SHOWN_FAILURES = 20
 ERROR_IF_MISSING = "error"
-# Options that `--recheck` takes from the table, or whose files it does not write.
+# Options that `--recheck` reads from the table, or whose files it does not write.
 FROM_THE_TABLE = (
     *("method", "protocol", "save_thresholds", "missing", "upsampling", "surface"),
     *("close", "baselines", "gallery", "out"),
@@ -95,7 +95,7 @@ def score_command(
 def _score_part(
     common: Common, predictions: Path | None, out: Path | None, options: Mapping[str, Any]
 ) -> int:
-    """Count the pairs of one part; the table is made by the same command without `--shard`."""
+    """Count the pairs of one part; the same command without `--shard` makes the table."""
     from kinectbench.cli import console
     from kinectbench.release.release import open_release
     from kinectbench.scoring.score import count_methods
@@ -125,7 +125,7 @@ def _score_part(
 
 
 def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
-    """The scores of predictions in the camera frame."""
+    """Return the scores of predictions in the camera frame."""
     from kinectbench.core.artefacts.score_figures import any_in_space
 
     return [table for table in tables if any_in_space(table.settings.protocols)]
@@ -134,7 +134,7 @@ def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
 def tell_scores(
     common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path
 ) -> None:
-    """The scores: a table, or as JSON the means over all categories."""
+    """Print the scores: a table, or as JSON the means over all categories."""
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table, space_lines
 
@@ -157,7 +157,7 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Score again as a table states; only its file of thresholds is an option."""
+    """Score again with the table's settings; only the file of thresholds is an option."""
     from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
@@ -191,7 +191,7 @@ def _recheck(
     table = read_table(paths[0])
     shown = differences[:SHOWN_FAILURES]
     more = [f"and {len(differences) - len(shown)} more differences"] * (len(differences) > len(shown))
-    # A table that differs keeps its mark, if it has one: the file is not written.
+    # A table that differs keeps its mark, if any: the file is not written.
     standing = "not verified" if differences else table.standing
     common.tell({"standing": standing, "differences": differences}, [f"{paths[0]}: {standing}"])
     console.lines("error", [*shown, *more], "red")
@@ -206,7 +206,7 @@ def _tables(
     known: Mapping[str, Any],
     of_one: Mapping[str, Any],
 ) -> "list[ScoreTable]":
-    """Score the predictions, or else the baselines, and print problems; `of_one`: of one method."""
+    """Score the predictions, or else the baselines, and print problems; `of_one`: options of one method."""
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.predictions import lines_without, split_methods
@@ -226,7 +226,7 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Refuse options of a single method if no predictions are named."""
+    """Refuse options of a single method if no predictions are given."""
     options = {**of_one, "cluster": common.cluster}
     given = [
         f"--{name.replace('_', '-')}"
@@ -244,9 +244,10 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """The baselines that are not among the methods; none beside a table of very many rows.
+    """Score the baselines that are not among the methods; none beside a table with very many rows.
 
-    Beside predictions in the camera frame they are solids there; none where those are of free size.
+    Beside predictions in the camera frame, baselines are scored as solids there; none if predictions have
+    free size.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
@@ -255,7 +256,7 @@ def baselines_of(
     spatial = in_space(tables)
     if spatial and not any("camera" in table.settings.protocols for table in spatial):
         return []
-    if len(tables[0].rows) > ROWS_IN_JSON:  # all of them at once would take gigabytes
+    if len(tables[0].rows) > ROWS_IN_JSON:  # scoring all at once would take gigabytes
         line = (
             f"none beside more than {ROWS_IN_JSON} rows; `kinectbench baseline NAME` writes one to be scored"
         )
@@ -275,7 +276,7 @@ def baselines_of(
 
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
-    """Warnings and failures of each method, one line for each mistake."""
+    """Print warnings and failures of each method, one line for each mistake."""
     from kinectbench.cli import console
 
     for table in tables:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SHOWN_PROTOCOLS = (PRIMARY, *EVERY_VOXEL)
 TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better), under the protocol named"
-# Below the tables that have the line `truth unknown`.
+# Note below tables that have the line `truth unknown`.
 PARTS_NOTE = "of whole shapes; the page and scores.csv have their visible and their occluded parts, too"
 UNKNOWN_NOTE = (
     "truth unknown: of the true shapes' volume, what is a guess; space that nobody saw and that is taken for "
@@ -26,15 +26,16 @@ UNKNOWN_NOTE = (
 
 
 def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideTable":
-    """One line per method: IoU and CE (nats a voxel) per category, then overall, under `SHOWN_PROTOCOLS`.
+    """Return a table, one line per method: IoU and CE (nats a voxel) by category and overall.
 
-    In a narrow terminal it is drawn in pieces. Below it stands what sets a method's scores apart, and which
-    of them were rechecked.
+    Columns are those of `SHOWN_PROTOCOLS`. A narrow terminal shows the table in pieces. Caveats of methods
+    are below it, and which scores were rechecked.
 
     Args:
-        tables: the methods; beside the name of one that is incomplete stands how many predictions failed.
-        published: add the paper's own figures where a category has its name, under a line that says what
-            they are.
+        tables: the methods' scores; an incomplete method has its number of failed predictions beside its
+            name.
+        published: whether to add the paper's own figures for categories of the same name, below a separating
+            line.
     """
     from rich.text import Text
 
@@ -68,7 +69,7 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """A line for each method and heading of predictions in the camera frame, of whole shapes."""
+    """Return a line for each method and heading of predictions in the camera frame, for whole shapes."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable
@@ -88,7 +89,7 @@ def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
 
 
 def _name(table: ScoreTable) -> str:
-    """A method's name, with the marks that qualify its figures."""
+    """Return a method's name, with marks that qualify its figures."""
     star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
         count = len(table.failures)
@@ -97,12 +98,12 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """The marks of a method, without that of baselines, which follows its name."""
+    """Return the marks of a method, without the mark of baselines, which follows the name."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
 def _marks(tables: Sequence[ScoreTable]) -> list[str]:
-    """The meaning of each star, a line each; and which tables are reported, which verified."""
+    """Return the meaning of each star, a line each; and which tables are reported or verified."""
     meant: dict[str, list[str]] = {}
     for table in tables:
         if words := "; ".join(_own_marks(table)):
@@ -117,7 +118,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """A standing and its source: anybody can write the mark into scores.json."""
+    """Return a standing with its source, because anybody can write the mark into scores.json."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
@@ -127,12 +128,12 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """The paper's own figures, with a line below that they are not comparable with those above.
+    """Add the paper's own figures, with a line that says that they are not comparable with the rest.
 
     Args:
-        table: to be added to.
-        protocols: of each group of columns; "" leaves one empty.
-        columns: categories of a group.
+        table: the table that gets the rows.
+        protocols: the protocol of each group of columns; "" leaves a group empty.
+        columns: the categories of a group.
         published: the paper's tables.
     """
     table.add_section()
@@ -154,12 +155,12 @@ def _add_published(
 
 
 def _any_known(shares: Sequence[float | None]) -> bool:
-    """Whether any table states which share of the true shapes is unknown."""
+    """Return whether any table states the unknown share of the true shapes."""
     return any(share is not None for share in shares)
 
 
 def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
-    """A last line with the unknown share of the true shapes, if a table states it."""
+    """Add a last line with the unknown share of the true shapes, if a table states it."""
     if _any_known(shares):
         table.add_section()
         cells = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
@@ -167,7 +168,7 @@ def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
 
 
 def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) -> list[str]:
-    """The cells of one method; empty if part of its predictions failed."""
+    """Return the cells of one method; empty if some of its predictions failed."""
     cells = []
     for protocol in protocols:
         averages = table.averages(protocol)
@@ -180,7 +181,7 @@ def _cell(iou: float | None, ce: float | None) -> str:
 
 
 def comparison_tables(result: Comparison) -> "list[WideTable]":
-    """Groups and means of every method, and every pair of methods."""
+    """Return tables with groups and means of every method, and with every pair of methods."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable

@@ -66,7 +66,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
 
 
 def _carry_masks(common: Common, ids: list[str] | None) -> int:
-    """Carry masks over to the frames of the recordings as they are now."""
+    """Rename hand-drawn masks to match the present frames of the recordings."""
     from kinectbench.cli import console
     from kinectbench.engine.drawn_masks import carry_masks
 
@@ -90,7 +90,7 @@ def _carry_masks(common: Common, ids: list[str] | None) -> int:
 
 
 def _candidates(root: Path, recording: str) -> "CandidatesFile":
-    """The content of candidates.json, with paths of pictures relative to the working folder."""
+    """Read candidates.json, with paths of pictures relative to the working folder."""
     from kinectbench.core.artefacts.object import CandidatesFile
     from kinectbench.engine.stages import SUGGEST
 
@@ -119,7 +119,7 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
 def _pick(common: Common, ids: list[str] | None, number: int) -> int:
     """Write the box of a listed candidate to benchmark.yaml, or beside the recording.
 
-    Nothing is built: `build` does that, with the options that it offers.
+    Nothing is built here: run `build` afterwards.
     """
     from kinectbench.core.storage import replaced_file
     from kinectbench.core.untrusted import read_plain_text

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import RecordingSummary
     from kinectbench.stages.track.comparison import TrajectoryComparison
 
-# The figures of a comparison that are shown, by their key.
+# {key: title} of the shown figures of a comparison.
 COMPARED = {
     "recording": "recording",
     "matched": "matched",
@@ -30,7 +30,7 @@ COMPARED = {
     "rpe_metre_mm": "mm/m",
     "rpe_metre_deg": "°/m",
 }
-# Poses this close to the reference are the same ones, except for rounding.
+# Poses that differ less from the reference are the same, except for rounding.
 SAME_M = 1e-6
 
 
@@ -39,9 +39,9 @@ class _Compared:
     """A recording's trajectory beside the reference.
 
     Attributes:
-        recording: its id.
-        comparison: how far the two are apart.
-        with_itself: the reference holds the given poses, which are trusted.
+        recording: the recording's id.
+        comparison: the differences of the two trajectories.
+        with_itself: whether the reference holds the same given poses, which `track` trusts.
         picture: the plot's file.
     """
 
@@ -51,7 +51,7 @@ class _Compared:
     picture: Path
 
     def json_value(self) -> dict[str, Any]:
-        """The printed values, in millimetres and degrees."""
+        """Return the printed values, in millimetres and degrees."""
         what = {"with_itself": self.with_itself, "picture": str(self.picture)}
         return {"recording": self.recording, **self.comparison.row(), **what}
 
@@ -73,7 +73,7 @@ def track_command(
     from kinectbench.cli import console
     from kinectbench.engine.summary import BuiltRecording
 
-    # Report an unreadable file before anything is built.
+    # Report an unreadable file before building.
     reference = None if compare is None else _reference(compare)
     built_rows = build_recordings(common, ids, "track", ("track",) if common.force else ())
     rows = [each.summary for each in built_rows]
@@ -107,7 +107,7 @@ def _reference(path: Path) -> "GivenTrajectory":
 def _compare(
     row: "RecordingSummary", root: Path, reference: "GivenTrajectory", name: Path
 ) -> "tuple[RecordingSummary, _Compared | None]":
-    """A recording beside the reference, with the plot beside its artefact; or its summary with the error."""
+    """Compare a recording with the reference and plot both; or return its summary with the error."""
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.engine.steps import read_tracked
@@ -126,16 +126,17 @@ def _compare(
         console.recording_lines(row.recording, "error", [why], "red")
         return row.model_copy(update={"error": why, "code": error.code, "status": "failed"}), None
     given = sequence.given_trajectory
-    # With stamps between those of the frames the errors are not quite 0, though the poses are the same.
+    # If the reference's stamps lie between the frames', errors are not quite 0 although the poses are the
+    # same.
     same = comparison.error.ate_m.max < SAME_M or (given is not None and given.equals(reference, SAME_M))
     itself = trajectory.source == "trust" and same
     return row, _Compared(row.recording, comparison, itself, picture)
 
 
 def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
-    """A line per recording with a current trajectory: its verdict, and possible improvements."""
+    """Yield a line per recording with a current trajectory: its verdict, and possible improvements."""
     for row in rows:
-        # A failed run may have left an older trajectory, of other settings.
+        # A failed run may have left an older trajectory of other settings.
         if row.verdict is None or "track" not in (*row.made, *row.current):
             continue
         done = "ignore" if row.source == "tracked" else row.source
@@ -145,7 +146,7 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
 
 
 def _clock_line(recording: str, clock: "ClockOffset") -> str:
-    """The clock offset of the reference, its effect, and the setting that corrects it."""
+    """Return a line on the clock offset of the reference, its effect, and the setting that corrects it."""
     when = f"{abs(1000 * clock.late_s):.0f} ms {'late' if clock.late_s > 0 else 'early'}"
     return (
         f"{recording}: the stamps of the reference are {when}: moved by that, ATE is "

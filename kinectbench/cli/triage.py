@@ -5,7 +5,7 @@ from textwrap import shorten
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
 from kinectbench.cli.common import Common, Ids, takes
 
-# Letters of a reason in the table, so that it fits beside the decision; the page has all of it.
+# Most letters of a reason in the table, so that it fits beside the decision; the page has the full text.
 REASON = 60
 COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first reason"}
 
@@ -47,7 +47,7 @@ def triage_command(common: Common, ids: Ids = None) -> int:
 
 
 def _first(reasons: tuple[str, ...], review: str | None) -> str:
-    """The first reason, the rules' or a person's, and the number of others."""
+    """Return the first reason, by the rules or a person, and the number of the rest."""
     lines = [*([f"review: {review}"] if review else []), *reasons]
     more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
     return f"{shorten(lines[0], REASON, placeholder=' …')}{more}" if lines else ""

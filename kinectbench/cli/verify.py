@@ -50,7 +50,7 @@ def verify_command(
     with ExitStack() as stack:
         folder, problems = release, list[str]()
         if url is not None:
-            # The folder itself holds the lock by which it is known to be in use.
+            # The scratch folder holds the lock that marks it as in use.
             folder = stack.enter_context(scratch_folder()) / "release"
             problems = [] if checksums else _brought(url, folder)
         with console.progress_bar("verify") as progress:
@@ -67,7 +67,7 @@ def verify_command(
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Copy a release unchanged; returns a line for each file that is not part of it."""
+    """Copy a release unchanged; return a line for each file that is not part of it."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release
@@ -80,7 +80,7 @@ def _brought(url: str, folder: Path) -> list[str]:
 def _rebuild(
     release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
 ) -> list[str]:
-    """Build the release's recordings again and say what differs; only a sound release comes here."""
+    """Build the release's recordings again and return the differences; the release must be sound."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job

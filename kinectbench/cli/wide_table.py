@@ -11,17 +11,18 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
 BESIDE_CELL = 3  # a border, and a space on both sides
-# A name takes a third of the width, or this, at most; what is longer ends in an ellipsis.
+# A name takes at most this fraction (one third) of the width, or this many cells; longer names are cut with
+# an ellipsis.
 NAME_SHARE, NAME_CELLS = 3, 30
-# Beside a whole id a text has this many cells at least, and as many lines as it takes.
+# Beside an uncut id, a text has at least so many cells, and as many lines as it needs.
 TEXT_CELLS = 12
 
 
 class WideTable(Table):
     """A table split into as many pieces as the width requires; each piece repeats the first columns.
 
-    Only cells of the first column are wrapped or shortened. With `whole` nothing is shortened: the
-    first column takes the room it needs, texts that are longer than the width have more lines.
+    Only cells of the first column are wrapped or shortened. With `whole` nothing is shortened: the first
+    column gets the width it needs, and longer texts take more lines.
     """
 
     def __init__(
@@ -32,19 +33,19 @@ class WideTable(Table):
         caption: str | None = None,
         whole: bool = False,
     ) -> None:
-        """An empty table.
+        """Make an empty table.
 
         Args:
-            keep: how many columns stand in every piece.
-            title: above the first piece.
-            caption: below the last.
-            whole: whether the first column has ids, which can be copied.
+            keep: number of first columns repeated in every piece.
+            title: title above the first piece.
+            caption: caption below the last piece.
+            whole: whether cells stay uncut, such as ids that people copy.
         """
         super().__init__(title=title, caption=caption)
         self.keep, self.whole = keep, whole
 
     def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "RenderResult":
-        """Draw the pieces, one below the other."""
+        """Yield the pieces, one below the other."""
         if self.title:
             yield Text(str(self.title), style="italic")
         yield from self._pieces(options.max_width)
@@ -52,7 +53,7 @@ class WideTable(Table):
             yield Text(str(self.caption), style="dim")
 
     def _pieces(self, width: int) -> Iterator[Table]:
-        """The pieces, each no wider than `width`."""
+        """Yield the pieces, each no wider than `width`."""
         widths = [self._width(index) for index in range(len(self.columns))]
         most = max(NAME_CELLS, width // NAME_SHARE)
         if self.whole:
@@ -71,19 +72,19 @@ class WideTable(Table):
         yield self._piece(chosen, widths)
 
     def _most_beside(self, widths: list[int]) -> int:
-        """Cells that the widest of the other columns needs, at most: a text has more lines."""
+        """Return the cells that the widest other column needs at most; longer texts take more lines."""
         texts = [column.justify == "left" for column in self.columns]
         beside = list(zip(widths, texts, strict=True))[self.keep :]
         return max((min(each, TEXT_CELLS if text else NAME_CELLS) for each, text in beside), default=0)
 
     def _width(self, index: int) -> int:
-        """Width of the widest line in a column."""
+        """Return the width of the widest line in a column."""
         column = self.columns[index]
         texts = [str(column.header), *(str(cell) for cell in column.cells)]
         return max(cell_len(line) for text in texts for line in [*text.splitlines(), ""])
 
     def _piece(self, chosen: list[int], widths: list[int]) -> Table:
-        """The first columns and some others."""
+        """Return a piece with the first columns and the chosen ones."""
         piece = Table()
         columns = [*range(self.keep), *chosen]
         for index in columns:

@@ -16,14 +16,15 @@ from kinectbench.core.trajectory.stamps import (
 from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.probe import Probe
 
-# Steps farther than this from whole periods are uneven; whole multiples are missing frames.
+# Steps that differ by more than this from whole periods are uneven; steps of several whole periods mean
+# missing frames.
 OFF_PERIOD = 0.2
 EVEN_SHARE = 0.8
 DROPPED_SHARE = 0.02
 DOUBLED_SHARE = 0.01
 MIN_FRAMES = 3
 PAIRED_SHARE = 0.9
-# With this ratio of pairs the clocks agree, and the other images were lost.
+# If at least this share of images is paired, the clocks agree, and the other images were lost.
 MOSTLY_PAIRED_SHARE = 0.5
 REGROUP = "record again at a rate that the computer keeps up with; gaps make tracking harder"
 
@@ -49,7 +50,7 @@ def check_clock(probe: Probe) -> Iterator[Finding]:
 
 
 def _few(probe: Probe) -> Iterator[Finding]:
-    """A warning where a build, too, will warn that the frames are few."""
+    """Warn if there are so few frames that a build would warn, too."""
     from kinectbench.stages.segment.judge.coverage_report import MIN_FRAMES as ENOUGH_FRAMES
 
     frames = len(probe.recording)
@@ -91,7 +92,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """The period of regularly missing frames; else 0."""
+    """Return the period of regularly missing frames; 0 if they are irregular."""
     gaps = np.diff(np.flatnonzero(periods == 2))
     return int(gaps[0]) if len(gaps) > 3 and (gaps == gaps[0]).mean() > 0.9 else 0
 

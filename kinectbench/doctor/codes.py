@@ -20,10 +20,11 @@ UInt16 = NDArray[np.uint16]
 # Common near and far planes of renderers, metres, chosen by hand; and the 16-bit value of the far plane.
 NEAR_FAR_M = ((0.1, 10.0), (0.1, 100.0), (0.01, 10.0), (0.01, 100.0), (0.05, 20.0), (0.02, 5.0), (0.5, 20.0))
 DEEPEST = 65535
-# Another encoding must lower the residual to this ratio. Measured: decoding distances along the ray lowers it
-# to 0.25 to 0.6 (5 recordings); decoding plain depth so at least doubles it (2 recordings).
+# Another encoding is reported only if it lowers the residual to this ratio. Measured: decoding distances
+# along the ray lowers it to 0.25 to 0.6 (5 recordings); decoding plain depth that way at least doubles it (2
+# recordings).
 BETTER = 0.75
-# Findings that another encoding explains, because they were judged with wrong depth.
+# Findings that another encoding explains, because they come from wrong depth.
 EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
 
 
@@ -47,19 +48,19 @@ class Code:
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     """Report a scale or encoding that makes the given poses fit, if they do not fit now.
 
-    Nothing is tried without poses, or if a depth code is set already. For float depth only the distance along
-    the ray is tried, because its values are no longer those of the files.
+    Without poses, or if a depth code is set already, nothing is tried. For float depth only distance along
+    the ray is tried, because its values are no longer the values in the files.
 
     Args:
-        probe: at the recording.
-        poses: the fit of the given poses to depth as it is; None: no poses, or no fit.
+        probe: the probe of the recording.
+        poses: the fit of the given poses to the unchanged depth; None: no poses, or no fit.
     """
     recording = probe.recording
     if recording.given_trajectory is None:
         return
     if isinstance(recording, FileRecording) and recording.depth_code != "plain":
         return
-    # Poses that fit as they are determine the scale, but distance along the ray differs by little.
+    # Poses that fit unchanged depth determine the scale, but distance along the ray differs only a little.
     as_given = poses is not None and poses.fits and poses.convention.changes == 0
     codes = _along_the_ray(probe) if as_given or not _is_stored(probe) else _codes(probe)
     fits = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
@@ -69,13 +70,13 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
         return
     code, fit = min(fits, key=lambda each: each[1].best)
     what = f"the given poses fit if depth is {code.words}: they leave {1000 * fit.residual_m:.1f} mm"
-    if as_given and poses is not None:  # by another scale the figures could not be compared
+    if as_given and poses is not None:  # residuals at different scales cannot be compared
         what += f", and {1000 * poses.residual_m:.1f} mm as it is read"
     yield Finding(code.name, "stops", what, probe.where, code.advice)
 
 
 def _is_stored(probe: Probe) -> bool:
-    """Whether depth has the integer values of the files."""
+    """Return whether depth has the integer values of the files."""
     recording = probe.recording
     return not isinstance(recording, FileRecording) or recording.float_scale is None
 
@@ -133,14 +134,14 @@ def _scaled(
 
 
 def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray[np.floating]]:
-    """OpenGL's and Direct3D's window depth, linear in 1 / z between the planes."""
+    """Return the conversion of OpenGL's and Direct3D's window depth, linear in 1 / z between the planes."""
     return lambda depth, _: np.where(
         depth > 0, near_m * far_m / (far_m - depth / DEEPEST * (far_m - near_m)), 0.0
     )
 
 
 def _fit(probe: Probe, code: Code) -> PoseFit | None:
-    """The fit of the given poses to depth in this encoding, if it is proven and the depth is plausible."""
+    """Fit the given poses to depth in this encoding; None unless the fit is proven and depth plausible."""
     scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)
     frames = []

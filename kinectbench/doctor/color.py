@@ -14,9 +14,9 @@ from kinectbench.doctor.probe import Probe, SmallFrame
 COLUMNS = 320
 JUMP_SHARE = 0.06
 REACH_PX = 24
-# Shifts are in pixels of images 320 wide.
+# A larger shift is an error; pixels of images 320 wide.
 OFF_PX = 4.0
-# The best shift must exceed the others by this many of their standard deviations.
+# The best shift must exceed the mean of the others by so many of their standard deviations.
 CLEAR = 5.0
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 WHITE, BLACK = 254, 8
@@ -25,23 +25,23 @@ JUMP_RATIO = 1.25
 FEW = 0.02
 BLURRED, MANY_BLURRED = 2.5, 0.1
 THUMB_PX = (40, 30)
-# Depths that agree this closely, as a ratio, show the same place.
+# Depths whose ratio is below this show the same place.
 SAME_DEPTH = 1.15
-# A frame is of another scene if its neighbours agree this much more with each other than with it.
+# A frame is of another scene if its neighbours agree with each other by this much more than with it.
 ODD_BY, BESIDE_AGREE = 0.4, 0.55
 # In seven ordered recordings, real and simulated, neighbouring frames agree in 0.90 to 1.00 of their pixels,
-# which is at least 0.24 more than frames half the recording apart. In a shuffled one they agree in 0.63,
-# which is 0.03 less. In a static recording all frames agree. A few frames are not judged.
+# at least 0.24 more than frames half the recording apart. In a shuffled recording they agree in 0.63, 0.03
+# less than distant frames. In a static recording all frames agree. Short recordings are not judged.
 MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """The agreement of edges.
+    """How well edges of colour agree with edges of depth.
 
     Attributes:
         here: the score without a shift. `best`: the score at `shift_px`. `mirrored`: the best score with
-            colour mirrored left to right. All are in standard deviations over every shift of the image.
+            colour mirrored left to right. Scores are in standard deviations over all shifts of the image.
         shift_px: (2,) offset of colour to the right of and below depth, pixels of the depth image.
     """
 
@@ -57,9 +57,9 @@ class EdgeFit:
 
 
 def fit_edges(probe: Probe) -> EdgeFit | None:
-    """Correlate edges of depth with edges of colour, over all frames that were read whole.
+    """Correlate edges of depth with edges of colour, over all frames read at full size.
 
-    None if colour is missing or of another shape than depth.
+    The result is None if colour is missing or has another aspect ratio than depth.
     """
     import cv2
 
@@ -84,7 +84,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Compare the result of the edge test with the recording's claims about colour."""
+    """Compare the result of the edge test with what the recording states about colour."""
     if fit is None:
         if probe.recording.color_registered and any(f.bgr is not None for f in probe.whole):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
@@ -112,7 +112,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
-    """1 where depth (height, width; 0 = none) jumps between measured neighbours, else 0, at size (w, h)."""
+    """Return 1 where depth (height, width; 0 = none) jumps between measured neighbours, at size (w, h)."""
     import cv2
 
     pixels = depth.astype(np.float32)
@@ -128,7 +128,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Gradient of a grey image, limited so that a few strong edges do not decide, at a size (w, h)."""
+    """Return the gradient of a grey image at a size (w, h), limited so that strong edges do not decide."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
@@ -139,13 +139,13 @@ def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.fl
 
 
 def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The correlation at every cyclic shift of colour (down, right); 0 on average."""
+    """Return the correlation at every cyclic shift of colour (down, right); 0 on average."""
     spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
     return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scores of shifts up to REACH_PX each way, in standard deviations over shifts four times as wide."""
+    """Return scores of shifts up to REACH_PX, in standard deviations over shifts four times as wide."""
 
     def window(reach: int) -> NDArray[np.float64]:
         rolled = np.roll(scores, (reach, reach), axis=(0, 1))
@@ -205,7 +205,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
     thumbs = {frame.index: _thumb(frame) for frame in probe.frames}
     given = probe.recording.given_trajectory
     if given is not None and not in_order_of_time(given.T_world_camera):
-        return  # views in no order of time are not like those beside them
+        return  # views in no order of time do not resemble their neighbours
     if given is None and _shuffled(probe):
         what = "frames that follow each other are no more similar than any two: they are in no order of time"
         advice = "number them in the order in which they were recorded, or give their poses"
@@ -228,7 +228,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 
 
 def _shuffled(probe: Probe) -> bool:
-    """Whether consecutive frames are no more similar than frames half a run apart."""
+    """Return whether consecutive frames are no more similar than frames half a run apart."""
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
@@ -246,7 +246,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Ratio of the pixels measured in both images whose depths agree; 1 if there are none."""
+    """Return the share of pixels measured in both images whose depths agree; 1 if there are none."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

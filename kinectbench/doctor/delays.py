@@ -16,7 +16,7 @@ from kinectbench.doctor.probe import END_RUN, Probe, SmallFrame
 
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
-# Least correlation of a valid lag; a maximum by chance is lower.
+# Least correlation of a valid lag; chance maxima are lower.
 LEAST_CORRELATION = 0.6
 LEAST_SAMPLES = 20
 SMALL_PX = (80, 60)
@@ -27,8 +27,8 @@ class Motion:
     """Image motion over time.
 
     Attributes:
-        times_ns: (n,) int64, increasing: the middle between two frames.
-        shift_px_s: (n, 2) float64: the shift of the image in x and y, pixels (of any one size) a second.
+        times_ns: (n,) int64, increasing: the mid-time between two frames.
+        shift_px_s: (n, 2) float64: the shift of the image in x and y, pixels a second, at any fixed size.
     """
 
     times_ns: NDArray[np.int64]
@@ -36,11 +36,11 @@ class Motion:
 
 
 def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]) -> Motion:
-    """The shift between images in a row, by phase correlation (Kuglin and Hines 1975).
+    """Measure the shift between consecutive images by phase correlation (Kuglin and Hines 1975).
 
     Args:
         stamps_ns: (n,) increasing, nanoseconds.
-        images: n images (height, width), depth or grey; those of depth may have holes.
+        images: n images (height, width), depth (may have holes) or grey.
     """
     import cv2
 
@@ -53,7 +53,7 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
         last = small
     stamps = np.asarray(stamps_ns, np.int64)
     steps_s = np.diff(stamps) / 1e9
-    # A dropped frame makes a longer step, which gives less precise timing.
+    # A dropped frame makes a longer step, whose time is less precise.
     regular = steps_s < 2.5 * np.median(steps_s) if len(steps_s) else np.zeros(0, bool)
     middle = stamps[:-1] + np.diff(stamps) // 2
     shifts_px = np.array(shifts, np.float64).reshape(-1, 2)
@@ -61,13 +61,13 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
 
 
 def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
-    """The delay of the second stream's stamps at which both motions agree best, nanoseconds.
+    """Return the delay of the second stream's stamps at which both motions agree best, nanoseconds.
 
-    Every lag up to half a second is scored by the correlation of both motion components, at the samples of
-    the first stream, with the second stream interpolated. A parabola refines the best lag.
+    Each lag up to half a second is scored by the correlation of both motion components at the samples of the
+    first stream; the second stream is interpolated. A parabola refines the best lag.
 
     Returns:
-        None if the streams have too little common motion.
+        The delay; None if the streams have too little common motion.
     """
     lags_ns = np.arange(-LONGEST_NS, LONGEST_NS + 1, STEP_NS)
     scores = np.array([_agreement(first, second, int(lag)) for lag in lags_ns])
@@ -78,14 +78,14 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Correlation of the first motion with the second one at stamps later by a lag."""
+    """Return the correlation of the first motion with the second one delayed by a lag."""
     if len(second.times_ns) < 2:
         return -1.0
     times = first.times_ns + lag_ns
     common = (times >= second.times_ns[0]) & (times <= second.times_ns[-1])
     if common.sum() < LEAST_SAMPLES:
         return -1.0
-    # Relative times, because nanoseconds since 1970 exceed the precision of a float.
+    # Times relative to the start, because nanoseconds since 1970 exceed the precision of a float.
     at, known = (times[common] - second.times_ns[0]) / 1e9, (second.times_ns - second.times_ns[0]) / 1e9
     shifted = np.stack([np.interp(at, known, second.shift_px_s[:, axis]) for axis in (0, 1)], axis=1)
     a, b = (values - values.mean(axis=0) for values in (first.shift_px_s[common], shifted))
@@ -95,16 +95,16 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
 
 # Assumed frame rate of recordings whose stamps only count frames.
 ASSUMED_HZ = 30
-# Smaller delays are hard to measure and hardly matter: 60 ms, and this many frames of colour.
+# Smaller delays are hard to measure and hardly matter: 60 ms, and so many frame periods of colour.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
 EDGE_LAGS, EDGE_SIZE = 12, (160, 120)
-# The best lag must score this many standard errors, and this many times the score without a lag.
+# The best lag must score so many standard errors, and so many times the score without a lag.
 EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
 PAIRED_SHARE = 0.8
 
 
 def check_color_delay(probe: Probe) -> Iterator[Finding]:
-    """Report a delay between colour and the depth it is paired with."""
+    """Report a delay between colour and the depth that it is paired with."""
     run = tuple(frame for frame in probe.longest_run() if frame.gray is not None)
     if len(run) < 3:
         return
@@ -125,10 +125,10 @@ def check_color_delay(probe: Probe) -> Iterator[Finding]:
 
 
 def check_color_drift(probe: Probe) -> Iterator[Finding]:
-    """Report a drift between the clocks of colour and depth: the delay grows over the recording.
+    """Report a drift between the clocks of colour and depth: a delay that grows over the recording.
 
-    The delay is measured in runs of frames at the beginning, in the middle and at the end, or in the thirds
-    of one long run. The middle delay must lie between the two others, which excludes a result by chance.
+    The delay is measured in runs of frames at the beginning, middle and end, or in the thirds of one long
+    run. The middle delay must lie between the others, which excludes chance results.
     """
     runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
@@ -166,13 +166,13 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
 
 
 def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
-    """(n,) stamps of frames, nanoseconds; at 30 Hz if the recording only counts frames."""
+    """Return stamps (n,) of frames, nanoseconds; at 30 Hz if the recording only counts frames."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     return stamps_ns // ASSUMED_HZ if probe.counts_frames else stamps_ns
 
 
 def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The delay by motion, or, if depth shows too little motion, by coincident edges."""
+    """Return the delay by motion; if depth shows too little motion, by coincident edges."""
     delay_ns = _motion_delay_ns(run, stamps_ns)
     if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)
@@ -180,7 +180,7 @@ def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArra
 
 
 def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The delay at which the motions of depth and colour agree; None unless both halves confirm it."""
+    """Return the delay at which the motions of depth and colour agree; None unless both halves confirm it."""
     depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
     color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
     middle = len(depth.times_ns) // 2
@@ -195,7 +195,7 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """The delay; if it leaves images without partners, it is moved to the median nearest partner."""
+    """Return the delay; if images lose their partners by it, move it to the median nearest partner."""
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
         return delay_ns
@@ -209,9 +209,9 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """The lag in frames at which colour edges coincide best with depth jumps; for registered colour.
+    """Return the delay at which colour edges coincide best with depth jumps; for registered colour.
 
-    None if the maximum is not significant, or if either half of the run has its maximum elsewhere.
+    The result is None if the maximum is not significant, or if either half of the run has another maximum.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None
@@ -230,11 +230,11 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """(n, n) overlap of the jumps of depth i with the edges of colour j, minus row and column means."""
+    """Return (n, n): overlap of jumps of depth i with edges of colour j, minus row and column means."""
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
     fits = (jumps @ edges.T).astype(np.float64)
-    # Jumps and edges concentrate in the middle of all images, so the means are subtracted.
+    # Jumps and edges concentrate in the middle of all images, so means are subtracted.
     return np.asarray(fits - fits.mean(axis=0) - fits.mean(axis=1, keepdims=True) + fits.mean())
 
 
@@ -245,5 +245,5 @@ def _edges_of(frame: SmallFrame) -> NDArray[np.float64]:
 
 
 def offset_in_words(late_s: float) -> str:
-    """A delay in seconds, such as "28 ms late"."""
+    """Return a delay in words, such as "28 ms late"."""
     return f"{abs(late_s) * 1000:.0f} ms {'late' if late_s > 0 else 'early'}"

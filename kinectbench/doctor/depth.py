@@ -15,27 +15,27 @@ from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, scale_problem, s
 
 # Range of horizontal fields of view of hand-held cameras, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
-# A principal point farther from the centre (ratio of width or height) is not that of a full image.
+# A principal point farther from the centre (ratio of width or height) belongs to no full image.
 OFF_CENTRE = 0.15
 SAME_RATIO = 0.08
-# Between the sizes of sensors' own streams, such as 320, 512, 640, 1280 and 1920 pixels across.
+# Ratios between stream sizes of common sensors, such as 320, 512, 640, 1280 and 1920 pixels across.
 COMMON_SIZE_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
 NEARLY = 0.04
 MAX_ASPECT = 1.1
-# Plausible range of the median depth, and limit of the 95 % quantile, for rooms, metres.
+# Plausible range of the median depth, and limit of the 95 % quantile, in rooms, metres.
 LIKELY_MEDIAN_M = (0.45, 6.0)
 LIKELY_FAR_M = 12.0
 # With swapped bytes, neighbouring pixels differ by this factor more.
 SMOOTHER = 5.0
-# A maximum value this frequent, and this far beyond all others, is an invalid code.
+# A maximum that is this frequent, and this far beyond all other values, is an invalid code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
-# Levels of 8-bit depth, evenly spaced. A Kinect has as few in a small room, but with spacing that grows with
+# 8-bit depth has few levels, evenly spaced. A Kinect has as few in a small room, but their spacing grows with
 # distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
 SAMPLE_STEP_PX = 3
-# Of 16 bits.
+# Highest value of 16 bits.
 HIGHEST = 65535
-# Findings that a proven fit of the poses rules out: with another scale or intrinsics they would not fit.
+# Findings that a proven fit of the poses excludes: with another scale or intrinsics, the poses would not fit.
 SETTLED_BY_POSES = frozenset({"depth_scale", "principal_point", "field_of_view", "aspect", "camera_height"})
 VALID_SHARE = 0.35
 
@@ -91,7 +91,7 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
 
 
 def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
-    """(3,) metres: the 5 %, 50 % and 95 % quantiles of the measured depth; NaN without depth."""
+    """Return (3,) metres: the 5 %, 50 % and 95 % quantiles of the measured depth; NaN without depth."""
     measured = _measured(probe)
     if not len(measured):
         return np.full(3, np.nan)
@@ -99,19 +99,19 @@ def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
 
 
 def _measured(probe: Probe) -> NDArray[np.uint16]:
-    """Native values of a sample of the measured pixels of the whole frames."""
+    """Return native values of a sample of the measured pixels in the full-size frames."""
     samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in probe.whole]
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
 def is_likely(median_m: float, far_m: float) -> bool:
-    """Whether depth with this median and 95 % quantile, metres, is plausible for a room."""
+    """Return whether depth with this median and 95 % quantile, metres, is plausible for a room."""
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
 
 
 def _readable(probe: Probe) -> Iterator[Finding]:
     count = len(probe.frames) + len(probe.damaged) + len(probe.refused)
-    # If there are few, a build leaves out damaged frames and frames of another kind.
+    # A build leaves out damaged frames and frames of another kind if there are few.
     few = len(probe.refused) + len(probe.damaged) < MAX_DAMAGED * count
     severity: Severity = "warning" if few else "stops"
     if probe.refused:
@@ -131,7 +131,7 @@ def _readable(probe: Probe) -> Iterator[Finding]:
 
 
 def _byte_order(probe: Probe) -> list[Finding]:
-    """Detect swapped bytes: surfaces are smooth, and swapping the bytes of a correct image roughens it."""
+    """Detect swapped bytes: surfaces are smooth, and swapping the bytes of a correct image roughens them."""
     as_is = np.mean([_roughness(frame.depth[::4]) for frame in probe.whole])
     exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in probe.whole])
     if not as_is > SMOOTHER * exchanged:
@@ -142,7 +142,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """The mean step between measured neighbours in a row, as a ratio of the median depth."""
+    """Return the mean step between measured neighbours in a row, as a ratio of the median depth."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
@@ -154,7 +154,7 @@ def _roughness(depth: NDArray[np.uint16]) -> float:
 def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     levels = np.unique(measured)
     spacing = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
-    # A flat scene has few levels too, one unit apart.
+    # A flat scene has few levels, too, but one unit apart.
     coarse = spacing >= LEAST_SPACING or levels[-1] < FEW_LEVELS
     even = coarse and (float(levels[-1]) - float(levels[0])) / spacing <= EVEN_LEVELS
     if even and len(levels) <= FEW_LEVELS and len(measured) > 100 * len(levels):
@@ -163,7 +163,7 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    """Detect an invalid code: the highest value, frequent, and far beyond all others."""
+    """Detect an invalid code: a highest value that is frequent, and far beyond all others."""
     highest = int(measured.max())
     below = measured[measured < highest]
     share = 1 - len(below) / len(measured)
@@ -186,7 +186,7 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
         f"at {scale:g} units per metre, which is unlikely"
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
-    # Some cameras record objects on a table from this near.
+    # Some cameras record objects on a table from such a small distance.
     stored = getattr(probe.recording, "float_scale", None) is None
     if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
@@ -207,11 +207,11 @@ def _valid(probe: Probe) -> Iterator[Finding]:
 def range_by_look(
     probe: Probe, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
 ) -> DepthRangePart:
-    """The depth range that `build` would fuse, and the ratio of depth beyond it.
+    """Return the depth range that `build` would fuse, and the share of depth beyond it.
 
     Args:
-        probe: at the recording.
-        T_world_camera: (n, 4, 4) of frames that have a pose; None: use depth alone.
+        probe: the probe of the recording.
+        T_world_camera: (n, 4, 4) of the frames with a pose; None: only depth is used.
         fusion: the settings of benchmark.yaml; None: the defaults.
     """
     poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera

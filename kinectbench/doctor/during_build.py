@@ -15,18 +15,18 @@ from kinectbench.doctor.probe import ProbeBuilder, frames_to_read, probe_recordi
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# With these findings everything that is built with the poses is wrong.
+# Findings that make everything built with the poses wrong.
 POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
-# Findings that ingest itself does not detect; `track` judges the poses, on all frames.
+# Findings that ingest itself does not detect; `track` judges the poses, over all frames.
 CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
-    """Refuse a recording whose frames are all wrong in a way that makes a build fail.
+    """Refuse a recording if a fault of all its frames makes a build fail.
 
     Raises:
-        RecordingError: exchanged bytes, a code read as depth, intrinsics of another size.
+        RecordingError: swapped bytes, an invalid code read as depth, or intrinsics of another size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):
@@ -38,10 +38,10 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> str:
-    """A hint by `inspect` at a wrong pose convention or depth scale; "" if there is none.
+    """Return a hint that the pose convention or depth scale is wrong, by `inspect`; "" without such a hint.
 
-    Depth of a small object looks like depth with a wrong scale. This is no reason to refuse a recording, but
-    it is the likely cause if a build fails.
+    Depth of a small object looks like depth with a wrong scale. So a recording is not refused for it, but it
+    is the likely cause if a build fails.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
@@ -66,20 +66,20 @@ class OffsetWatch:
     """Collects frames while they are written, so that none is read twice."""
 
     def __init__(self, recording: Recording) -> None:
-        """Collect the frames that `inspect` would read."""
+        """Prepare to collect the frames that `inspect` would read."""
         self._recording = recording
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def wants(self, index: int) -> bool:
-        """Whether `inspect` would read a frame."""
+        """Return whether `inspect` would read a frame."""
         return index in self._gathering.indices
 
     def see(self, index: int, frame: RawFrame) -> None:
-        """Take a frame as recorded."""
+        """Take a recorded frame."""
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """One line for each offset, with the setting for benchmark.yaml or other advice."""
+        """Return one line for each offset, with the setting for benchmark.yaml or other advice."""
         reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
             f"{finding.where}: {finding.what}; {finding.advice}"
@@ -88,7 +88,7 @@ class OffsetWatch:
         ]
 
     def scale_warnings(self) -> list[str]:
-        """Evidence against depth_scale and intrinsics, one line each, without a path, for releases."""
+        """Return evidence against depth_scale and intrinsics, one line each, without a path, for releases."""
         return [f"{finding.what}; {finding.advice}" for finding in self._findings if finding.name == LENGTHS]
 
     @cached_property
@@ -101,7 +101,7 @@ class OffsetWatch:
         yield from check_partners(probe)
         yield from list(check_color_drift(probe)) or check_color_delay(probe)
         fit = fit_trajectory(probe)
-        # Poses of another convention fit at no delay; `track` reports that, on all frames.
+        # Poses in another convention fit at no delay; `track` reports the convention, over all frames.
         if fit is not None and given is not None and not fit.convention.changes:
             late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
             yield from late or check_lengths(probe, fit.lengths)

@@ -1,4 +1,4 @@
-"""Inspect a recording without building anything, even if it cannot be opened as it is."""
+"""Inspect a recording without building anything, even if it cannot be opened normally."""
 
 import math
 from collections.abc import Iterator
@@ -96,14 +96,14 @@ def inspect(
 
     Args:
         path: folder or file.
-        settings: of its camera, as under `camera:` in benchmark.yaml.
+        settings: settings of its camera, as under `camera:` in benchmark.yaml.
         mode: the trajectory mode of benchmark.yaml; "ignore": the given trajectory is not used.
-        fusion: settings of the depth range; None: by the recording.
-        own_pixels: benchmark.yaml has `segment_by`: no floor is needed, and the camera may stand still.
-        follow_links: links in it are followed, by the setting of benchmark.yaml.
+        fusion: settings of the depth range; None: chosen for the recording.
+        own_pixels: whether benchmark.yaml has `segment_by`: no floor is needed, and the camera may be static.
+        follow_links: whether links in it are followed, by the setting of benchmark.yaml.
         plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: none.
-        boxed: benchmark.yaml has a box around the object: no floor is needed.
-        tracking: settings to grade a given trajectory as a build does; None: it is not graded.
+        boxed: whether benchmark.yaml has a box around the object: no floor is needed.
+        tracking: settings to grade a given trajectory as a build does; None: the trajectory is not graded.
 
     Returns:
         The diagnosis; and the probe, None if the recording cannot be opened.
@@ -139,8 +139,8 @@ def _by_own_pixels(probe: Probe) -> Finding:
 def _examined(
     probe: Probe, ground: Ground, findings: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
-    """Checks that need valid depth: further facts, and all findings that poses do not rule out."""
-    # Poses of a still camera fit equally well by every convention, so they prove nothing.
+    """Run the checks that need valid depth; return further facts, and findings that poses do not exclude."""
+    # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still = [*check_still(probe)]
     stands = any(finding.name in NO_MOTION for finding in still)
     edges, poses = fit_edges(probe), None if stands else fit_trajectory(probe)
@@ -161,7 +161,7 @@ def _examined(
             for each in (findings, late)
         )
         findings = [replace(f, advice=SAME_UNIT) if f.name == "depth_scale" else f for f in findings]
-    # Poses cannot fit wrong depth or a moving object, so only the cause is reported.
+    # Poses cannot fit wrong depth or a moving object, so only that cause is reported.
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in findings)
     if any(f.name == "depth_scale" for f in findings):
         late = [f for f in late if f.name != "far_depth"]
@@ -178,10 +178,10 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """Findings that need valid depth."""
+    """Return the findings that need valid depth."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
-    # Colour that is not registered to depth gives no delay by edges.
+    # Unregistered colour gives no delay by edges.
     if not any(finding.severity == "warning" for finding in of_color):
         drift = list(check_color_drift(probe))
         yield from drift or check_color_delay(probe)

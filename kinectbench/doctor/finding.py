@@ -1,4 +1,4 @@
-"""The doctor's report: findings, facts, the verdict that follows from them, and facts in words."""
+"""The doctor's report: findings and facts, the verdict that follows, and the facts in words."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ class Finding:
     """One result of a check.
 
     Attributes:
-        name: the kind of finding, a word for machines.
-        severity: "stops": a build would fail or be wrong; "warning": it may; "note": information.
+        name: the kind of finding, for programs.
+        severity: "stops": a build would fail or be wrong; "warning": it may be; "note": information.
         what: the finding, one line.
         where: the file, topic or frames.
         advice: what to do; "" where there is nothing to do.
@@ -63,20 +63,20 @@ class Diagnosis:
 
 
 def camera_line(key: str, value: float) -> str:
-    """Advice to write a setting of the camera into benchmark.yaml."""
+    """Return advice to write a camera setting into benchmark.yaml."""
     return f"put `camera: {{{key}: {value:.3f}}}` into benchmark.yaml"
 
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings by severity, otherwise in their order, without duplicates."""
+    """Return the findings by severity, otherwise in their order, without duplicates."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
 def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """The known facts as (name, value), in order, to print.
+    """Return the known facts as (name, value), in order, ready to print.
 
     Args:
-        facts: of a `Diagnosis`: plain JSON values by name; a name ends in its unit.
+        facts: facts of a `Diagnosis`: plain JSON values by name; names end in the unit.
     """
     return [_in_words(name, value) for name, value in facts.items() if value is not None]
 
@@ -90,7 +90,7 @@ def _in_words(name: str, value: object) -> tuple[str, str]:
 
 
 def _value(name: str, value: object, unit: str) -> str:
-    """A value in words: a camera, quantiles, a size, a yes or no, a number with its unit."""
+    """Return a value in words: a camera, quantiles, a size, a yes or no, a number with its unit."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Mapping):

@@ -33,12 +33,12 @@ AXES_IN_WORDS = {
 IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
 OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
-# A frame is compared with the frames this many places after it, if they were read.
+# A frame is compared with the frames so many places after it, if they were read.
 AHEAD = (1, 4, 12, 40)
-# Views in no order of time are compared with their n-th nearest views by angle.
+# Views in no order of time are compared with their n-th nearest views by angle, for these n.
 NEAREST = (1, 2, 4, 8)
 POINT_STEP = 7
-# A depth error of this ratio of the distance, or more, counts as entirely wrong.
+# A depth error of at least this ratio of the distance counts as entirely wrong.
 WRONG_SHARE = 0.1
 NEAREST_M = 1e-3
 # Poses fit if the residual is at most this many times a Kinect's depth noise of two frames at that distance,
@@ -54,9 +54,9 @@ class PoseConvention:
     Attributes:
         inverse: the poses map the world to the camera.
         axes: a key of AXES.
-        wxyz: the quaternions are stored as w, x, y, z, not x, y, z, w.
+        wxyz: the quaternions are stored as w, x, y, z instead of x, y, z, w.
         images: a key of IMAGES.
-        unit_m: their unit of length in metres, if depth is in metres.
+        unit_m: the poses' unit of length in metres, if depth is in metres.
     """
 
     inverse: bool = False
@@ -82,7 +82,7 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """T_world_camera (n, 4, 4) in optical axes and metres from poses as they were read; NaN stays NaN."""
+        """Convert poses as read to T_world_camera (n, 4, 4) in optical axes and metres; NaN stays NaN."""
         known = np.isfinite(poses[:, 0, 0])
         T = poses[known]
         if self.wxyz:
@@ -99,14 +99,14 @@ class PoseConvention:
 
 
 def likely_conventions() -> Iterator[PoseConvention]:
-    """The conventions that are tried first; "as given" is the first of all."""
+    """Yield the conventions that are tried first, beginning with "as given"."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
     yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))
 
 
 def further_conventions() -> Iterator[PoseConvention]:
-    """The conventions that are tried if none of the likely ones fits."""
+    """Yield the conventions that are tried if no likely one fits."""
     for unit_m in OTHER_UNITS:
         yield from (convention for convention in _of_unit(unit_m) if convention.changes > 1)
 
@@ -123,10 +123,10 @@ class FramePair:
     """Two frames that should show the same surface.
 
     Attributes:
-        first: index into the probe's frames; `second` as well.
-        points: (n, 3) of the first frame, its camera's axes, metres.
-        depth_m: of the second frame.
-        camera: of that small image.
+        first: index of a frame of the probe. `second`: index of the other frame.
+        points: (n, 3) points of the first frame, in its camera's axes, metres.
+        depth_m: depth of the second frame, metres.
+        camera: camera of that small depth image.
     """
 
     first: int
@@ -137,10 +137,10 @@ class FramePair:
 
 
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
-    """Choose pairs of frames with poses, evenly over the recording, near and distant.
+    """Choose pairs of frames with poses, evenly over the recording, both near and distant pairs.
 
-    Near means near in time. If the poses (n, 4, 4) are in no order of time, it is the angle between views,
-    which is the same for every convention.
+    Near means near in time. For poses (n, 4, 4) in no order of time, near means a small angle between views,
+    which is the same in every convention.
     """
     camera, count = probe.small_camera, len(probe.frames)
     has_pose = np.isfinite(poses[:, 0, 0])
@@ -163,23 +163,23 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Indices of later frames, or earlier ones at the end of the recording; negative without any."""
+    """Return indices of later frames, or of earlier ones at the recording's end; negative without any."""
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
 
 def _beside(first: int, poses: Float64) -> list[int]:
-    """The frames with the smallest angle to a frame's view."""
+    """Return the frames with the smallest angles to a frame's view."""
     cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
     order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
 
 
 def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
-    """Whether a residual, metres, is small enough to be a fit, compared with the depth noise.
+    """Return whether a residual, metres, is small enough for a fit, compared with the depth noise.
 
     Args:
         residual_m: the result of `residual_m`.
-        pairs: the pairs that it was computed from.
+        pairs: the pairs that the residual was computed from.
     """
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
@@ -187,23 +187,23 @@ def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
 
 
 def frames_of(pairs: Sequence[FramePair]) -> NDArray[np.int64]:
-    """The frames in pairs, increasing."""
+    """Return the frames of some pairs, increasing."""
     return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
 
 
 def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float64:
-    """Disagreement of poses and depth: 0 to 1, the mean error over the points of pairs of frames.
+    """Return the disagreement of poses and depth: 0 to 1, the mean error over the points of frame pairs.
 
-    The error of a point is the difference of its distance and the measurement at its pixel, divided by a
-    tenth of the distance, at most 1. Points outside the image count as 1, because wrong poses often leave no
-    overlap.
+    A point's error is the difference between its distance and the depth at its pixel, divided by a tenth of
+    the distance, at most 1. Points outside the image count as 1, because wrong poses often leave no overlap.
 
     Args:
         pairs: the pairs of frames to compare.
-        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's frames; those of the pairs are finite.
+        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's frames; poses of paired frames are
+            finite.
 
     Returns:
-        (k, pairs).
+        (k, pairs) float64.
     """
     residuals = np.empty((len(T_world_camera), len(pairs)))
     for column, pair in enumerate(pairs):
@@ -219,7 +219,7 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
 
 
 def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:
-    """Median point-to-plane distance of points to the surface, metres; NaN if no point overlaps."""
+    """Return the median point-to-plane distance of points to the surface, metres; NaN without overlap."""
     all_m = [np.zeros(0)]
     for pair in pairs:
         points, rows, columns, inside = _project(pair, T_world_camera)
@@ -239,7 +239,8 @@ def _project(
     """Project points (..., m, 3) of the first frame into the second by poses (..., n, 4, 4).
 
     Returns:
-        The points in the second camera's axes; their rows and columns, 0 outside the image; which are inside.
+        Points in the second camera's axes; their rows and columns (0 outside the image); and which are
+        inside.
     """
     first, second = (T_world_camera[..., index, :, :] for index in (pair.first, pair.second))
     T_second_first = invert_rigid(second) @ first

@@ -1,4 +1,4 @@
-"""Find the floor with the build's own function, and the camera's height above it."""
+"""Find the floor with the build's own function, and the camera's height above the floor."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,17 +23,17 @@ from kinectbench.stages.ingest.recording import Recording
 if TYPE_CHECKING:
     from kinectbench.stages.segment.find.floor import Floor
 
-# Number of frames that are searched singly, or jointly by their poses; limited to save time.
+# Number of frames that are searched one by one, or together by their poses; limited to save time.
 FRAMES, POSED_FRAMES = 6, 40
-# With a larger disagreement of poses and depth, frames are not combined to find a floor.
+# If poses and depth disagree more, frames are not combined to find a floor.
 FITTING = 0.5
-# Assumed focus of a frame without a pose, camera frame, metres: the typical distance of furniture.
+# Assumed point of interest of a frame without a pose, camera frame, metres: a typical distance of furniture.
 FOCUS_CAMERA = np.array([0.0, 0.0, 1.5])
 # Plausible heights of a hand-held camera above the floor or the table, metres.
 LOWEST_M, HIGHEST_M = 0.25, 2.5
-# A floor seen in a smaller ratio of the frames is reported. Chosen by hand.
+# A floor that is seen in a smaller share of the frames is reported. Chosen by hand.
 SEEN_SHARE = 0.3
-# A frame sees the scene's floor if this ratio of its points lies within this distance of it, metres.
+# A frame sees the scene's floor if this share of its points lies within this distance of the floor, metres.
 MIN_ON_FLOOR, ON_FLOOR_M = 0.01, 0.04
 
 # Largest scatter of combined frames about a floor, in multiples of a Kinect's depth noise at that distance.
@@ -52,12 +52,12 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ground:
-    """Prior knowledge of the surface that the object stands on.
+    """Prior knowledge about the surface that the object stands on.
 
     Attributes:
-        recording: with its gravity and its trajectory, even if the trajectory is ignored.
+        recording: the recording with its gravity and its trajectory, even if the trajectory is ignored.
         plane_world: (4,) a plane from the settings, in the world of the given poses; None: not set.
-        is_needed: a build needs a floor: the settings have no plane, box or masks.
+        is_needed: whether a build needs a floor: the settings have no plane, box or masks.
     """
 
     recording: Recording
@@ -70,10 +70,11 @@ class SeenFloor:
     """The floor in some frames.
 
     Attributes:
-        heights_m: (k,) height of the camera above it in each frame, metres; NaN where no floor is found.
+        heights_m: (k,) height of the camera above the floor in each frame, metres; NaN where no floor is
+            found.
         warnings: reasons why the floor of all frames may be wrong, one line each, as in a build.
         why: why no floor was found in all frames together, as in a build; None: it was found, or frames were
-            searched singly.
+            searched one by one.
     """
 
     heights_m: Points
@@ -86,19 +87,19 @@ def seen_floor(
 ) -> SeenFloor:
     """Search for the floor in some frames.
 
-    With given poses that fit, the floor is searched once, in all frames together and with the inputs of the
-    build. Otherwise each frame is searched singly, as if it were a recording. A plane from the settings is in
-    the world of the given poses, and is not used without them.
+    If given poses fit, the floor is searched once in all frames together, with the inputs of the build.
+    Otherwise each frame is searched separately, as if it were a recording. A plane from the settings is in
+    the world of the given poses, and is not used without poses.
 
     Args:
-        probe: at the recording.
+        probe: the probe of the recording.
         ground: prior knowledge of the floor.
         poses: the fit of the given poses; None: there are none.
         max_depth_m: depth beyond this is not fused, metres.
     """
     posed = None if poses is None or poses.best > FITTING else _posed(probe, poses)
     if poses is not None and posed is not None and len(posed[0]) > 1:
-        # Gravity in the frame of poses with another convention has another convention, too.
+        # If poses need another convention, gravity in their frame needs it, too.
         if poses.given != poses.best:
             ground = replace(ground, recording=replace(ground.recording, given_trajectory=None))
         return _heights_together(probe, *posed, max_depth_m, ground)
@@ -106,7 +107,7 @@ def seen_floor(
     indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
     alone = [_floor_alone(probe.frames[i], probe.small_camera, ground.recording) for i in indices]
     heights_m = [np.nan if each is None else each.plane_world[3] for each in alone]
-    # A warning of most single frames counts for the recording.
+    # A warning for most single frames counts for the recording.
     counts = Counter(line for each in alone if each is not None for line in each.against)
     warnings = tuple(line for line, count in counts.items() if 2 * count > len(alone))
     return SeenFloor(np.array(heights_m), warnings)
@@ -142,7 +143,7 @@ def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Find
 
 
 def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
-    """Some of the frames that have a pose, and their poses (n, 4, 4) in the convention that fits."""
+    """Return some of the frames with a pose, and their poses (n, 4, 4) in the convention that fits."""
     given = probe.recording.given_trajectory
     if given is None:
         return None
@@ -160,7 +161,7 @@ def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | No
 def _heights_together(
     probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
-    """Heights (n,) of the frames above their common floor, or above the plane of the settings."""
+    """Return the heights (n,) of the frames above their common floor, or above the plane of the settings."""
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import floor_of_frames
 
@@ -190,7 +191,7 @@ def _heights_together(
 
 
 def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
-    """A warning if combined frames scatter about the floor, by `noise_m`, more than depth noise explains."""
+    """Warn if combined frames scatter about the floor, by `noise_m`, more than depth noise explains."""
     if not len(depths_m):
         return
     far_m = float(np.median(depths_m))
@@ -200,7 +201,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """The floor in one frame, camera axes, metres; None without a floor."""
+    """Return the floor in one frame, camera axes, metres; None without a floor."""
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented
@@ -210,7 +211,7 @@ def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Fl
     points, normals = oriented(frame.depth_m, camera)
     if len(points) < MIN_POINTS:
         return None
-    # Lengths are scaled so that the median is 1.5 m away: a wrong unit must not hide the floor.
+    # Lengths are scaled to a median distance of 1.5 m, so that a wrong unit does not hide the floor.
     unit = float(FOCUS_CAMERA[2]) / float(np.median(points[:, 2]))
     alone = np.eye(4)[None]
     hint = hint_of(recording, np.array([frame.stamp_ns], np.int64), alone)

@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.sequence_writer import onto_depth
 from kinectbench.stages.track import track
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES
 
-# Largest number of compared frames, evenly spread: 5.4 CPU seconds at 640 x 480.
+# Most frames that are compared, evenly spread: 5.4 CPU seconds at 640 x 480.
 MOST_FRAMES = 150
 
 
@@ -30,12 +30,12 @@ def check_grade(
 
     Args:
         probe: at a recording whose given trajectory can be read.
-        tracking: what counts as disagreement.
+        tracking: settings that define disagreement.
         mode: the trajectory mode of the build. Refined poses are graded only after refinement.
     """
     count = len(probe.recording)
     every = count <= MOST_FRAMES
-    # Longer recordings are read in part; shorter ones without their damaged frames.
+    # Of longer recordings some frames are read; of shorter ones all but damaged frames.
     indices = [frame.index for frame in probe.frames]
     if not every:
         indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
@@ -43,7 +43,7 @@ def check_grade(
     refined, given = mode == "refine", probe.recording.given_trajectory
     assert given is not None
     posed = has_pose(poses_at(given, probe.recording.stamps_ns, tracking.max_stamp_gap_s))
-    # In a longer recording the compared frames are farther apart; missing poses are certain all the same.
+    # In a longer recording compared frames are farther apart, but missing poses are certain.
     certain = every or posed.sum() < MIN_GOOD_FRAMES
     try:
         sequence = as_sequence(probe.recording, indices)
@@ -72,14 +72,14 @@ def check_grade(
 
 
 def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
-    """Some frames of a recording, with the depth and colour that `write_sequence` would write.
+    """Return some frames of a recording, with the depth and colour that `write_sequence` would write.
 
     Args:
-        recording: that was opened.
-        indices: of the frames, increasing; none of them damaged.
+        recording: the opened recording.
+        indices: indices of the frames, increasing; none is damaged.
 
     Returns:
-        Their sequence; colour that does not lie on depth is left out.
+        A sequence of these frames; colour that is not registered to depth is left out.
     """
     problem = trajectory_problem(recording)
     register = onto_depth(recording)
@@ -95,7 +95,7 @@ def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
 
 
 class _RecordedFrames:
-    """Frames of an open recording; caches the last one, whose colour is read next."""
+    """Frames of an open recording; caches the last frame, whose colour is usually read next."""
 
     def __init__(
         self, recording: Recording, indices: Items[int], register: Callable[[RawFrame], RawFrame] | None
@@ -104,11 +104,11 @@ class _RecordedFrames:
         self._last: tuple[int, RawFrame] | None = None
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame as recorded: (height, width) uint16, 0 = no measurement."""
+        """Return the recorded depth of a frame: (height, width) uint16, 0 = no measurement."""
         return self._frame(index).depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Encoded colour of one frame: (suffix, bytes); None if it is not registered to depth."""
+        """Return the encoded colour of a frame: (suffix, bytes); None if it is not registered to depth."""
         if self._register is not None:
             return self._register(self._frame(index)).color
         return self._frame(index).color if self._recording.color_registered else None

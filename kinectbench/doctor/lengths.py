@@ -27,9 +27,9 @@ class Lengths:
     """Factors of depth and focal length at which the given poses fit best.
 
     Attributes:
-        depth: factor of all depth.
-        focal: factor of both focal lengths.
-        left: ratio of the disagreement that remains; 1 if the values are correct.
+        depth: factor on all depth values.
+        focal: factor on both focal lengths.
+        left: share of the disagreement that remains; 1 if the present values are correct.
     """
 
     depth: float
@@ -43,12 +43,11 @@ class Lengths:
 
 
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
-    """Try other depth scales and focal lengths under given poses: downhill, in steps of 5 percent.
+    """Search the depth scale and focal length that fit given poses best: downhill, in steps of 5 percent.
 
     Args:
-        pairs: of frames, compared.
-        T_world_camera: (n, 4, 4) of the probe's frames, in the correct convention; those of the pairs are
-            finite.
+        pairs: the compared pairs of frames.
+        T_world_camera: (n, 4, 4) of the probe's frames, in the correct convention; finite for paired frames.
     """
 
     def cost(steps: tuple[int, int]) -> float:
@@ -70,14 +69,14 @@ def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
 
 
 def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
-    """A pair with scaled depth and focal lengths."""
+    """Return a pair with scaled depth and focal lengths."""
     camera = replace(pair.camera, fx=pair.camera.fx * focal, fy=pair.camera.fy * focal)
     points = pair.points * (depth * np.array([1 / focal, 1 / focal, 1]))
     return replace(pair, points=points, depth_m=pair.depth_m * np.float32(depth), camera=camera)
 
 
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
-    """Report lengths with which the given poses fit better."""
+    """Report a depth scale and focal lengths with which the given poses fit better."""
     if not lengths.implausible:
         return
     recording = probe.recording

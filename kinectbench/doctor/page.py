@@ -21,7 +21,7 @@ TONES = {"stops": "bad", "warning": "warn", "note": ""}
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture of the sheet: frame index, caption, and the image as a `data:` address."""
+    """A picture of the sheet: frame index, caption, and the image as a `data:` address."""
 
     index: int
     what: str
@@ -29,10 +29,10 @@ class Picture:
 
 
 def write_diagnosis_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
-    """Write the page.
+    """Write the contact sheet.
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the page cannot be written.
     """
     grave = {finding.severity for finding in diagnosis.findings}
     shown = {
@@ -59,7 +59,7 @@ def _pictures(probe: Probe) -> Iterator[Picture]:
 
 
 def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colour (height, width, 3) RGB at the size of the sheet with the jumps of depth drawn on it."""
+    """Return colour (height, width, 3) RGB at the size of the sheet, with depth jumps drawn on it."""
     import cv2
 
     height, width = frame.depth.shape

@@ -1,4 +1,4 @@
-"""Clock offset of the given poses against depth, from the fit of poses at other times."""
+"""Clock offset of the given poses against depth: poses are shifted in time until they fit."""
 
 from collections.abc import Iterator
 
@@ -13,18 +13,18 @@ from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import FramePair, PoseConvention, disagreements, frames_of
 from kinectbench.doctor.probe import Probe
 
-# Up to half a second either way, for clocks that were synchronised by the network.
+# Lags up to half a second either way, enough for clocks that were synchronised over the network.
 LAGS_NS = np.arange(-500_000_000, 500_000_001, 50_000_000)
-# Fine steps around the best coarse lag, over more than two coarse steps either way. The parabola is fitted to
-# the minimum and four steps either way, because a single step is within the noise of the costs.
+# Step of the fine search around the best coarse lag, over more than two coarse steps either way. The parabola
+# is fitted to the minimum and four steps either way, because a single step is within the noise of the costs.
 FINE_STEP_NS = 10_000_000
 FINE_NS = np.arange(-12, 13) * FINE_STEP_NS
 ARM = 4
-# Moved poses must lower the cost to this ratio to be reported.
+# An offset is reported only if shifted poses lower the cost to this ratio.
 BETTER = 0.93
-# Least offset that is reported, if both halves of the pairs agree to 10 ms. Measured: moving the poses of
-# five recordings by 20 and 30 ms moves the result by as much, to 2 ms. Unmoved poses fit at most 1.2 % better
-# at other times, except freiburg1_xyz with 21 %, whose depth lags the motion capture.
+# Smallest offset that is reported, if both halves of the pairs agree to 10 ms. Measured: shifting the poses
+# of five recordings by 20 and 30 ms shifts the result by as much, to 2 ms. Unshifted poses fit at most 1.2 %
+# better at other times, except freiburg1_xyz with 21 %, whose depth lags the motion capture.
 LEAST_FINE_NS, AGREED_NS = 15_000_000, 10_000_000
 # Fewer pairs are not judged. No pose is interpolated over a longer gap. Chosen by hand.
 LEAST_PAIRS = 4
@@ -50,7 +50,7 @@ def check_trajectory_delay(
 
 
 def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
-    """The given trajectory on the clock of `clock_ns`."""
+    """Return the given trajectory on the clock of `clock_ns`."""
     divisor = ASSUMED_HZ if probe.counts_frames else 1
     return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
 
@@ -58,14 +58,14 @@ def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
 def trajectory_delay_ns(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> int | None:
-    """The delay of the poses' stamps at which they fit the depth best; None: not clear.
+    """Return the delay of the poses' stamps at which the poses fit the depth best; None: not clear.
 
-    Lags up to half a second are tried in steps of 50 ms, then around the best in steps of 10 ms, each on the
-    pairs for which all lags have poses.
+    Lags up to half a second are tried in steps of 50 ms, then steps of 10 ms around the best. Only pairs with
+    poses at all lags are used.
     """
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(lags, pairs)."""
+        """Return the disagreement at each lag for each usable pair: (lags, pairs)."""
         poses = np.stack([_poses(probe, given, pairs, int(lag)) for lag in lags_ns])
         posed = np.all(np.isfinite(poses[:, :, 0, 0]), axis=0)
         usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
@@ -78,7 +78,7 @@ def trajectory_delay_ns(
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
-    """The best of LAGS_NS, refined by a parabola; None if it is not clear."""
+    """Return the best of LAGS_NS, refined by a parabola; None if it is not clear."""
     if costs.shape[1] < LEAST_PAIRS:
         return None
     means = costs.mean(axis=1)
@@ -89,7 +89,7 @@ def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
 
 
 def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """The best lag, if it is clear; the last row of the costs has no lag."""
+    """Return the best lag, if it is clear; the last row of the costs is at lag zero."""
     if costs.shape[1] < 2 * LEAST_PAIRS:
         return None
     whole_ns, *halves_ns = (
@@ -102,7 +102,7 @@ def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | No
 
 
 def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """The minimum of costs (lags,) by a least-squares parabola around it; None at the ends."""
+    """Return the minimum of costs (lags,) by a least-squares parabola around it; None at the ends."""
     best = int(np.argmin(costs))
     around = slice(max(best - ARM, 0), best + ARM + 1)
     if best in (0, len(costs) - 1):
@@ -117,7 +117,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 def _poses(
     probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
 ) -> NDArray[np.float64]:
-    """Poses of the frames in pairs at stamps later by a lag: (n, 4, 4), NaN for all other frames."""
+    """Return poses of paired frames at stamps later by a lag: (n, 4, 4), NaN for all other frames."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)
@@ -126,6 +126,6 @@ def _poses(
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """Longest gap between poses that is interpolated, seconds; coarse, which suffices for a check."""
+    """Return the longest gap between poses that is interpolated, seconds; a coarse value for a check."""
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

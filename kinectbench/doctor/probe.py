@@ -1,4 +1,4 @@
-"""A probe of a recording: some of its frames in small, and a few whole."""
+"""A probe of a recording: some of its frames at low resolution, and a few at full size."""
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
@@ -16,8 +16,8 @@ from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, d
 from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, check_color, check_size
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# A recording with more frames is read in runs: a long one in the middle, two at the ends to measure clock
-# drift, and short ones elsewhere; 342 frames in all. Chosen by hand.
+# Longer recordings are read in runs: a long one in the middle, two at the ends to measure clock drift, and
+# short ones elsewhere; 342 frames in all. Chosen by hand.
 ALL_FRAMES = 250
 END_RUN = 60
 LONG_RUN, SHORT_RUN, SHORT_RUNS = 150, 12, 8
@@ -31,11 +31,11 @@ class SmallFrame:
     """A frame at low resolution.
 
     Attributes:
-        index: in the recording.
-        stamp_ns: of depth.
+        index: index in the recording.
+        stamp_ns: stamp of depth.
         depth_m: (height, width) float32 metres, every n-th pixel of every n-th row; 0 = none.
         gray: (height, width) uint8, about 320 wide, or None.
-        digest: of the whole depth image.
+        digest: digest of the full depth image.
     """
 
     index: int
@@ -50,7 +50,7 @@ class WholeFrame:
     """A frame as recorded.
 
     Attributes:
-        index: in the recording.
+        index: index in the recording.
         depth: (height, width) uint16, native units, 0 = none.
         bgr: (height, width, 3) uint8, or None.
     """
@@ -62,14 +62,14 @@ class WholeFrame:
 
 @dataclass(frozen=True)
 class Probe:
-    """The data that the checks judge.
+    """The data that the checks use.
 
     Attributes:
         recording: the opened recording.
         frames: small frames, in order.
         whole: some of the frames at full size, evenly spread.
-        damaged: why frames could not be read, one line each.
-        refused: why frames are of the wrong kind, one line each.
+        damaged: unreadable frames, with the reason, one line each.
+        refused: frames of the wrong kind, with the reason, one line each.
         depth_step_px: the stride n of the small depth images.
     """
 
@@ -87,7 +87,7 @@ class Probe:
 
     @property
     def small_camera(self) -> Camera:
-        """The camera of the small depth images: pixel i is pixel n i of the whole image."""
+        """The camera of the small depth images; their pixel i is pixel n i of the full image."""
         return self.recording.camera.every(self.depth_step_px)
 
     @property
@@ -96,27 +96,27 @@ class Probe:
         return counts_frames(self.recording.stamps_ns)
 
     def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
-        """Every two consecutive frames of the recording."""
+        """Yield every two consecutive frames of the recording."""
         for first, second in zip(self.frames, self.frames[1:], strict=False):
             if second.index == first.index + 1:
                 yield first, second
 
     def runs(self) -> list[tuple[SmallFrame, ...]]:
-        """Runs of consecutive frames."""
+        """Return the runs of consecutive frames."""
         indices = np.array([frame.index for frame in self.frames])
         cuts = [0, *(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
         return [self.frames[start:end] for start, end in pairwise(cuts) if end > start]
 
     def longest_run(self) -> tuple[SmallFrame, ...]:
-        """The longest run of consecutive frames."""
+        """Return the longest run of consecutive frames."""
         return max(self.runs(), key=len, default=())
 
 
 class ProbeBuilder:
-    """Builds a probe: gathers from read frames the data that the checks need."""
+    """Builds a probe: gathers the data that the checks need from the frames read."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
-        """Gather the frames with these indices (increasing), and `whole` of them at full size."""
+        """Prepare to gather frames with these indices (increasing), `whole` of them at full size."""
         places = np.linspace(0, len(indices) - 1, min(whole, len(indices))).astype(int)
         self.indices = indices
         self._wanted = frozenset(indices.tolist())
@@ -127,10 +127,10 @@ class ProbeBuilder:
         self._whole: list[WholeFrame] = []
 
     def take(self, index: int, raw: RawFrame) -> None:
-        """Take a frame, if it is wanted.
+        """Take a frame, if its index is wanted.
 
         Raises:
-            DamagedImageError: its colour cannot be decoded.
+            DamagedImageError: the frame's colour cannot be decoded.
         """
         if index not in self._wanted:
             return
@@ -147,14 +147,14 @@ class ProbeBuilder:
     def probe(
         self, damaged: Sequence[str] = (), refused: Sequence[str] = (), without: Collection[int] = ()
     ) -> Probe:
-        """The probe of the gathered frames, without those whose index is in `without`."""
+        """Return the probe of the gathered frames, without those whose index is in `without`."""
         frames = tuple(frame for frame in self._frames if frame.index not in without)
         whole = tuple(frame for frame in self._whole if frame.index not in without)
         return Probe(self._recording, frames, whole, tuple(damaged), tuple(refused), self._step)
 
 
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
-    """Read sample frames of a recording: all up to 250, else runs of frames; or only eight."""
+    """Probe a recording: read all frames up to 250, else runs of frames; with `few` only eight."""
     count = len(recording)
     indices = (
         np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
@@ -177,12 +177,12 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
             whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
             (refused if whole else damaged).append(str(error))
     if len(odd.keys() | odd_color.keys()) >= MAX_DAMAGED * len(indices):
-        odd = {}  # a build does not leave out so many; the check of depth reports their sizes
+        odd = {}  # too many for a build to leave out; the depth check reports their sizes
     return gathering.probe(damaged, [*refused, *(odd_color | odd).values()], [*odd, *odd_color])
 
 
 def frames_to_read(count: int) -> NDArray[np.int64]:
-    """Indices of the frames that are read from a recording of `count` frames, increasing."""
+    """Return the indices of the frames to read from a recording of `count` frames, increasing."""
     if count <= ALL_FRAMES:
         return np.arange(count)
     middle = (count - LONG_RUN) // 2
@@ -193,7 +193,7 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
-    """Colour as grey, decoded at a half, a quarter or an eighth of its size."""
+    """Return colour as grey, decoded at a half, a quarter or an eighth of its size."""
     import cv2
 
     if raw.color is None:

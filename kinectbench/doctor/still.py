@@ -1,4 +1,4 @@
-"""Detect a still camera in front of a moving object, with advice."""
+"""Detect a static camera, such as one in front of a turntable, and give advice."""
 
 from collections.abc import Iterator
 
@@ -11,13 +11,13 @@ TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
 OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
 WALK = "walk around the object, or let it turn"
-# Findings of a still camera: all its poses are the same.
+# Findings about a static camera: all its poses are the same.
 NO_MOTION = frozenset({"one_view", "turntable"})
 PLAIN = "nothing but the object gives depth, so that it does not matter whether it turned or the camera moved"
 
 
 def check_still(probe: Probe) -> Iterator[Finding]:
-    """Detect a turntable, and a still camera in front of a static scene."""
+    """Detect a turntable, and a static camera in front of a static scene."""
     frames = [probe.frames[index] for index in some_of(len(probe.frames))]
     shape = (probe.small_camera.height, probe.small_camera.width)
     frames = [frame for frame in frames if frame.depth_m.shape == shape]
@@ -36,7 +36,7 @@ def check_still(probe: Probe) -> Iterator[Finding]:
 
 
 def turntable_warning(sequence: Sequence) -> str:
-    """The warning of `inspect` about a still camera and a moving object, one line; "" if none."""
+    """Return the warning of `inspect` about a static camera and a moving object, one line; "" if none."""
     watched = watch_some(sequence).watched
     if watched is None or not (watched.camera_still and watched.something_moves):
         return ""

@@ -1,4 +1,4 @@
-"""Checks of a given trajectory: its clock, its pose convention, its fit to the depth, its arc."""
+"""Checks of a given trajectory: its clock, its pose convention, its fit to the depth, its viewing arc."""
 
 import math
 from collections.abc import Iterator
@@ -35,18 +35,19 @@ from kinectbench.stages.ingest.recording import FileRecording, Recording
 BETTER = 0.87
 # A convention with more changes must lower the disagreement of a simpler one to this ratio.
 SIMPLER = 0.97
-# Pairs of frames that fit by no convention see different surfaces.
+# Frame pairs with a larger disagreement in every convention show different surfaces; fewer pairs are not
+# judged.
 HOPELESS, LEAST_PAIRS = 0.6, 3
-# If no likely convention lowers the disagreement of a still camera to this ratio, further ones are tried.
+# If no likely convention lowers the disagreement of a static camera to this ratio, further ones are tried.
 CLEARLY_BETTER = 0.8
-# Poses that fit no better than a still camera fit badly, if the camera moved.
+# If the camera moved, poses that fit no better than a static camera fit badly.
 MOVED, NO_BETTER = 0.15, 0.9
-# Poses prove the depth scale if every other scale fits worse than by this ratio. Chosen by hand.
+# Poses prove the depth scale if every other scale fits worse by more than this ratio. Chosen by hand.
 OTHER_SCALE = 0.97
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
            1e-3: "milliseconds read as seconds", 1e-6: "microseconds read as seconds",
            1e-9: "nanoseconds read as seconds"}  # fmt: skip
-# Stamps in another unit span at least this ratio of the recording. Chosen by hand.
+# Stamps in another unit span at least this share of the recording. Chosen by hand.
 LEAST_SPAN = 0.1
 POSED_SHARE = 0.9
 SMALL_ARC_DEG = 270.0
@@ -57,14 +58,16 @@ class PoseFit:
     """The result of trying pose conventions.
 
     Attributes:
-        convention: the simplest one that fits well.
-        given, best, still: disagreement of the poses as given, in that convention, and of a still camera.
+        convention: the simplest convention that fits well.
+        given, best, still: disagreement of the poses as given, of the poses in that convention, of a static
+            camera.
         residual_m: point-to-plane residual in that convention, metres.
         fits: whether the residual is within the depth noise.
-        proven: the poses fit as they are, and with no other depth scale, so scale and intrinsics are right.
+        proven: whether the poses fit unchanged, and with no other depth scale, which proves scale and
+            intrinsics.
         pairs: the compared pairs of frames.
-        T_world_camera: (m, 4, 4) of the probe's frames that have a pose, in that convention.
-        arc_rad: the arc from which they see one point; None if they do not look at one point.
+        T_world_camera: (m, 4, 4) of the probe's frames with a pose, in that convention.
+        arc_rad: the arc from which the cameras see one point; None if they do not look at one point.
         lengths: factors of depth scale and focal lengths that fit best.
     """
 
@@ -132,7 +135,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 def _disagreements(
     conventions: list[PoseConvention], pairs: tuple[FramePair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Disagreement of each convention with each pair: (conventions, pairs)."""
+    """Return the disagreement of each convention with each pair: (conventions, pairs)."""
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]
     return disagreements(pairs, np.stack([convention.apply(paired) for convention in conventions]))
@@ -148,7 +151,7 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
     if given is None:
         beside = named_like_poses(probe.recording.path)
         if beside and any(beside in line for line in probe.recording.warnings):
-            beside = ""  # said already
+            beside = ""  # already reported
         what = f"no trajectory: the camera will be tracked{beside}"
         advice = f"write `trajectory.txt` {TUM_ROWS}"
         yield Finding("no_trajectory", "note", what, probe.where, advice if beside else "")
@@ -170,13 +173,13 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
     late = []
     if not fit.convention.changes or fit.fits:
         late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
-    # Poses with a clock offset fit better with other lengths, too.
+    # Poses with a clock offset also fit better with other lengths.
     yield from late or check_lengths(probe, fit.lengths)
     yield from _arc(probe, fit)
 
 
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
-    """Index of the convention: as given, unless another is much better; then the simplest of those."""
+    """Return the index of the convention: as given, unless others are much better; then the simplest."""
     if costs.min() > BETTER * costs[0]:
         return 0
     good = np.flatnonzero(costs * SIMPLER <= costs.min())
@@ -184,7 +187,7 @@ def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> 
 
 
 def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
-    """The key of FACTORS that maps the poses' stamps to the frames' time; None: none, or not needed."""
+    """Return the key of FACTORS that maps pose stamps to frame times; None if none fits or is needed."""
     together = [
         int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
     ]
@@ -193,7 +196,7 @@ def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> flo
     (first, last), (start, end) = ((float(ns[0]), float(ns[-1])) for ns in (poses_ns, frames_ns))
     for factor in FACTORS:
         share = (last - first) * factor / max(end - start, 1.0)
-        # If poses and frames begin together, most of their spans must overlap.
+        # If poses and frames start together, most of their spans must overlap.
         least = LEAST_SPAN if first > end or last < start else POSED_SHARE
         if first * factor <= end and last * factor >= start and least < share < 1 / least:
             return factor
@@ -218,7 +221,7 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
 
 
 def _stated_scale(recording: Recording) -> float:
-    """Units per metre of depth in the files, as `depth_scale` states it."""
+    """Return the units per metre of depth in the files, as `depth_scale` states it."""
     float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
     return recording.depth_scale if float_scale is None else float_scale
 

@@ -10,20 +10,20 @@ Kind = TypeVar("Kind")
 
 
 def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, Kind]:
-    """The plug-ins of a group of entry points.
+    """Load the plug-ins of a group of entry points.
 
-    An entry point names a mapping: name -> `kind`. In `pyproject.toml` of a package of one's own:
+    An entry point names a mapping {name: `kind`}. Write in the `pyproject.toml` of your own package:
 
         [project.entry-points."kinectbench.families"]
         mine = "my_package:FAMILIES"
 
     Args:
         group: "kinectbench.families" or "kinectbench.formats".
-        kind: class of each value.
-        own: entries without plug-ins.
+        kind: the class of each value.
+        own: the entries of this package.
 
     Returns:
-        Name -> value: `own`, then packages in the order of their entry points' names.
+        {name: value}: `own`, then other packages in the order of their entry points' names.
 
     Raises:
         SettingsError: an entry point cannot be imported, is no such mapping, or repeats a name.

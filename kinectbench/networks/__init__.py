@@ -1,1 +1,1 @@
-"""Networks that complete shapes: the paper's five methods and a small one; trained, run, and converted."""
+"""Networks that complete shapes, the paper's five and a small one: training, prediction, conversion."""

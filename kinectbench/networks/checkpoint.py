@@ -1,6 +1,6 @@
 """checkpoint.pt: the state of a training, in PyTorch's format. It is untrusted and may be damaged.
 
-What is read is bounded by the network that it is for, and nothing of it is taken before all was looked at.
+Its size is limited by the network, and nothing is used before everything is checked.
 """
 
 import pickle
@@ -19,7 +19,7 @@ from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.networks.network import Network
 
-# What is raised of a file that is damaged: torch unpickles in Python, where hostile bytes fail anyhow.
+# Exceptions for a damaged file: torch unpickles in Python, where hostile bytes may raise anything.
 DAMAGED = (
     *DAMAGED_ZIP,
     OSError,
@@ -32,9 +32,9 @@ DAMAGED = (
     pickle.UnpicklingError,
 )
 PICKLE = "data.pkl"
-# A tensor is described in some 300 bytes, a row of the course in some 200.
+# Size limits: a tensor's description takes some 300 bytes, a row of the log some 200.
 TENSOR_BYTES, ROW_BYTES, SLACK_BYTES = 2 << 10, 1 << 10, 64 << 10
-# Of each value the network's, and two of Adam's.
+# Copies of each value: the network's, and two of Adam's.
 COPIES = 3
 # A loss is a float32.
 MOST_LOSS = float(torch.finfo(torch.float32).max)
@@ -53,7 +53,7 @@ class _Checked(BaseModel):
 
 
 class StoredState(_Checked):
-    """Progress of a training; validated with the number of all steps as `context`."""
+    """Progress of a training; validated with the total number of steps as `context`."""
 
     step: Count
     rows: list[TrainingRow]
@@ -93,14 +93,15 @@ class StoredState(_Checked):
 
 
 class Checkpoint(_Checked):
-    """The whole content; `checked_state` and `set_values` check `state` and the tensors.
+    """The content of the file; `checked_state` and `set_values` check `state` and the tensors.
 
     Attributes:
-        benchmarks_sha256: releases that are learnt from, in order.
-        config_sha256: of the configuration; older files lack it.
-        network: values by name.
-        optimisers: their state dictionaries; of these the settings are not taken, the configuration has them.
-        state: how far it is.
+        benchmarks_sha256: identities of the training releases, in order.
+        config_sha256: hash of the configuration; older files lack it.
+        network: values of the network by name.
+        optimisers: state dictionaries of the optimisers; their settings are ignored in favour of the
+            configuration's.
+        state: progress of the training.
     """
 
     benchmarks_sha256: list[Sha256]
@@ -114,13 +115,13 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
     """Read an untrusted checkpoint.
 
     Args:
-        path: of the file.
-        network: that it is for: a larger file is refused.
-        steps: of the whole training: each has a row of the course at most.
-        device: where its tensors come to lie.
+        path: the checkpoint's file.
+        network: the network that is trained; a file larger than it needs is refused.
+        steps: number of steps of the whole training; the log has at most a row for each.
+        device: device for its tensors.
 
     Raises:
-        DAMAGED: one of these, if it is missing, damaged, or of another kind.
+        DAMAGED: one of these exceptions, if the file is missing, damaged, or of another kind.
     """
     shapes = network.state_dict()
     tensors = (COPIES + 1) * len(shapes)
@@ -131,7 +132,7 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
         if size_of(file) > 2 * most:
             raise ValueError("larger than a checkpoint of this network")
         for entry in open_zip(file, tensors + 16, most).infolist():
-            if entry.compress_type != zipfile.ZIP_STORED:  # torch writes no other, and would unpack it
+            if entry.compress_type != zipfile.ZIP_STORED:  # torch writes only stored entries
                 raise ValueError("packed")
             if entry.filename.endswith(PICKLE) and entry.file_size > pickled:
                 raise ValueError("a course that is too long")
@@ -143,10 +144,10 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
 
 
 def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
-    """The progress of a training with this many steps.
+    """Return the progress of a training with this many steps.
 
     Raises:
-        ValueError: as no such training can be.
+        ValueError: no such training can have this state.
     """
     return StoredState.model_validate(checkpoint.state, context=steps)
 
@@ -154,10 +155,10 @@ def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
 def set_values(
     checkpoint: Checkpoint, network: Network, optimisers: Iterable[torch.optim.Optimizer], step: int
 ) -> None:
-    """Give a network and its optimisers their values.
+    """Load the checkpoint's values into a network and its optimisers.
 
     Raises:
-        ValueError, KeyError: they are another network's, or what no training of so many steps leaves.
+        ValueError, KeyError: the values are of another network, or impossible after so many steps.
     """
     own = network.state_dict()
     if set(own) != set(checkpoint.network):
@@ -200,9 +201,9 @@ def _check(values: object, like: Tensor, positive: bool = False) -> None:
 
 
 def _lay_out(optimiser: torch.optim.Optimizer) -> None:
-    """Give an optimiser's state the memory layout of its parameters, as if it had been created with them.
+    """Give an optimiser's state the memory layout of its parameters, as if it had been created there.
 
-    Otherwise sums are rounded in another order, and the course is another one.
+    Otherwise sums are rounded in another order, and the training continues differently.
     """
     for parameter, kept in optimiser.state.items():
         for name, values in kept.items():

@@ -12,10 +12,10 @@ from kinectbench.core.untrusted import printable
 from kinectbench.settings.base import Settings
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
-# One of the user's own: a class by its path.
+# Kind of a user's own network: a class by its path.
 OWN = "own"
 CLASS_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-# Networks whose encoder and decoder are the generator's: they alone have widths and sides to choose.
+# Networks with the generator's encoder and decoder: only they have a choice of widths and sides.
 GENERATORS = ("3d-recgan++", "3d-recae")
 
 
@@ -142,10 +142,10 @@ class MethodSettings(Settings):
     training: TrainingSettings = TrainingSettings()
 
     def of_category(self, category: str) -> "MethodSettings":
-        """The same for pairs of one category alone, which its name states.
+        """Return the same settings for pairs of one category only; the name gets the category.
 
         Raises:
-            SettingsError: the category cannot be part of a name.
+            SettingsError: the category's name cannot be part of a method's name.
         """
         if problem := category_problem(category):
             raise SettingsError(f"--category '{printable(category)}': {problem}")
@@ -177,5 +177,5 @@ class MethodSettings(Settings):
 
     @property
     def sha256(self) -> str:
-        """Hash of the values that differ from the defaults, so that new settings change no hash."""
+        """Return the hash of the values that differ from defaults, so that new settings change no hash."""
         return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))

@@ -1,4 +1,4 @@
-"""A configuration as a YAML file: read with one line for every error, and written completely."""
+"""Read a configuration from a YAML file, with one line for every error; write one completely."""
 
 from pathlib import Path
 
@@ -15,15 +15,15 @@ SUFFIX = ".yaml"
 
 
 def packaged_configs() -> tuple[str, ...]:
-    """Names of the configurations in the package, sorted."""
+    """Return the names of the configurations in the package, sorted."""
     return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 
 
 def find_config(name: str) -> MethodSettings:
-    """A configuration by its name in the package, or by its path.
+    """Read a configuration by its name in the package, or by its path.
 
     Raises:
-        SettingsError: there is none, or one line for each error in it.
+        SettingsError: there is no such configuration, or one line for each error in it.
     """
     if name in packaged_configs():
         return read_config(FOLDER / f"{name}{SUFFIX}")
@@ -40,13 +40,14 @@ def read_config(path: Path) -> MethodSettings:
     """Read and check a configuration.
 
     Raises:
-        SettingsError: it cannot be read, or one line for each error: file and line, key, what is wanted.
+        SettingsError: the file cannot be read, or one line for each error: file and line, key, what is
+            allowed.
     """
     return read_model(path, MethodSettings, "name: my-method")
 
 
 def write_config(config: MethodSettings, path: Path) -> None:
-    """Write a configuration with all its defaults; `read_config` gives it back, as older versions do."""
+    """Write a configuration with all defaults; `read_config` reads it back, also in older versions."""
     values = config.model_dump(mode="json")
     if config.training.category is None:
         del values["training"]["category"]

@@ -1,8 +1,4 @@
-"""The checkpoint of 3D-RecGAN++'s authors as a method that `predict` runs; no TensorFlow is needed.
-
-Their tensors are channels-last; rows of full layers are in the order x, y, z, channel. Source: the released
-`Model_released/model.cptk` of Yang7879/3D-RecGAN-extended (MIT).
-"""
+"""Convert the checkpoint of 3D-RecGAN++'s authors into a method that `predict` runs, without TensorFlow."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,21 +22,21 @@ from kinectbench.networks.tensor_bundle import StoredTensor, TensorBundle, open_
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.weights import FILE, write_weights
 
-# The name of the method that comes out, and the packaged configuration that it follows.
+# Name of the converted method, and the packaged configuration that it follows.
 NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code"
 SUFFIX = ".index"
-# Adam's state of each value and its steps, needed only to continue training.
+# Tensors of Adam's state and its steps, needed only to continue training.
 OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_power_1", "beta2_power_1")
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """The conversion of a checkpoint's tensor to the network's.
+    """How a checkpoint's tensor becomes a tensor of the network.
 
     Attributes:
-        name: in the network.
-        axes: the order in which a convolution's axes are taken; None of other tensors.
-        rows: which axis of a full layer runs over cells and channels; None of other tensors.
+        name: the tensor's name in the network.
+        axes: the order in which a convolution's axes are taken; None for other tensors.
+        rows: the axis of a full layer that runs over cells and channels; None for other tensors.
     """
 
     name: str
@@ -48,22 +44,22 @@ class Mapped:
     rows: int | None = None
 
     def arranged(self, values: Float32) -> Float32:
-        """The values in the network's order of axes."""
+        """Return the values in the network's order of axes."""
         if self.axes is not None:
             return np.ascontiguousarray(values.transpose(self.axes))
         if self.rows is not None:
             values = _channels_first(values, self.rows)
-        return np.ascontiguousarray(values.T)  # of a vector it is the vector
+        return np.ascontiguousarray(values.T)  # no change for a vector
 
     def stored_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """The checkpoint's shape of a tensor with `shape` in the network."""
+        """Return the checkpoint's shape of a tensor that has `shape` in the network."""
         if self.axes is not None:
             return tuple(shape[self.axes.index(axis)] for axis in range(len(shape)))
         return tuple(reversed(shape))
 
 
 def _channels_first(values: Float32, axis: int) -> Float32:
-    """An axis in the order x, y, z, channel in the order channel, x, y, z."""
+    """Reorder an axis from x, y, z, channel to channel, x, y, z."""
     first = np.moveaxis(values, axis, 0)
     cells = first.reshape(*3 * (BOTTOM_CELLS,), -1, *first.shape[1:])
     return np.moveaxis(np.moveaxis(cells, 3, 0).reshape(first.shape), 0, axis)
@@ -74,11 +70,11 @@ class Conversion:
     """The result of converting a checkpoint.
 
     Attributes:
-        folder: of the method.
-        tensors: that fitted.
-        generator, discriminator: values of each.
-        optimiser: tensors of the optimiser, which are not needed.
-        left_out: other tensors that are in no such network, with their shapes.
+        folder: the method's folder.
+        tensors: number of tensors that fit.
+        generator, discriminator: number of values of each.
+        optimiser: number of the optimiser's tensors, which are not needed.
+        left_out: other tensors that such a network does not have, with their shapes.
     """
 
     folder: Path
@@ -90,7 +86,7 @@ class Conversion:
 
     @property
     def lines(self) -> list[str]:
-        """The lines to print."""
+        """Return the lines to print."""
         fitted = (
             f"{self.tensors} tensors fit: generator {self.generator:,}, discriminator {self.discriminator:,}"
         )
@@ -98,15 +94,15 @@ class Conversion:
         return [f"{fitted}; {self.optimiser} of the optimiser are not needed", *left, f"wrote {self.folder}"]
 
 
-# Of both kinds of convolution: the two kinds of channels change places and come first.
+# For both kinds of convolution, the two channel axes are swapped and come first.
 CHANNELS_FIRST = (4, 3, 0, 1, 2)
 
 
 def mapping() -> dict[str, Mapped]:
-    """Every tensor of the network by its name in the checkpoint.
+    """Return {name in the checkpoint: tensor of the network}.
 
-    A convolution is [x, y, z, in, out] there and [out, in, x, y, z] here; a transposed one [x, y, z, out, in]
-    and [in, out, x, y, z].
+    A convolution is [x, y, z, in, out] in the checkpoint and [out, in, x, y, z] in the network; a transposed
+    one is [x, y, z, out, in] and [in, out, x, y, z].
     """
     mapped: dict[str, Mapped] = {}
     parts = [(f"aeu/e{k + 1}", f"down.{k}") for k in range(len(ENCODER))]
@@ -134,9 +130,9 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
         out: the method's folder.
 
     Raises:
-        StorageError: there is no checkpoint, a file of it is missing or damaged, or a line for each tensor
-            that does not fit.
-        SettingsError: `out` is another training's.
+        StorageError: there is no checkpoint, a file of it is missing or damaged, or tensors do not fit (one
+            line each).
+        SettingsError: `out` belongs to another training.
     """
     bundle = open_bundle(find_index(model))
     config = fitting_config(bundle.tensors, bundle.index)
@@ -151,7 +147,7 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
     prepare_folder(out, config)
     write_weights({name: arrays[name] for name in shapes}, out / FILE)
     _write_training(bundle, arrays, config, out)
-    open_trained(out)  # what was written is a method
+    open_trained(out)  # check that it is a readable method
     generator = sum(values.size for name, values in arrays.items() if not name.startswith("discriminator."))
     others = [name for name in bundle.tensors if name not in names]
     optimiser = [name for name in others if name.endswith(OF_THE_OPTIMISER)]
@@ -163,10 +159,10 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
 
 
 def find_index(model: Path) -> Path:
-    """The one index of a checkpoint in a folder.
+    """Return the one index of a checkpoint in a folder.
 
     Raises:
-        StorageError: there is none, or there are several.
+        StorageError: there is no index, or there are several.
     """
     if model.suffix == SUFFIX:
         return model
@@ -182,10 +178,10 @@ def find_index(model: Path) -> Path:
 
 
 def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSettings:
-    """The configuration of the network whose first layer is as wide as the checkpoint's.
+    """Return the configuration of the network whose first layer is as wide as the checkpoint's.
 
     Raises:
-        StorageError: it is none of 3D-RecGAN++.
+        StorageError: the checkpoint is not of 3D-RecGAN++.
     """
     first = tensors.get("aeu/e1_w")
     channels = first.shape[-1] if first is not None and first.shape else 0
@@ -198,7 +194,7 @@ def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSe
 
 
 def tensor_misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """A line for each tensor that is missing or of another shape."""
+    """Return a line for each tensor that is missing or of another shape."""
     lines = []
     for name, shape in wanted.items():
         if name not in tensors:
@@ -221,5 +217,5 @@ def _write_training(
         temporary.write_text(file.text(), encoding="utf-8")
 
 
-# The checkpoints that are read, by the name that the command takes.
+# Converters by the name that the command takes.
 CONVERTERS: Mapping[str, Callable[[Path, Path], Conversion]] = {"recgan": convert_recgan}

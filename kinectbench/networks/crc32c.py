@@ -1,4 +1,4 @@
-"""CRC-32C, as TensorFlow's checkpoints use it. Import late: numba is slow to load."""
+"""Compute CRC-32C as in TensorFlow's checkpoints. Import late: numba is slow to load."""
 
 from functools import cache
 
@@ -6,15 +6,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-# Castagnoli's, with its bits reversed (RFC 3720, appendix B.4); what TensorFlow adds to a rotated checksum
-# before it stores it (tensorflow/core/lib/hash/crc32c.h).
+# Castagnoli's polynomial with its bits reversed (RFC 3720, appendix B.4); and the constant that TensorFlow
+# adds to a rotated checksum (tensorflow/core/lib/hash/crc32c.h).
 POLYNOMIAL = 0x82F63B78
 MASK = 0xA282EAD8
 
 
 @cache
 def _table() -> NDArray[np.uint32]:
-    """The remainder of each byte."""
+    """Return the remainder of each byte."""
     values = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         values = np.where(values & 1, (values >> 1) ^ np.uint32(POLYNOMIAL), values >> 1).astype(np.uint32)
@@ -23,7 +23,7 @@ def _table() -> NDArray[np.uint32]:
 
 @njit(cache=True, nogil=True)
 def _remainder(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> np.uint32:
-    """The plain CRC of some bytes (n,)."""
+    """Return the plain CRC of some bytes (n,)."""
     crc = np.uint32(0xFFFFFFFF)
     for byte in data:
         crc = table[(crc ^ byte) & np.uint32(0xFF)] ^ (crc >> np.uint32(8))
@@ -31,7 +31,7 @@ def _remainder(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> np.uint32:
 
 
 def masked_crc32c(data: bytes | NDArray[np.uint8]) -> int:
-    """The checksum as it is stored: turned by 15 bits, and a constant added.
+    """Return the checksum as TensorFlow stores it: rotated by 15 bits, plus a constant.
 
     Source: TensorFlow's lib/hash/crc32c.h.
     """

@@ -1,4 +1,4 @@
-"""The progress of a training as a picture: losses above, validation IoU below."""
+"""Plot the progress of a training: losses above, validation IoU below."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ LOSSES = (("loss", INK), ("reconstruction", BLUE), ("discriminator", ORANGE))
 
 
 def curves_png(name: str, rows: Sequence[TrainingRow]) -> bytes:
-    """A PNG of a method's losses and validation IoU by step; the same bytes for the same rows."""
+    """Return a PNG of a method's losses and validation IoU by step; the same rows give the same bytes."""
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True)
     steps = [row.step for row in rows]

@@ -1,4 +1,4 @@
-"""The pairs of a release as batches, in an order given by the seed, so that any step can be repeated."""
+"""Batches of a release's pairs, in an order given by the seed, so that any step can be repeated."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -22,7 +22,7 @@ from kinectbench.scoring.truth import read_parts
 from kinectbench.settings.words import suggestion
 
 _Value = TypeVar("_Value", bound=np.generic)
-# Batches are read by one thread while the one before is learnt from.
+# One thread reads the next batch while the present one is learnt.
 READING_THREADS = 2
 
 
@@ -32,7 +32,7 @@ class Batch:
 
     Attributes:
         partial: (b, 1, 64, 64, 64) float32.
-        truth: of the same pairs.
+        truth: the truth of the same pairs.
     """
 
     partial: Tensor
@@ -49,16 +49,16 @@ class PairFile(NamedTuple):
 def training_targets(
     releases: Sequence[Release], leave_out: Collection[str] = (), category: str | None = None
 ) -> tuple[tuple[Release, Target], ...]:
-    """The training pairs, of one release after another.
+    """Return the training pairs, release after release.
 
     Args:
-        releases: different ones.
-        leave_out: objects that are not learnt from.
-        category: the only one that is learnt from; None: all.
+        releases: different releases.
+        leave_out: objects that are not trained on.
+        category: the only category that is trained on; None: all.
 
     Raises:
-        ReleaseError: a release has no training pairs, or none of the category, or their truth is held back;
-            or it is given twice; or an object is learnt from in one and tested on in another.
+        ReleaseError: a release has no training pairs (of the category), their truth is held back, or it is
+            given twice; or an object is for training in one release and for testing in another.
     """
     pairs: list[tuple[Release, Target]] = []
     for release in releases:
@@ -85,7 +85,7 @@ def training_targets(
 
 
 def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[str]:
-    """Names, such as misspelt ones, that are no object of any of the releases."""
+    """Return the names (such as misspelt ones) that are no object of any release."""
     objects = {target.object for release in releases for target in release.targets}
     return [name for name in names if name not in objects]
 
@@ -108,7 +108,7 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
 def validation_pairs(
     releases: Sequence[Release], most: int, category: str | None = None
 ) -> tuple[PairFile, ...]:
-    """Up to `most` pairs of the validation splits, of one category or all, spread evenly over them."""
+    """Return up to `most` pairs of the validation splits, of one category or all, evenly spread."""
     pairs = [
         PairFile(release.pair_path(target), target.sha256)
         for release in releases
@@ -120,7 +120,7 @@ def validation_pairs(
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """The pairs of a step: every epoch is shuffled, and steps may span two epochs."""
+    """Return the pairs of a step: every epoch is shuffled, and a step may span two epochs."""
     shuffled: dict[int, NDArray[np.int64]] = {}
     chosen = []
     for place in range(step * batch, (step + 1) * batch):
@@ -132,7 +132,7 @@ def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
 
 
 def steps_in_all(pairs: int, config: MethodSettings) -> int:
-    """Steps of a whole training."""
+    """Return the number of steps of a whole training."""
     return math.ceil(pairs * config.training.epochs / config.training.batch)
 
 
@@ -146,10 +146,10 @@ def batches(
     """Yield the batch of each step, the next one read ahead.
 
     Args:
-        pairs: of the training splits.
-        config: how many make a batch, and in which axes.
-        steps: that are wanted.
-        device: where the tensors come to lie.
+        pairs: pairs of the training splits.
+        config: gives the size of a batch, and the axes.
+        steps: the requested steps.
+        device: device for the tensors.
         part: rank and number of processes that share each batch.
 
     Raises:
@@ -169,22 +169,22 @@ def batches(
 
 
 def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
-    """A pair's partial view, full shape and, if the unknown is masked, the known cells."""
+    """Return a pair's partial view, its full shape and, if unknown voxels are masked, its known cells."""
     names = ("partial", "full", "known") if config.loss.unknown == "mask" else ("partial", "full")
     parts = read_parts(pair.path, pair.sha256, names)
     return [turned_axes(unpack(part), config) for part in parts]
 
 
 def turned_axes(grid: NDArray[_Value], config: MethodSettings) -> NDArray[_Value]:
-    """A grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
+    """Return a grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 
 
 def bits_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
-    """Grids (b, n, n, n) as (b, 1, n, n, n) bool."""
+    """Return grids (b, n, n, n) as a bool tensor (b, 1, n, n, n)."""
     return torch.from_numpy(np.ascontiguousarray(grids)).to(device)[:, None]
 
 
 def as_tensor(grids: NDArray[np.bool_], device: str) -> Tensor:
-    """Grids (b, n, n, n) as (b, 1, n, n, n) float32."""
+    """Return grids (b, n, n, n) as a float32 tensor (b, 1, n, n, n)."""
     return bits_tensor(grids, device).float()

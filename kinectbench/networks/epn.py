@@ -2,8 +2,8 @@
 
 Source: Dai et al., Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis, CVPR 2017, without
 its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`,
-written here from their description. The paper that is compared with here used occupancy in place of
-distances: one channel in, one out, by cross-entropy.
+written here from their description. Like the 3D-RecGAN++ paper, this network uses occupancy instead of
+distances: one channel in, one out, trained by cross-entropy.
 """
 
 import torch
@@ -17,18 +17,18 @@ from kinectbench.networks.network import Network
 CELLS = 32
 CHANNELS = 80
 SLOPE = 0.2
-# Of batch normalisation, as in nnutil.lua (`batchNormEps`): PyTorch's own would be 1e-5.
+# Epsilon of batch normalisation, as in nnutil.lua (`batchNormEps`); PyTorch's default is 1e-5.
 EPSILON = 1e-3
 
 
 class EPN(Network):
-    """52,447,201 parameters, and 3,360 of batch normalisation (`layer_parameter_count`).
+    """3D-EPN: 52,447,201 parameters, plus 3,360 of batch normalisation (`layer_parameter_count`).
 
     Four convolutions down to one cell, two full layers, four transposed convolutions with skips.
     """
 
     def __init__(self, divisor: int = 1) -> None:
-        """Hidden channels are divided by `divisor`."""
+        """Make the network; hidden channels are divided by `divisor`."""
         super().__init__(input_cells=CELLS, output_cells=CELLS)
         n = narrowed(CHANNELS, divisor)
         self.down = nn.ModuleList(
@@ -53,9 +53,9 @@ class EPN(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Weights and biases uniform within 1 / sqrt(inputs of a value), scales of normalisation in [0, 1].
+        """Draw weights and biases within 1 / sqrt(inputs of a value), scales of normalisation in [0, 1].
 
-        Source: the modules of Torch7 that the source uses, whose `reset` it does not change.
+        Source: the default `reset` of the Torch7 modules that the authors use.
         """
         for layer in self.modules():
             if isinstance(layer, nn.BatchNorm3d):
@@ -66,7 +66,7 @@ class EPN(Network):
                 _uniform(layer, layer.in_channels * KERNEL**3)
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Logits of occupancy, (b, 1, 32, 32, 32), of partial views of the same shape."""
+        """Return logits of occupancy, (b, 1, 32, 32, 32), for partial views of the same shape."""
         levels, x = [], partial
         for index, layer in enumerate(self.down):
             x = layer(x)
@@ -86,7 +86,7 @@ class EPN(Network):
 
     @property
     def layer_parameter_count(self) -> int:
-        """Parameters of convolutions and full layers, as the paper counts them."""
+        """Number of parameters of convolutions and full layers, as the paper counts them."""
         return self.parameter_count - sum(
             values.numel() for norm in (*self.norms_down, *self.norms_up) for values in norm.parameters()
         )
@@ -99,7 +99,7 @@ def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> 
 
 
 def _normalised(norm: nn.Module, x: Tensor) -> Tensor:
-    """Batch normalisation; with a single value per channel it uses the running variance."""
+    """Apply batch normalisation; with a single value per channel, by the running variance."""
     if x.shape[0] * x.shape[2] ** 3 > 1:
         return norm(x)
     assert isinstance(norm, nn.BatchNorm3d)

@@ -8,9 +8,9 @@ from torch.nn import functional
 
 
 def reduced_partial(partial: Tensor, cells: int) -> Tensor:
-    """Partial views (b, 1, 64, 64, 64) at a smaller side: a cell is set if any cell that it touches is.
+    """Reduce partial views (b, 1, 64, 64, 64) to a smaller side: a cell is set if it touches a set cell.
 
-    The paper does not say how its views came to 32^3 and 40^3; this is the rule by which they came to 64^3.
+    The paper does not say how its views were reduced to 32^3 and 40^3; this is its rule for 64^3.
     """
     return partial if partial.shape[-1] == cells else functional.adaptive_max_pool3d(partial, cells)
 
@@ -21,17 +21,17 @@ class TruthBatch:
 
     Attributes:
         full: (b, 1, 256, 256, 256) bool.
-        known: the same, set where the truth is trusted; None: every voxel counts.
+        known: (b, 1, 256, 256, 256) bool, where the truth is known; None: every voxel counts.
     """
 
     full: Tensor
     known: Tensor | None
 
     def at(self, cells: int) -> tuple[Tensor, Tensor]:
-        """Targets and weights, each (b, 1, cells, cells, cells) float32.
+        """Return targets and weights, each (b, 1, cells, cells, cells) float32.
 
-        A target is the occupied share of a cell's known part; its weight is the share that
-        is known. At 256^3 they are the grids themselves.
+        A target is the occupied share of a cell's known part; its weight is the known share of the cell. At
+        256^3 these are the grids themselves.
         """
         if self.known is None:
             return _shares(self.full, cells), self._ones(cells)
@@ -39,7 +39,7 @@ class TruthBatch:
         return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
     def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
-        """The truth of a tile of one pair, where each side is cut into `count`: (1, 1, n, n, n)."""
+        """Return the truth of one tile of one pair, (1, 1, n, n, n); each side is cut into `count` tiles."""
         cells = self.full.shape[-1] // count
         box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
         cut = (slice(index, index + 1), slice(None), *box)

@@ -3,9 +3,8 @@
 Source: Han et al., High-Resolution Shape Completion Using Deep Neural Networks for Global Structure and Local
 Geometry Inference, ICCV 2017, as far as its description goes: projected depth images through an LSTM beside a
 3-D fully convolutional network, then patches of 32^3 with the global structure as guidance, trained end to
-end. The paper's layer sizes could not be established. Those below are ours, chosen so that there are 7.5 M
-parameters, the number that 3D-RecGAN++'s table states; so are the loss, the choice of patches and the six
-directions of projection.
+end. The paper's layer sizes are not known to us. Ours give 7.5 M parameters, the number in 3D-RecGAN++'s
+table. The loss, the choice of patches and the six directions of projection are ours, too.
 """
 
 from collections.abc import Iterator
@@ -18,27 +17,27 @@ from kinectbench.networks.grids import TruthBatch, reduced_partial
 from kinectbench.networks.layers import KERNEL, Doubling, narrowed, xavier
 from kinectbench.networks.network import Network
 
-# All of these are ours.
+# All of these values are ours.
 GLOBAL_CELLS, PATCH_CELLS, OUTPUT_CELLS = 32, 32, 256
 PATCHES = OUTPUT_CELLS // PATCH_CELLS
 GLOBAL_CHANNELS, LOCAL_CHANNELS = (48, 96, 192), (36, 72, 144)
 IMAGE_CHANNELS, IMAGE_VECTOR, CONTEXT_VECTOR, CONTEXT_CHANNELS = (16, 32, 64), 176, 256, 32
 BOTTOM_CELLS = 4
 TAUGHT_PATCHES = 8
-# A patch whose coarse probabilities are all below, or all above one minus it, stays as coarse as it is.
+# A patch stays coarse if all its coarse probabilities are below this, or all above one minus this.
 DECIDED = 0.02
 
 
 class Downward(nn.ModuleList):
-    """Convolutions 4^3 of stride 2; returns the outputs of all of them."""
+    """Convolutions 4^3 of stride 2; the forward pass returns the outputs of all."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
-        """Channels in, and after each convolution."""
+        """Make the layers: input channels, and channels after each convolution."""
         layers = zip([inputs, *channels], channels, strict=False)
         super().__init__(nn.Conv3d(a, b, KERNEL, stride=2, padding=1) for a, b in layers)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Every level, the finest first."""
+        """Return the output of every level, the finest first."""
         levels = []
         for layer in self:
             x = functional.leaky_relu(layer(x), 0.2)
@@ -47,10 +46,10 @@ class Downward(nn.ModuleList):
 
 
 class Upward(nn.Module):
-    """Transposed convolutions with skips back to the finest level, and one voxel's logit at the end."""
+    """Transposed convolutions with skips back to the finest level, then one logit per voxel."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
-        """Channels in, and of the levels of `Downward`, the finest first."""
+        """Make the layers: input channels, and the channels of the levels of `Downward`, the finest first."""
         super().__init__()
         outputs = [*reversed(channels[:-1]), channels[0]]
         skips = [0, *reversed(channels[:-1])]
@@ -61,7 +60,7 @@ class Upward(nn.Module):
         self.last = nn.Conv3d(channels[0], 1, 3, padding=1)
 
     def forward(self, x: Tensor, levels: list[Tensor]) -> Tensor:
-        """Logits of the side that `Downward` began with."""
+        """Return logits at the side of `Downward`'s input."""
         finer = [None, *reversed(levels[:-1])]
         for layer, level in zip(self.layers, finer, strict=True):
             x = functional.relu(layer(x if level is None else torch.cat([x, level], dim=1)))
@@ -69,10 +68,10 @@ class Upward(nn.Module):
 
 
 class SixSides(nn.Module):
-    """Depth images of the partial view from six sides, one after another through an LSTM."""
+    """Encodes depth images of the partial view from six sides, one after another, by an LSTM."""
 
     def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
-        """Channels of the images' convolutions; vectors are divided by `divisor`."""
+        """Make the layers: channels of the image convolutions; `divisor` shortens vectors."""
         super().__init__()
         vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
         self.convolutions = nn.ModuleList(
@@ -84,7 +83,7 @@ class SixSides(nn.Module):
         self.from_context = nn.Linear(context, narrowed(CONTEXT_CHANNELS, divisor) * BOTTOM_CELLS**3)
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Context (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
+        """Return the context (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
         x = six_depth_images(partial).flatten(0, 1)
         for layer in self.convolutions:
             x = functional.relu(layer(x))
@@ -94,10 +93,10 @@ class SixSides(nn.Module):
 
 
 class HanLike(Network):
-    """7.5 M parameters: `coarse` at 32^3 from views and volume, `patch` of 32^3 at 256^3's resolution."""
+    """The whole network, 7.5 M parameters: `coarse` at 32^3, and `patch` of 32^3 cells at 256^3."""
 
     def __init__(self, divisor: int = 1) -> None:
-        """Hidden channels and vectors are divided by `divisor`."""
+        """Make the network; hidden channels and vectors are divided by `divisor`."""
         super().__init__(input_cells=64, output_cells=OUTPUT_CELLS)
         wide, local, images = (
             tuple(narrowed(count, divisor) for count in counts)
@@ -113,18 +112,18 @@ class HanLike(Network):
         xavier(self)
 
     def coarse(self, partial: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (b, 1, 32, 32, 32), and the global structure (b, c) that guides patches."""
+        """Return logits (b, 1, 32, 32, 32), and the global structure (b, c) that guides patches."""
         levels = self.volume_down(reduced_partial(partial, GLOBAL_CELLS))
         bottom = torch.cat([levels[-1], self.views(partial)], dim=1)
         return self.volume_up(bottom, levels), bottom.mean(dim=(2, 3, 4))
 
     def patch(self, cells: Tensor, structure: Tensor, corners: Tensor) -> Tensor:
-        """Logits (p, 1, 32, 32, 32) of patches.
+        """Return logits (p, 1, 32, 32, 32) of patches.
 
         Args:
             cells: (p, 2, 32, 32, 32) float32, coarse probability and partial view, resampled to 256^3.
-            structure: (p, c) of the shape that each patch is of.
-            corners: (p, 3) int64, which patch along each axis.
+            structure: (p, c) global structure of each patch's shape.
+            corners: (p, 3) int64, index of the patch along each axis.
         """
         levels = self.patch_down(cells)
         place = (corners.to(cells.dtype) + 0.5) / PATCHES - 0.5
@@ -134,7 +133,7 @@ class HanLike(Network):
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """The coarse grid, then some patches of each shape that its surface passes."""
+        """Yield the coarse grid, then some patches of each shape that its surface passes through."""
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)
         yield logits, target, weight
@@ -150,7 +149,7 @@ class HanLike(Network):
             )
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Logits (b, 1, 256, 256, 256): patches where the coarse grid is undecided, else the coarse grid."""
+        """Return logits (b, 1, 256, 256, 256): of patches where the coarse grid is undecided, else coarse."""
         logits, structure = self.coarse(partial)
         probability = logits.float().sigmoid()
         out = functional.interpolate(logits.float(), size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
@@ -166,7 +165,7 @@ class HanLike(Network):
 
 
 def six_depth_images(partial: Tensor) -> Tensor:
-    """Distance to the first set cell from six sides, in [0, 1], 1 without a cell: (b, 6, 1, n, n)."""
+    """Return distances to the first set cell from six sides, in [0, 1], 1 without a cell: (b, 6, 1, n, n)."""
     count = partial.shape[-1]
     images = []
     for axis in (2, 3, 4):
@@ -177,14 +176,15 @@ def six_depth_images(partial: Tensor) -> Tensor:
 
 
 def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tensor:
-    """Input of the local network for patches: (p, 2, 32, 32, 32).
+    """Return the input of the local network for patches: (p, 2, 32, 32, 32).
 
     Args:
-        probability: (1, 32, 32, 32) coarse; resampled trilinearly, its outermost cells repeated outwards.
-        partial: (1, 64, 64, 64); each cell becomes 4^3.
-        corners: (p, 3) int64, which patch along each axis.
+        probability: (1, 32, 32, 32) coarse; it is resampled trilinearly, with outermost cells repeated
+            outwards.
+        partial: (1, 64, 64, 64); each cell becomes 4^3 cells.
+        corners: (p, 3) int64, index of the patch along each axis.
     """
-    # One cell more on each side than a patch has: its own cells then come out as of the whole grid.
+    # With one more cell on each side, a patch's own cells are resampled as in the whole grid.
     around = functional.pad(probability[None], [1] * 6, mode="replicate")[0]
     coarse = _cut(around, corners, GLOBAL_CELLS // PATCHES, 2)
     scale = PATCH_CELLS * PATCHES // GLOBAL_CELLS
@@ -195,14 +195,14 @@ def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tenso
 
 
 def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
-    """Patches (p, c, n, n, n) of a grid (c, m, m, m) at a spacing of `cells`, n = `cells` + `more`."""
+    """Return patches (p, c, n, n, n) of a grid (c, m, m, m), spaced by `cells`; n = `cells` + `more`."""
     n = cells + more
     places = (corners * cells).tolist()
     return torch.stack([grid[:, i : i + n, j : j + n, k : k + n] for i, j, k in places])
 
 
 def _undecided(probability: Tensor) -> Tensor:
-    """Patches (8, 8, 8) bool where a coarse grid (32, 32, 32), dilated by a cell, is undecided."""
+    """Return the patches (8, 8, 8) where a coarse grid (32, 32, 32), dilated by a cell, is undecided."""
     cells = GLOBAL_CELLS // PATCHES
     highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
     lowest = -functional.max_pool3d(-probability[None, None], cells + 2, cells, 1)[0, 0]
@@ -210,7 +210,7 @@ def _undecided(probability: Tensor) -> Tensor:
 
 
 def _drawn(target: Tensor, generator: Generator) -> Tensor:
-    """Corners (p, 3) of some patches that a coarse truth (32, 32, 32) does not decide, or of any."""
+    """Draw corners (p, 3) of patches in which a coarse truth (32, 32, 32) is undecided, else of any."""
     corners = torch.nonzero(_undecided(target))
     if not len(corners):
         corners = torch.nonzero(torch.ones(3 * (PATCHES,), device=target.device))

@@ -1,6 +1,6 @@
-"""Layers that several networks share: convolutions padded as TensorFlow's "SAME", and their initial values.
+"""Layers that several networks share: convolutions padded like TensorFlow's "SAME", and initial values.
 
-Layouts are torch's: (batch, channels, x, y, z).
+Tensors have torch's layout: (batch, channels, x, y, z).
 """
 
 import math
@@ -13,19 +13,19 @@ KERNEL = 4
 
 
 def same_padding(cells: int, stride: int) -> tuple[int, int]:
-    """Cells before and after an axis for a kernel of 4, with `ceil(cells / stride)` outputs.
+    """Return the padding before and after an axis for a kernel of 4 and `ceil(cells / stride)` outputs.
 
-    Source: TensorFlow's "SAME" puts the odd one behind.
+    Source: TensorFlow's "SAME", which puts the odd cell behind.
     """
     total = max((-(-cells // stride) - 1) * stride + KERNEL - cells, 0)
     return total // 2, total - total // 2
 
 
 class SameConv(nn.Conv3d):
-    """A convolution 4^3, padded as "SAME": (b, in, x, y, z) to (b, out, x / stride, …), rounded up."""
+    """A convolution 4^3, padded like "SAME": (b, in, x, y, z) to (b, out, x / stride, …), rounded up."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
-        """Channels in and out, and the stride along each axis."""
+        """Make the layer: channels in and out, and the stride along each axis."""
         super().__init__(inputs, outputs, KERNEL, stride=stride)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -36,15 +36,15 @@ class SameConv(nn.Conv3d):
 
 
 class Doubling(nn.ConvTranspose3d):
-    """A transposed convolution 4^3 of stride 2, "SAME", which doubles every side."""
+    """A transposed convolution 4^3 of stride 2, padded like "SAME", which doubles every side."""
 
     def __init__(self, inputs: int, outputs: int, *, bias: bool = True) -> None:
-        """Channels in and out."""
+        """Make the layer: channels in and out."""
         super().__init__(inputs, outputs, KERNEL, stride=2, padding=1, bias=bias)
 
 
 def xavier(network: nn.Module) -> None:
-    """Glorot-uniform weights; zero biases except an LSTM's. Source: the 3D-RecGAN++ code."""
+    """Draw Glorot-uniform weights; set biases to zero except an LSTM's. Source: the 3D-RecGAN++ code."""
     with torch.no_grad():
         for name, values in network.named_parameters():
             if name.endswith("bias"):
@@ -54,11 +54,11 @@ def xavier(network: nn.Module) -> None:
 
 
 def he(network: nn.Module) -> None:
-    """He-normal weights, which keep the variance between layers. Biases are unchanged.
+    """Draw He-normal weights, which keep the variance between layers. Biases are unchanged.
 
-    Source: He et al., Delving Deep into Rectifiers, ICCV 2015. Of a transposed convolution a cell of the
-    output is reached by 1 / stride^3 of the kernel, which Glorot's rule does not know: six of them in a row
-    make the signal some hundred times weaker.
+    Source: He et al., Delving Deep into Rectifiers, ICCV 2015. In a transposed convolution, only 1 / stride^3
+    of the kernel reaches an output cell. Glorot's rule ignores that: six such layers in a row weaken the
+    signal some hundred times.
     """
     with torch.no_grad():
         for layer in network.modules():
@@ -74,5 +74,5 @@ def he(network: nn.Module) -> None:
 
 
 def narrowed(channels: int, divisor: int, least: int = 4) -> int:
-    """Channels of a narrower network; at least 4, unless it had fewer before."""
+    """Return the channels of a narrower network: at least 4, unless there were fewer before."""
     return max(min(least, channels), channels // divisor)

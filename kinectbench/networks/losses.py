@@ -1,4 +1,4 @@
-"""Reconstruction losses of every voxel, with optional weights and masks."""
+"""Reconstruction losses of voxels, with optional weights and masks."""
 
 from collections.abc import Iterable
 
@@ -13,11 +13,11 @@ TINY = 1e-8
 
 
 def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
-    """Sum over supervised parts of the mean loss a voxel, in nats.
+    """Return the sum over supervised parts of the mean loss a voxel, in nats.
 
     Args:
-        parts: logits, targets in [0, 1] and weights, of one shape each.
-        settings: which loss.
+        parts: (logits, targets in [0, 1], weights), of one shape in each part.
+        settings: the chosen loss.
     """
     losses = [
         _mean(voxel_losses(logits.float(), target, settings), weight) for logits, target, weight in parts
@@ -26,10 +26,10 @@ def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings
 
 
 def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tensor:
-    """The loss of each voxel, in nats.
+    """Return the loss of each voxel, in nats.
 
-    Weighted (equation 3 of the paper): -alpha y log p - (1 - alpha) (1 - y) log(1 - p). With a floor, as in
-    the authors' code, p is held above it, and what lies below learns nothing.
+    The weighted loss (equation 3 of the paper) is -alpha y log p - (1 - alpha) (1 - y) log(1 - p). With a
+    floor, as in the authors' code, p is clipped to it from below, so voxels below it have no gradient.
     """
     if settings.kind == "cross-entropy":
         return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
@@ -42,7 +42,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
 
 
 def _mean(losses: Tensor, weight: Tensor) -> Tensor:
-    """Weighted mean; 0 if all weights are 0."""
-    if weight.stride() == (0,) * weight.dim() or not weight.numel():  # a single 1 that was expanded
+    """Return the weighted mean; 0 if all weights are 0."""
+    if weight.stride() == (0,) * weight.dim() or not weight.numel():  # an expanded scalar 1
         return losses.mean()
     return (losses * weight).sum() / weight.sum().clamp(min=1.0)

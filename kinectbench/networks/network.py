@@ -1,4 +1,4 @@
-"""Base of networks: a module with the sides of its grids and its training targets."""
+"""Base class of networks: a torch module with the sides of its grids and its training targets."""
 
 from collections.abc import Iterator
 
@@ -11,33 +11,33 @@ class Network(nn.Module):
     """A network that completes shapes; its forward pass gives logits.
 
     Attributes:
-        input_cells: side of the partial view that it takes; views are reduced to it.
-        output_cells: side of the grid that it gives.
+        input_cells: side of its input; partial views are reduced to it.
+        output_cells: side of its output grid.
     """
 
     def __init__(self, *, input_cells: int, output_cells: int) -> None:
-        """State the sides."""
+        """Store the sides."""
         super().__init__()
         self.input_cells, self.output_cells = input_cells, output_cells
 
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Logits, their targets in [0, 1] and the weights of these, in as many parts as are supervised.
+        """Yield logits, targets in [0, 1] and weights, for each supervised part.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.
-            truth: of the same pairs.
-            generator: of whatever is left to chance.
+            truth: the truth of the same pairs.
+            generator: the source of all random choices.
         """
         logits = self(reduced_partial(partial, self.input_cells))
         yield logits, *truth.at(self.output_cells)
 
     def completed(self, partial: Tensor) -> Tensor:
-        """Probabilities (b, 1, n, n, n) float32 of partial views (b, 1, 64, 64, 64) float32."""
+        """Return probabilities (b, 1, n, n, n) float32 for partial views (b, 1, 64, 64, 64) float32."""
         return self(reduced_partial(partial, self.input_cells)).float().sigmoid()
 
     @property
     def parameter_count(self) -> int:
-        """The number of trained values."""
+        """Number of trained values."""
         return sum(values.numel() for values in self.parameters())

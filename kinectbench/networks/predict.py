@@ -1,4 +1,4 @@
-"""Predictions of a trained network for the pairs of a release, as any method's, with their method.json."""
+"""Write a trained network's predictions for the pairs of a release, with method.json."""
 
 import resource
 import sys
@@ -30,10 +30,10 @@ from kinectbench.settings.words import listed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
-# How probabilities are written: packed (see `packed_prediction`), or all that the network gives.
+# How probabilities are written: packed (see `packed_prediction`), or as float16 at full precision.
 PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
-# Of deflate. float16 at 256^3 take 26 MB: to squeeze them further costs more time than to make them. Packed
-# ones take 6.7 MB by level 1, 6.1 MB by 4 and 5.8 MB by 6, in 0.15, 0.25 and 0.85 s a view.
+# Levels of deflate. float16 at 256^3 take 26 MB; compressing them further takes longer than predicting them.
+# Packed ones take 6.7 MB at level 1, 6.1 MB at 4 and 5.8 MB at 6, in 0.15, 0.25 and 0.85 s a view.
 LEVEL, PACKED_LEVEL = 1, 4
 
 
@@ -51,27 +51,27 @@ def predict(
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
 
-    A stopped run resumes, and complete files are kept, if all inputs of the bytes are the
-    same (`UnfinishedFile`); else existing files are removed first.
+    A stopped run resumes and keeps complete files if everything that determines their bytes is the same
+    (`UnfinishedFile`); else existing files are removed first.
 
     Args:
         trained: the network, on its device.
-        release: of the predictions.
+        release: the release that is predicted.
         out: a folder of methods.
-        threshold: predictions are packed bits, set above it; None: probabilities.
-        precision: of probabilities at 256^3: "packed" or "float16"; coarser ones are float16.
-        splits: of "validation" and "test".
-        device: that the network is on.
+        threshold: write packed bits, set above this probability; None: write probabilities.
+        precision: precision of probabilities at 256^3: "packed" or "float16"; coarser grids are float16.
+        splits: some of "validation" and "test".
+        device: the network's device.
         progress: called with (pairs done, pairs in all).
-        say: called with a line where another run's predictions are removed, or another run is waited for.
+        say: called with a line if another run's predictions are removed, or before waiting for another run.
 
     Returns:
         The method's folder.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
-        SettingsError: no pair is of these splits, or the folder holds predictions for another release, or
-            none that `predict` wrote.
+        SettingsError: these splits have no pair, or the folder holds predictions for another release, or
+            files that `predict` did not write.
         StorageError: the disk is full or read-only.
     """
     wanted = release.of_splits([split for split in SPLITS if split in splits])
@@ -94,8 +94,8 @@ def predict(
 def run_of(
     trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
 ) -> UnfinishedFile:
-    """All that decides the bytes of the predictions; arguments as of `predict`."""
-    # What is written as it is has no key: such folders of earlier versions stay current.
+    """Return all that determines the bytes of the predictions; arguments as in `predict`."""
+    # Values written unchanged have no key, so that folders of earlier versions stay current.
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
     return UnfinishedFile(
@@ -119,14 +119,14 @@ def _write_all(
     device: str,
     progress: Progress | None,
 ) -> list[float]:
-    """Predict missing files; arguments as of `predict`.
+    """Predict missing files; arguments as in `predict`.
 
     Returns:
-        The seconds that the network took, of each view.
+        The seconds that the network took for each view.
     """
     waiting = [target for target in targets if not kept.holds(target)]
     seconds = []
-    # A file is squeezed and written while the network completes the next view.
+    # A file is compressed and written while the network predicts the next view.
     with memory_kept(), ThreadPoolExecutor(1) as writer:
         written: Future[None] | None = None
         for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
@@ -149,9 +149,9 @@ def completed_target(
 
     Args:
         trained: the network and its settings.
-        release: the pair's.
-        target: which pair.
-        device: of torch, such as "cpu".
+        release: the pair's release.
+        target: the pair.
+        device: torch's device, such as "cpu".
 
     Returns:
         (n, n, n) float16 probabilities that a cell is occupied, and the seconds that the network took.
@@ -173,7 +173,7 @@ def _write(
 
 
 def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
-    """A prediction's file: probabilities, packed or as they are, or bits at 256^3 along the last axis."""
+    """Return a prediction's file: probabilities, packed or float16, or bits at 256^3 along the last axis."""
     if run.threshold is not None:
         planes = upsampled_planes(probability)
         return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
@@ -183,7 +183,7 @@ def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> b
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
-    """Caveats of the scores, a line each: test objects seen in training, other framings and categories."""
+    """Return caveats of the scores, a line each: test objects seen in training, other framing or category."""
     training = trained.training
     lines = []
     learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))
@@ -203,7 +203,7 @@ def notes(trained: Trained, release: Release) -> list[str]:
 def method_of(
     trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
 ) -> MethodFile:
-    """method.json of a run; `seconds` is the network's time per view."""
+    """Return method.json of a run; `seconds` is the network's time per view."""
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,
@@ -223,7 +223,7 @@ def method_of(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
-        # Bits are set already, whatever threshold they are compared with.
+        # Bits are already decided, whatever threshold they are compared with.
         threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
@@ -232,7 +232,7 @@ def method_of(
 
 
 def _peak_bytes(device: str) -> float:
-    """Most memory so far: of the GPU, or of this process."""
+    """Return the most memory used so far: of the GPU, or of this process, bytes."""
     if device.startswith("cuda"):
         return float(torch.cuda.max_memory_allocated(device))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

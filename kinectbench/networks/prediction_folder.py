@@ -1,8 +1,8 @@
-"""The folder that a network's predictions are written to: all files in it are of one run of `predict`.
+"""The folder of a network's predictions: all files in it are from one run of `predict`.
 
-A run's fingerprint is of all that decides the bytes of a prediction. The folder holds it with the digest of
-every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run continues only with
-files of its own fingerprint that are as it wrote them; others are removed before it writes one.
+A run's fingerprint covers everything that determines the bytes of a prediction. The folder stores it with the
+digest of every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run keeps only
+files of its own fingerprint that are unchanged; it removes other files before it writes.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.prediction_file import blake3_of
 
 SUFFIX = ".npz"
-# What tells two runs apart, in words, by the key of unfinished.json.
+# {key of unfinished.json: words}, to describe how two runs differ.
 WORDS = {
     "weights_sha256": "other weights",
     "config_sha256": "another configuration",
@@ -32,19 +32,19 @@ WORDS = {
 
 
 class PredictionFolder:
-    """The predictions of one run, made by the holder of the folder's lock.
+    """The predictions of one run; only the holder of the folder's lock makes this object.
 
     Args:
-        folder: of the method; it is there.
-        run: which begins or continues.
-        targets: that may be predicted; files of other targets are ignored.
-        wanted: the targets to predict. The same run's files of other targets are kept.
-        say: called with a line where predictions of another run are removed.
+        folder: the method's existing folder.
+        run: the run that starts or continues.
+        targets: all targets that may be predicted; files of others are ignored.
+        wanted: the targets to predict now; the same run's files of other targets are kept.
+        say: called with a line if predictions of another run are removed.
 
     Raises:
-        SettingsError: the folder holds predictions for another release, what `predict` did not write, or a
-            link to another folder.
-        PredictionError: what an earlier run left of method.json or unfinished.json cannot be read.
+        SettingsError: the folder holds predictions for another release, files that `predict` did not write,
+            or a link to another folder.
+        PredictionError: method.json or unfinished.json of an earlier run cannot be read.
         StorageError: the disk is full or read-only.
     """
 
@@ -66,14 +66,14 @@ class PredictionFolder:
             if name in {_name(target) for target in targets} and self._digest(name) == digest
         }
         is_same = done is not None and done.run_sha256 == run.sha256
-        # A file that changed since, of the wanted ones or not, is removed, and the run is begun again.
+        # A file that changed since, wanted or not, is removed, and the run starts from the beginning.
         is_whole = is_same and all(map(self.holds, wanted)) and self._kept.keys() == written.keys()
         self._complete = done if is_whole else None
         if self._complete is None:
             self._begin(done, unfinished, targets, say)
 
     def holds(self, target: Target) -> bool:
-        """Whether this run wrote a target's prediction, and the file is unchanged."""
+        """Return whether this run wrote a target's prediction, and the file is unchanged."""
         return _name(target) in self._kept
 
     def write(self, target: Target, content: bytes) -> None:
@@ -92,7 +92,7 @@ class PredictionFolder:
         """Finish the folder: method.json then names the run and its files.
 
         Args:
-            method: of this run; without new predictions its cost stays the same.
+            method: method.json of this run; without new predictions the earlier cost is kept.
         """
         sealed = {"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
         cost = {}
@@ -118,7 +118,7 @@ class PredictionFolder:
                     "choose another folder by --out",
                     what="other-content",
                 )
-        # What begins with a dot is the system's, or half a file of a run that was killed at its start.
+        # Names with a dot are the system's, or half a file of a run that was killed at its start.
         ours = unfinished or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
         if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
             raise SettingsError(
@@ -133,13 +133,13 @@ class PredictionFolder:
                 )
 
     def _written_before(self, done: MethodFile | None) -> dict[str, str]:
-        """{file: digest} of all files of an earlier part of this run; empty if another run wrote them."""
+        """Return {file: digest} of an earlier part of this run; empty if another run wrote the files."""
         if done is not None:
             return dict(done.files or {}) if done.run_sha256 == self._run.sha256 else {}
         written = {}
         with contextlib.suppress(OSError, UnicodeDecodeError):
             for line in read_plain_text(self._folder / PREDICTED).splitlines():
-                with contextlib.suppress(ValidationError):  # a line that was not written whole
+                with contextlib.suppress(ValidationError):  # an incomplete line
                     one = PredictedFile.model_validate_json(line, strict=True)
                     if one.run_sha256 == self._run.sha256:
                         written[one.file] = one.digest
@@ -152,7 +152,7 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Record this run and remove files of others; it can be killed and repeated at any point."""
+        """Record this run and remove files of others; it may be killed and repeated at any point."""
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):
@@ -167,11 +167,11 @@ class PredictionFolder:
             say(_removed_line(self._folder, len(removed), _difference(done, unfinished, self._run)))
 
     def _remove(self, name: str) -> bool:
-        """Remove a file that this run has not written; returns whether it existed."""
+        """Remove a file that this run has not written; return whether it existed."""
         path = self._folder / name
         if path.is_dir() or not (path.is_symlink() or path.exists()):
             return False
-        if not lies_below(path.parent, self._folder.resolve()):  # as a method.json could say
+        if not lies_below(path.parent, self._folder.resolve()):  # method.json may contain such a path
             return False
         path.unlink()
         return True
@@ -184,7 +184,7 @@ class PredictionFolder:
         append_plain(self._folder / PREDICTED, "".join(lines))
 
     def _digest(self, name: str) -> str | None:
-        """Digest of an existing file; None if unreadable."""
+        """Return the digest of an existing file; None if unreadable."""
         try:
             with open_plain(self._folder / name) as file:
                 return blake3_of(file)
@@ -197,7 +197,7 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """The difference to the run that left the files, as text; "" if it is this run."""
+    """Return the difference to the run that left the files, as text; "" if it is this run."""
     if unfinished is not None:
         before = unfinished.json_value()
     elif done is not None:
@@ -208,7 +208,7 @@ def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run:
     now = run.json_value()
     differing = [key for key in WORDS if before.get(key) != now.get(key)]
     if "threshold" in differing and "precision" in differing:
-        differing.remove("precision")  # bits have none
+        differing.remove("precision")  # bits have no precision
     return ", ".join(WORDS[key] for key in differing)
 
 

@@ -12,12 +12,12 @@ from kinectbench.core.untrusted import printable
 
 
 def rank_and_size() -> tuple[int, int]:
-    """The index of this process and the number of processes, set by torchrun."""
+    """Return the index of this process and the number of processes, set by torchrun."""
     return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def chosen_device(asked: str | None) -> str:
-    """The network's device: as requested, else this process's GPU, else the CPU.
+    """Return the network's device: as requested, else this process's GPU, else the CPU.
 
     Raises:
         SettingsError: unknown device.
@@ -29,7 +29,7 @@ def chosen_device(asked: str | None) -> str:
         asked = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"
     try:
         torch.Generator(asked)
-        # Of the CPU torch takes any number.
+        # torch accepts any number after "cpu".
         if asked.startswith("cpu") and asked != "cpu":
             raise RuntimeError
     except (RuntimeError, AssertionError):
@@ -63,7 +63,7 @@ def wait_for_all(size: int) -> None:
 def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
     """Average the gradients over processes; nothing to do for one process.
 
-    After `backward`, rather than by DistributedDataParallel, which does not carry a penalty on gradients.
+    It is called after `backward`: DistributedDataParallel does not support a penalty on gradients.
     """
     if size == 1:
         return
@@ -84,7 +84,7 @@ def average_buffers(network: nn.Module, size: int) -> None:
 
 
 def mean_of_all(values: dict[str, float], size: int, device: str) -> dict[str, float]:
-    """The mean of each value over the processes."""
+    """Return the mean of each value over the processes."""
     if size == 1:
         return values
     summed = torch.tensor([*values.values()], dtype=torch.float64, device=device)
@@ -93,7 +93,7 @@ def mean_of_all(values: dict[str, float], size: int, device: str) -> dict[str, f
 
 
 def agreed(value: bool, size: int, device: str) -> bool:
-    """Broadcast the first process's value."""
+    """Return the first process's value in every process."""
     if size == 1:
         return value
     tensor: Tensor = torch.tensor(int(value), device=device)

@@ -19,25 +19,25 @@ VECTOR = 2000
 DECODER = (256, 128, 64, 16, 8)
 SLOPE = 0.2
 BOTTOM_CELLS = 4
-# Transposed convolutions from 4^3 to 64^3; the others lie beyond.
+# Number of transposed convolutions from 4^3 to 64^3; the rest go beyond.
 UNTIL_64 = 4
-# Logit of 0.074, the share of cells that is occupied in 71 training pairs of recae-small, one of every 100.
+# Logit of 0.074, the share of occupied cells in 71 training pairs of recae-small (every hundredth pair).
 FIRST_LOGIT = -2.5
 
 
 class RecAE(Network):
-    """164,282,729 parameters at full width: four convolutions, two full layers, six transposed convolutions.
+    """3D-RecAE, 164,282,729 parameters: four convolutions, two full layers, six transposed convolutions.
 
-    Each of the first five of these takes the encoder's output of the same side beside its own input, the last
-    of them the partial view itself.
+    Each of the first five transposed convolutions also takes the encoder's output of the same side (the fifth
+    takes the partial view itself).
     """
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
         """Make the network.
 
         Args:
-            divisor: hidden channels are divided by it; of the decoder at least 4 stay.
-            output_cells: 64, 128 or 256; the transposed convolutions that are left out are the last ones.
+            divisor: hidden channels are divided by it; the decoder keeps at least 4.
+            output_cells: 64, 128 or 256; smaller sides leave out the last transposed convolutions.
         """
         super().__init__(input_cells=64, output_cells=output_cells)
         encoder = [narrowed(channels, divisor) for channels in ENCODER]
@@ -57,14 +57,14 @@ class RecAE(Network):
         xavier(self)
 
     def start_by_he(self) -> None:
-        """Initialise weights after He, and the output bias for the shapes' occupancy."""
+        """Initialise weights after He, and the output bias by the mean occupancy of the training shapes."""
         he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
         last = self.up[-1]
         assert isinstance(last, Doubling) and last.bias is not None
         nn.init.constant_(last.bias, FIRST_LOGIT)
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Logits of occupancy, (b, 1, n, n, n), of partial views (b, 1, 64, 64, 64)."""
+        """Return logits of occupancy, (b, 1, n, n, n), for partial views (b, 1, 64, 64, 64)."""
         grown = self._until_64(partial)
         finer = self._finer
         if finer:
@@ -76,14 +76,14 @@ class RecAE(Network):
     def taught_tiles(
         self, partial: Tensor, truth: TruthBatch, generator: Generator, cells: int
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """As `taught`, on one random tile of each shape: only there the layers beyond 64^3 run.
+        """Do the same as `taught` on one random tile of each shape; layers beyond 64^3 run only there.
 
-        All tiles are equally likely, so without a mask the mean over them is the loss of the whole.
-        A step of `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without.
+        All tiles are equally likely, so without a mask the expected loss is that of the whole grid. A step of
+        `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without tiles.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.
-            truth: of the same pairs.
+            truth: the truth of the same pairs.
             generator: draws the tiles.
             cells: side of a tile.
         """
@@ -98,7 +98,7 @@ class RecAE(Network):
         yield tuple(torch.cat(each) for each in zip(*parts, strict=True))
 
     def _until_64(self, partial: Tensor) -> Tensor:
-        """Output of the fourth transposed convolution, (b, c, 64, 64, 64)."""
+        """Return the output of the fourth transposed convolution, (b, c, 64, 64, 64)."""
         levels = [partial]
         for layer in self.down:
             levels.append(functional.max_pool3d(functional.leaky_relu(layer(levels[-1]), SLOPE), 2))
@@ -110,20 +110,20 @@ class RecAE(Network):
 
     @property
     def _finer(self) -> list[nn.Module]:
-        """The layers beyond 64^3; the first of them takes the partial view as well."""
+        """Return the layers beyond 64^3; the first also takes the partial view."""
         return list(self.up)[UNTIL_64:]
 
 
 def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
-    """A tile of the output of doubling layers with ReLU between: equal to a cut from the whole output.
+    """Return a tile of the output of doubling layers with ReLU between, equal to a cut of the whole output.
 
-    A cell of the result depends on the cell of the layer's input that it lies in and on the neighbours of
-    that: one cell more around the tile is enough, at every layer.
+    An output cell of a layer depends on the input cell that it lies in and on that cell's neighbours. So one
+    more cell around the tile is enough at every layer.
 
     Args:
         layers: transposed convolutions 4^3 of stride 2.
         base: (1, c, n, n, n).
-        place: which tile along each axis.
+        place: index of the tile along each axis.
         cells: side of a tile of the result.
 
     Returns:
@@ -145,6 +145,6 @@ def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], c
 
 
 def _cut(x: Tensor, begins: Sequence[int], lows: Sequence[int], highs: Sequence[int]) -> Tensor:
-    """Cells [low, high) along each axis of a grid (1, c, …) whose first cell is `begins`."""
+    """Return cells [low, high) along each axis of a grid (1, c, …) whose first cell is `begins`."""
     box = (slice(low - first, high - first) for first, low, high in zip(begins, lows, highs, strict=True))
     return x[(slice(None), slice(None), *box)]

@@ -2,7 +2,7 @@
 
 Source: Yang et al., TPAMI 2018, section 3; layers and losses as in the authors' code,
 Yang7879/3D-RecGAN-extended, `dis` and `build_graph` in main_3D-RecGAN++.py (MIT), reimplemented. Where paper
-and code differ, the configuration chooses.
+and code differ, the configuration selects one.
 """
 
 import torch
@@ -17,14 +17,14 @@ CHANNELS = (8, 16, 32, 64, 128, 256)
 
 
 class Discriminator(nn.Module):
-    """2,794,488 parameters at full width: six convolutions of stride 2, and the mean of the output.
+    """The discriminator, 2,794,488 parameters: six convolutions of stride 2, and the mean of the output.
 
-    The partial view (64^3) is reshaped, not resampled, to n x n cells of the output's side, and stands before
-    it along z: at 256^3 a grid of 256 x 256 x 260.
+    The partial view (64^3) is reshaped, not resampled, to layers of n x n cells and placed before the shape
+    along z: at 256^3 the grid is 256 x 256 x 260.
     """
 
     def __init__(self, divisor: int = 1) -> None:
-        """Hidden channels are divided by `divisor`."""
+        """Make the discriminator; hidden channels are divided by `divisor`."""
         super().__init__()
         channels = [narrowed(count, divisor) for count in CHANNELS]
         self.layers = nn.ModuleList(
@@ -33,14 +33,14 @@ class Discriminator(nn.Module):
         xavier(self)
 
     def forward(self, partial: Tensor, shape: Tensor) -> Tensor:
-        """Features (b, f) in (0, 1) of partial views (b, 1, 64, 64, 64) and shapes (b, 1, n, n, n)."""
+        """Return features (b, f) in (0, 1) of partial views (b, 1, 64, 64, 64) and shapes (b, 1, n, n, n)."""
         cells = shape.shape[-1]
         x = torch.cat([partial.reshape(len(partial), 1, cells, cells, -1), shape], dim=4)
         for index, layer in enumerate(self.layers):
             x = layer(x)
             if index + 1 < len(self.layers):
                 x = functional.leaky_relu(x, SLOPE)
-        # In the order of the authors' vector, channels last; the mean does not depend on it.
+        # In the order of the authors' vector, channels last; the mean does not depend on the order.
         return x.permute(0, 2, 3, 4, 1).flatten(1).float().sigmoid()
 
 
@@ -48,12 +48,12 @@ class RecGAN(RecAE):
     """The generator and its discriminator: 167,077,217 parameters in all, the paper's 167.1 M."""
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
-        """Like `RecAE`; the same divisor narrows the discriminator."""
+        """Make both networks; `divisor` narrows the discriminator, too. Arguments as in `RecAE`."""
         super().__init__(divisor, output_cells)
         self.discriminator = Discriminator(divisor)
 
     def generator_parameters(self) -> list[nn.Parameter]:
-        """The parameters that are used to complete shapes."""
+        """Return the parameters that complete shapes."""
         return [values for name, values in self.named_parameters() if not name.startswith("discriminator.")]
 
 
@@ -65,15 +65,15 @@ def discriminator_loss(
     settings: AdversarialSettings,
     generator: Generator,
 ) -> Tensor:
-    """WGAN-GP's loss of the discriminator (equation 4 of the paper).
+    """Return WGAN-GP's loss of the discriminator (equation 4 of the paper).
 
     Args:
-        discriminator: that learns.
+        discriminator: the discriminator that is trained.
         partial: (b, 1, 64, 64, 64) views.
         fake: (b, 1, n, n, n) predicted probabilities, without gradients.
-        real: the same, the truth.
-        settings: what paper and code do not agree on.
-        generator: of the mixtures.
+        real: (b, 1, n, n, n) the truth.
+        settings: choices on which paper and code differ.
+        generator: the source of the random mixtures.
     """
     count = len(fake) if settings.epsilon == "sample" else fake.shape
     epsilon = torch.rand(count, generator=generator, device=fake.device)
@@ -83,7 +83,7 @@ def discriminator_loss(
     features = discriminator(partial, mixed)
     value = features.sum() if settings.penalty_on == "sum" else features.mean(dim=1).sum()
     (slopes,) = torch.autograd.grad(value, mixed, create_graph=True)
-    # The root has no gradient at 0: a saturated discriminator would turn all weights into NaN.
+    # The root has no gradient at 0, and a saturated discriminator would turn all weights into NaN.
     norms = (slopes.float().flatten(1).square().sum(dim=1) + 1e-12).sqrt()
     penalty = (norms - 1).square().mean()
     critic = discriminator(partial, fake).mean() - discriminator(partial, real).mean()

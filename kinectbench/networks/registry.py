@@ -1,6 +1,6 @@
-"""The networks by name, imported when one is made. A new one is a file and a line in `NETWORKS`.
+"""The networks by name, imported when needed. To add one, write a file and a line in `NETWORKS`.
 
-One of the user's own needs neither: a configuration says where its class is.
+A user's own network needs no change here: a configuration gives the path of its class.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from kinectbench.networks.config import GENERATORS, NetworkName, NetworkSettings
 if TYPE_CHECKING:
     from kinectbench.networks.network import Network
 
-# module and class
+# Module and class of each network.
 NETWORKS: Mapping[NetworkName, tuple[str, str]] = {
     "3d-recgan++": ("recgan", "RecGAN"),
     "3d-recae": ("recae", "RecAE"),
@@ -28,7 +28,7 @@ def require_torch() -> None:
     """Raise an error without torch.
 
     Raises:
-        KinectBenchError: it is not installed; the line says how it is.
+        KinectBenchError: torch is not installed; the message says how to install it.
     """
     try:
         import_module("torch")
@@ -39,15 +39,15 @@ def require_torch() -> None:
 
 
 def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") -> "Network":
-    """Make a network with its first values, which depend on the seed alone.
+    """Make a network with its initial values, which depend only on the seed.
 
     Args:
-        settings: which, and how large.
-        seed: of the values.
-        device: where they come to lie; "meta" gives shapes without values.
+        settings: kind and size of the network.
+        seed: seed of the values.
+        device: device for the values; "meta" gives shapes without values.
 
     Raises:
-        SettingsError: the class of the user's own is not found, or is no network.
+        SettingsError: the user's own class is not found, or is no network.
     """
     import torch
 
@@ -62,7 +62,7 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
             network.start_by_he()
     if device == "meta":
         return network
-    # Channels beside each other: a step on the CPU takes two thirds of the time, a view three quarters.
+    # With channels adjacent in memory a step on the CPU takes two thirds of the time, a view three quarters.
     for values in network.parameters():
         if values.dim() == 5:
             values.data = values.data.contiguous(memory_format=torch.channels_last_3d)
@@ -70,7 +70,7 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
 
 
 def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
-    """The class of a network; errors as of `make_network`."""
+    """Return the class of a network; errors as in `make_network`."""
     if settings.kind == "own":
         return _own_class(settings.class_path or "")
     module, name = NETWORKS[settings.kind]
@@ -79,7 +79,7 @@ def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
 
 
 def _own_class(path: str) -> "Callable[..., Network]":
-    """A class by its path, which is untrusted: only subclasses of `Network` are called."""
+    """Return a class by its path, which is untrusted: only subclasses of `Network` are called."""
     from kinectbench.networks.network import Network
 
     module, _, name = path.partition(":")

@@ -1,4 +1,4 @@
-"""A training's folder: configuration, checkpoint, weights, log of validations and curves."""
+"""The folder of a training: configuration, checkpoint, weights, log of validations, and curves."""
 
 import platform
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from kinectbench.networks.steps import Learner, Losses
 from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 
-# So many keys that differ are named.
+# Most differing keys that are named.
 SHOWN = 3
 CPU_INFO = Path("/proc/cpuinfo")
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
@@ -29,14 +29,14 @@ CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
 
 @dataclass
 class State:
-    """Progress of a training; with the learner's values it determines the rest of the training.
+    """Progress of a training; with the learner's values, it determines all later steps.
 
     Attributes:
-        step: steps that were done.
-        rows: of the course so far.
-        sums: losses summed since the last row, and their number as `steps`.
-        best_iou: the best validation IoU so far, and its step.
-        seconds: of training.
+        step: number of finished steps.
+        rows: rows of the log so far.
+        sums: losses summed since the last row, and the number of summed steps as `steps`.
+        best_iou: the best validation IoU so far; `best_step`: its step.
+        seconds: time of training so far.
     """
 
     step: int = 0
@@ -57,7 +57,7 @@ def make_folder(folder: Path) -> None:
     """Create a folder if it is missing.
 
     Raises:
-        StorageError: the way to it holds a file, or the disk cannot be written.
+        StorageError: a parent of it is a file, or the disk cannot be written.
     """
     try:
         with storage_errors(folder):
@@ -69,7 +69,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _differences(before: MethodSettings, now: MethodSettings) -> str:
-    """The first keys whose values differ, with both values."""
+    """Return the first keys whose values differ, with both values."""
     old, new = (dict(_flat(config.model_dump(mode="json"))) for config in (before, now))
     keys = [key for key in (old | new) if old.get(key) != new.get(key)]
     changes = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
@@ -77,7 +77,7 @@ def _differences(before: MethodSettings, now: MethodSettings) -> str:
 
 
 def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, object]]:
-    """Dotted keys, and their values."""
+    """Yield dotted keys and their values."""
     for key, value in values.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{before}{key}.")
@@ -89,14 +89,14 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
     """Create the folder, or check that it has the same configuration.
 
     Raises:
-        SettingsError: another configuration is trained there.
+        SettingsError: the folder holds a training with another configuration.
     """
     make_folder(folder)
     path = folder / CONFIG
     if path.exists():
         before = read_config(path)
         trained, where = before.sha256, f": {_differences(before, config)}"
-    else:  # it was removed; its results still exist
+    else:  # it was deleted; its results still exist
         course = TrainingFile.read_if_there(folder)
         trained, where = course.config_sha256 if course else config.sha256, ""
     if trained != config.sha256:
@@ -108,16 +108,16 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write the checkpoint, the log and, unless `validate` keeps the best ones, the weights.
+    """Write the checkpoint, the log and, unless only the best are kept, the weights.
 
     Args:
-        folder: of the training.
-        learner: its values.
-        state: how far it is.
-        facts: of training.json that do not change; the releases must be the same to continue.
+        folder: the training's folder.
+        learner: the network and its optimisers.
+        state: progress of the training.
+        facts: facts for training.json that do not change; the releases must be the same to continue.
         config: the configuration to keep.
     """
-    latest = config.training.keep == "last" or state.best_step == 0  # of the best the course takes care
+    latest = config.training.keep == "last" or state.best_step == 0  # validation writes the best
     if latest:
         write_weights(arrays_of_network(learner.network), folder / WEIGHTS)
     content = {
@@ -146,7 +146,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
 
 
 def benchmarks(facts: dict[str, Any]) -> list[str]:
-    """The releases that are learnt from, in order, by `benchmark_sha256`."""
+    """Return the training releases, in order, by `benchmark_sha256`."""
     return [facts["benchmark_sha256"], *facts["further_benchmarks_sha256"]]
 
 
@@ -154,17 +154,17 @@ def check_weights_are_there(folder: Path, config: MethodSettings, state: State) 
     """Refuse to continue without the best weights, which later steps cannot recover.
 
     Raises:
-        StorageError: they are.
+        StorageError: the best weights are missing.
     """
     if config.training.keep == "best" and state.best_step and not (folder / WEIGHTS).is_file():
         raise StorageError(f"{folder / WEIGHTS}: gone; remove {CHECKPOINT} beside it to train from the start")
 
 
 def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
-    """Restore the learner from a folder; returns its progress, the start if there is none.
+    """Restore the learner from a folder; return its progress, or a new state if there is no checkpoint.
 
     Raises:
-        SettingsError: it learns from another release, or with other settings than those of the folder.
+        SettingsError: the folder's training has another release or other settings.
         StorageError: the checkpoint is damaged.
     """
     path = folder / CHECKPOINT
@@ -198,7 +198,7 @@ def _damaged(path: Path) -> StorageError:
 
 
 def hardware(device: str) -> str:
-    """The hardware of a network, as text."""
+    """Return the network's hardware as text."""
     if device.startswith("cuda"):
         return str(torch.cuda.get_device_name(device))
     threads = torch.get_num_threads()
@@ -206,7 +206,7 @@ def hardware(device: str) -> str:
 
 
 def _processor() -> str:
-    """The processor's model as Linux reports it, else its kind."""
+    """Return the processor's model as Linux reports it, else its architecture."""
     try:
         lines = read_plain_text(CPU_INFO).splitlines()
     except (OSError, UnicodeDecodeError):

@@ -31,17 +31,18 @@ def score_predicted(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> ScoreTable:
-    """The table that `score` would make of `predict`'s files, without hashes; writes nothing.
+    """Return the table that `score` would make from `predict`'s files, without hashes; write nothing.
 
-    Nothing is kept of a run that is stopped, either.
+    A stopped run leaves nothing, so it cannot be resumed.
 
     Args:
         trained: the network, on its device.
-        release: the truth.
-        run: of `run_of`: how predictions would be written.
-        splits: of "validation" and "test"; without "validation" thresholds are the network's own, or 0.5.
+        release: the release that is predicted and scored.
+        run: result of `run_of`: how predictions would be written.
+        splits: some of "validation" and "test"; without "validation" the threshold is the network's own, or
+            0.5.
         surface: whether surface metrics are computed; they take most of the time.
-        device: that the network is on.
+        device: the network's device.
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -56,7 +57,7 @@ def score_predicted(
         own_threshold=method.threshold,
     )
     targets = [target for split in SPLITS if split in splits for target in release.split(split)]
-    # One view is counted while the network completes the next; they are counted in their order.
+    # A view is counted while the network predicts the next one; the order of counting is fixed.
     with memory_kept(), ThreadPoolExecutor(1) as counter:
         counted: Future[None] | None = None
         for done, target in enumerate(targets, start=1):
@@ -76,7 +77,7 @@ def score_predicted(
 def as_written(
     trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
 ) -> Prediction:
-    """The content of a pair's prediction file; errors as of `completed_target`."""
+    """Return the content of a pair's prediction file; errors as in `completed_target`."""
     probability, _ = completed_target(trained, release, target, device)
     return _read_again(probability, run)
 

@@ -1,4 +1,4 @@
-"""One optimisation step: the generator's alone, or the discriminator's and then the generator's."""
+"""One optimisation step: of the generator alone, or of the discriminator and then the generator."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ class Learner:
     """A network with its optimisers; random numbers of a step depend only on the seed and the step's number.
 
     Attributes:
-        network: that learns.
-        optimisers: Adam of the network and, for 3d-recgan++, of its discriminator.
+        network: the network that is trained.
+        optimisers: Adam for the network and, in 3d-recgan++, for its discriminator.
     """
 
     def __init__(self, network: Network, config: MethodSettings, device: str, part: tuple[int, int]) -> None:
@@ -49,13 +49,14 @@ class Learner:
         self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
 
     def step(self, batch: Batch, number: int, epoch: int, share: float = 0.0) -> Losses:
-        """Learn from a batch; the losses are those before it.
+        """Learn from a batch; return the losses before the update.
 
         Args:
-            batch: of this process.
-            number: of the step, from 0.
-            epoch: decides the learning rate, where it is halved.
-            share: of the whole training that is done, in [0, 1); decides it where it follows a cosine.
+            batch: the part of the batch for this process.
+            number: number of the step, from 0.
+            epoch: determines the learning rate if it is halved every few epochs.
+            share: finished share of the training, in [0, 1); determines the learning rate if it follows a
+                cosine.
         """
         self.network.train()
         for optimiser, rate in zip(self.optimisers, self._rates, strict=True):
@@ -71,7 +72,7 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """The factor of the learning rates."""
+        """Return the factor of the learning rates."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
@@ -84,12 +85,12 @@ class Learner:
         return self.network.taught(batch.partial, batch.truth, generator)
 
     def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
-        """A discriminator step, then a generator step on the prediction before it."""
+        """Update the discriminator, then the generator with the prediction made before."""
         settings = self._config.adversarial
         assert settings is not None
         with self._autocast():
             (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
-        # Where the unknown is masked, the truth says "empty" and so does this: nothing is learnt there.
+        # Unknown voxels are empty in the truth and here, so nothing is learnt there.
         fake = logits.float().sigmoid() * weight
         with self._autocast():
             critic_loss = discriminator_loss(
@@ -108,7 +109,7 @@ class Learner:
         }
 
     def _descend(self, loss: Tensor, index: int) -> None:
-        """One step of one optimiser; discards the other's gradients."""
+        """Update by one optimiser, and discard the other's gradients."""
         if not torch.isfinite(loss):
             raise StepError("the loss is no number any more; choose a lower learning rate, and train again")
         optimiser = self.optimisers[index]
@@ -125,6 +126,6 @@ class Learner:
 
 
 def _mixed(seed: int, step: int, rank: int) -> int:
-    """A distinct seed for each step and process (63 bits)."""
+    """Return a distinct seed (63 bits) for each step and process."""
     mixed = (seed * 1_000_003 + step) * 1_000_003 + rank
     return mixed & (2**63 - 1)

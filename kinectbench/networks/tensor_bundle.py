@@ -1,7 +1,7 @@
 """Read a TensorFlow checkpoint without TensorFlow: `<name>.index`, a table, and `<name>.data-…`, raw values.
 
-Source of the formats: TensorFlow's tensor_bundle.proto and LevelDB's table_format.md. Of the index plain
-blocks are read, as TensorFlow writes them; of the values float32, low bytes first.
+Source of the formats: TensorFlow's tensor_bundle.proto and LevelDB's table_format.md. Only uncompressed index
+blocks are supported, as TensorFlow writes them, and only little-endian float32 values.
 """
 
 import math
@@ -17,27 +17,27 @@ from kinectbench.core.untrusted import open_plain, printable, read_plain, size_o
 
 MAGIC = bytes.fromhex("57fb808b247547db")
 FOOTER_BYTES, TRAILER_BYTES = 48, 5
-# That of the released network has 4 KB, its longest key 16 bytes and its values 30.
+# Limits: the released network's index has 4 KB, its longest key 16 bytes and its longest value 30 bytes.
 MOST_INDEX_BYTES, MOST_KEY_BYTES, MOST_VALUE_BYTES = 2 << 20, 4096, 4096
-# Of all its blocks, the one that names the others among them.
+# Limits over all blocks, including the block that lists the others.
 MOST_ENTRIES, MOST_AXES = 10_000, 8
 FLOAT32 = 1
 VALUE_BYTES = 4
-# Kinds of a protocol buffer's fields.
+# Wire types of a protocol buffer's fields.
 VARINT, FIXED64, TEXT, FIXED32 = 0, 1, 2, 5
 
 
 @dataclass(frozen=True)
 class StoredTensor:
-    """The place of a tensor's values.
+    """Where a tensor's values are stored.
 
     Attributes:
         kind: 1 for float32.
-        shape: of the tensor.
+        shape: the tensor's shape.
         shard: number of the data file.
-        offset: of the first byte in it.
-        size: bytes.
-        crc: masked CRC-32C of them.
+        offset: position of the first byte in the data file.
+        size: number of bytes.
+        crc: masked CRC-32C of the bytes.
     """
 
     kind: int
@@ -50,11 +50,11 @@ class StoredTensor:
 
 @dataclass(frozen=True)
 class TensorBundle:
-    """A checkpoint that was opened.
+    """An opened checkpoint.
 
     Attributes:
-        index: its index.
-        tensors: by name, in the order of the index.
+        index: path of its index.
+        tensors: {name: tensor}, in the order of the index.
         shards: number of data files.
     """
 
@@ -63,14 +63,15 @@ class TensorBundle:
     shards: int
 
     def data_path(self, shard: int = 0) -> Path:
-        """The path of a data file, which may not exist."""
+        """Return the path of a data file, which may not exist."""
         return self.index.with_name(f"{self.index.stem}.data-{shard:05d}-of-{self.shards:05d}")
 
     def read(self, name: str) -> Float32:
-        """The values of a tensor.
+        """Read the values of a tensor.
 
         Raises:
-            StorageError: their file is missing or too short, they are not float32, or their checksum is off.
+            StorageError: the data file is missing or too short, or the values are not float32 or have a wrong
+                checksum.
         """
         from kinectbench.networks.crc32c import masked_crc32c
 
@@ -97,7 +98,7 @@ def open_bundle(index: Path) -> TensorBundle:
     """Read the index of a checkpoint.
 
     Raises:
-        StorageError: it is missing, damaged, or of another kind.
+        StorageError: the index is missing, damaged, or of another kind.
     """
     try:
         return _opened(index, read_plain(index, MOST_INDEX_BYTES))
@@ -139,7 +140,7 @@ class _Reader:
         self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
 
     def entries(self, block: tuple[int, int]) -> Iterator[tuple[bytes, bytes]]:
-        """Yield the keys and values of a block; each key shares its beginning with the one before."""
+        """Yield the keys and values of a block; each key shares its beginning with the previous key."""
         whole, end = self._plain(*block)
         place, key = 0, b""
         while place < end:
@@ -158,7 +159,7 @@ class _Reader:
             place += more + length
 
     def _plain(self, offset: int, size: int) -> tuple[bytes, int]:
-        """A verified block, and the end of its entries."""
+        """Return a verified block, and the end of its entries."""
         from kinectbench.networks.crc32c import masked_crc32c
 
         whole = self._content[offset : offset + size + TRAILER_BYTES]
@@ -175,7 +176,7 @@ class _Reader:
 
 
 def _handle(content: bytes, place: int) -> tuple[tuple[int, int], int]:
-    """Offset and size of a block, and the position after them."""
+    """Return offset and size of a block, and the position after them."""
     offset, place = _varint(content, place)
     size, place = _varint(content, place)
     return (offset, size), place
@@ -193,7 +194,7 @@ def _varint(content: bytes, place: int) -> tuple[int, int]:
 
 
 def _fields(content: bytes) -> dict[int, list[int | bytes]]:
-    """The fields of a protocol buffer by number."""
+    """Return the fields of a protocol buffer by number."""
     fields: dict[int, list[int | bytes]] = {}
     place = 0
     while place < len(content):
@@ -217,7 +218,7 @@ def _fields(content: bytes) -> dict[int, list[int | bytes]]:
 
 
 def _number(fields: Mapping[int, list[int | bytes]], field: int) -> int:
-    """The last value of a number; 0 if missing, as protocol buffers omit zeros."""
+    """Return the last value of a number; 0 if missing, as protocol buffers omit zeros."""
     value = fields.get(field, [0])[-1]
     if not isinstance(value, int):
         raise ValueError("a field of another kind")
@@ -225,7 +226,7 @@ def _number(fields: Mapping[int, list[int | bytes]], field: int) -> int:
 
 
 def _tensor(content: bytes) -> StoredTensor:
-    """A BundleEntryProto."""
+    """Parse a BundleEntryProto."""
     fields = _fields(content)
     if 7 in fields:
         raise ValueError("a tensor in slices; only whole ones are read")

@@ -41,7 +41,7 @@ from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 from kinectbench.release.release import Release, Target
 
-# A run that is killed loses no more than this; 2 GB are written in some seconds.
+# A killed run loses at most so much; writing 2 GB takes some seconds.
 SAVE_EVERY_S = 300.0
 
 
@@ -50,15 +50,15 @@ class Training:
     """A running training in this process.
 
     Attributes:
-        config: of the method.
-        pairs: that are learnt from.
-        validation: pairs that are looked at.
-        folder: of the training.
-        device: where the network lies.
+        config: the method's configuration.
+        pairs: the training pairs.
+        validation: the validation pairs.
+        folder: the training's folder.
+        device: the network's device.
         part: rank and number of processes.
         learner: network and optimisers.
-        state: how far it is.
-        facts: what training.json says whatever happens.
+        state: progress of the training.
+        facts: facts for training.json that do not change.
     """
 
     config: MethodSettings
@@ -73,7 +73,7 @@ class Training:
 
     @property
     def steps(self) -> int:
-        """Steps of the whole training."""
+        """Number of steps of the whole training."""
         return steps_in_all(len(self.pairs), self.config)
 
     def save(self) -> None:
@@ -95,25 +95,25 @@ def train(
 ) -> State:
     """Train a network, or resume a training in the same folder.
 
-    On one machine, with the same number of threads, a training gives the same weights however often it was
-    stopped. torchrun starts it in several processes, which share each batch.
+    On one machine, with the same number of threads, a training gives the same weights however often it is
+    stopped. Several processes, started by torchrun, share each batch.
 
     Args:
-        config: of the method.
-        releases: their train splits are learnt from, their validation splits looked at.
-        folder: of the training.
-        minutes: stop after so long; default: when all epochs are done.
+        config: the method's configuration.
+        releases: their train splits are for training, their validation splits for validation.
+        folder: the training's folder.
+        minutes: stop after this time; default: after all epochs.
         device: "cpu", "cuda" or another name of torch's; default: the GPU if there is one.
         wait: whether to wait for another run in the folder, or to stop.
         progress: called with (steps done, steps in all).
-        watch: called with each row of the course.
+        watch: called with each new row of the log.
 
     Returns:
-        How far it is.
+        The progress of the training.
 
     Raises:
-        ReleaseError: a pair is missing or changed, or nothing can be learnt from.
-        SettingsError: the folder is another training's, or there is no such device.
+        ReleaseError: a pair is missing or changed, or there is no training pair.
+        SettingsError: the folder belongs to another training, or there is no such device.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
     asked = config.training
@@ -129,7 +129,7 @@ def train(
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare_folder(folder, config)
-            wait_for_all(part[1])  # only now is the folder nobody else's
+            wait_for_all(part[1])  # until then the folder is shared
             network = make_network(config.network, config.training.seed, where)
             learner = Learner(network, config, where, part)
             facts = _facts_of(releases, targets)
@@ -143,7 +143,7 @@ def train(
 
 
 def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, object]:
-    """Facts about the training pairs for training.json."""
+    """Return facts about the training pairs for training.json."""
     return {
         "benchmark_sha256": releases[0].benchmark_sha256,
         "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
@@ -163,17 +163,17 @@ def _check_shared(batch: int, processes: int) -> None:
 
 @contextmanager
 def _deterministic(device: str) -> Iterator[None]:
-    """Make torch deterministic within the block; on a GPU it warns of operations that cannot be."""
+    """Make torch deterministic within the block; on a GPU, torch warns of operations that cannot be."""
     kept = (
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
         torch.backends.cudnn.benchmark,
         torch.utils.deterministic.fill_uninitialized_memory,
     )
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # or else products on a GPU vary
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else products on a GPU vary
     torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
     torch.backends.cudnn.benchmark = False
-    # Nothing here is read before it is written; to fill it costs 5 % of a step.
+    # Uninitialised memory is never read here, and filling it would cost 5 % of a step.
     torch.utils.deterministic.fill_uninitialized_memory = False
     try:
         yield
@@ -189,7 +189,7 @@ def _run(
     progress: Progress | None,
     watch: Callable[[TrainingRow], None] | None,
 ) -> None:
-    """Train until the steps or the time are used up; progress is saved in any case."""
+    """Train until the steps or the time are used up; save the progress in any case."""
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
     steps = range(state.step, training.steps)
@@ -201,9 +201,9 @@ def _run(
     ):
         return
     try:
-        _look_if_due(training, watch)  # the run before may have been stopped there
+        _look_if_due(training, watch)  # an earlier run may have stopped before
         for batch in batches(training.pairs, config, steps, device, training.part):
-            with interrupts_held():  # a step is done whole or not at all
+            with interrupts_held():  # a step is done completely or not at all
                 before = time.monotonic()
                 epoch = state.step * config.training.batch // len(training.pairs)
                 state.add(_stepped(training, batch, epoch))
@@ -218,7 +218,7 @@ def _run(
             if now - saved >= SAVE_EVERY_S:
                 training.save()
                 saved = time.monotonic()
-    except StepError:  # the step is incomplete: the last saved state stays
+    except StepError:  # incomplete step: keep the last saved state
         raise
     except (KeyboardInterrupt, KinectBenchError):
         with interrupts_held():
@@ -231,7 +231,7 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
     """Run one step.
 
     Raises:
-        StepError: memory is full, or the loss is no number.
+        StepError: memory is full, or the loss is not a finite number.
     """
     step = training.state.step
     try:
@@ -248,7 +248,7 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
 
 @contextmanager
 def _memory_errors_reported() -> Iterator[None]:
-    """Report an out-of-memory error of the block, on a GPU or the machine, in one line."""
+    """Turn an out-of-memory error of the block, on a GPU or the machine, into one line."""
     try:
         yield
     except (torch.OutOfMemoryError, MemoryError) as error:
@@ -256,7 +256,7 @@ def _memory_errors_reported() -> Iterator[None]:
             "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"
         ) from error
     except RuntimeError as error:
-        if "allocate memory" not in str(error):  # as torch says it of the CPU
+        if "allocate memory" not in str(error):  # torch's words on the CPU
             raise
         raise StepError(
             "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"
@@ -274,9 +274,9 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Validate and add a row to the log; keeps the best weights on request.
+    """Validate and add a row to the log; keep the best weights if configured.
 
-    It may be interrupted while it looks: nothing has changed then, and it looks again.
+    If it is interrupted, nothing has changed, and the validation is repeated.
     """
     config, state = training.config, training.state
     figures: dict[str, float] = {}

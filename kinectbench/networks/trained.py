@@ -1,4 +1,4 @@
-"""A trained network: from a training's folder, or by name from the package."""
+"""Read a trained network: from a training's folder, or by name from the package."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from kinectbench.networks.weights import (
 )
 from kinectbench.settings.words import listed
 
-# A folder for each network that is shipped, as `train` writes it, without its checkpoint.
+# One folder for each network in the package, as `train` writes it, without its checkpoint.
 FOLDER = Path(__file__).parent / "trained"
 
 
@@ -32,10 +32,10 @@ class Trained:
     """A network with its weights.
 
     Attributes:
-        config: of the method.
-        network: on its device.
-        weights_sha256: of weights.npz.
-        training: how they came to be.
+        config: the method's configuration.
+        network: the network, on its device.
+        weights_sha256: hash of weights.npz.
+        training: training.json, how the weights were trained.
     """
 
     config: MethodSettings
@@ -45,22 +45,22 @@ class Trained:
 
     @property
     def running_parameters(self) -> int:
-        """Parameters that take part in a prediction: no discriminator does."""
+        """Number of parameters used in a prediction; a discriminator's are not."""
         if isinstance(self.network, RecGAN):
             return sum(values.numel() for values in self.network.generator_parameters())
         return self.network.parameter_count
 
 
 def packaged_methods() -> tuple[str, ...]:
-    """Names of the networks whose weights are in the package, sorted."""
+    """Return the names of the networks whose weights are in the package, sorted."""
     return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE}")))
 
 
 def folder_of(name: str) -> Path:
-    """The folder of a method by its path, or by its name in the package.
+    """Return the folder of a method, given its path or its name in the package.
 
     Raises:
-        SettingsError: there is none.
+        SettingsError: there is no such method.
     """
     if name in packaged_methods():
         return FOLDER / name
@@ -84,14 +84,14 @@ def open_trained(folder: Path, device: str = "cpu") -> Trained:
     """Read a trained network.
 
     Raises:
-        SettingsError: its configuration is wrong.
-        StorageError: its weights are missing, damaged, or another network's.
+        SettingsError: the configuration is wrong.
+        StorageError: the weights are missing, damaged, or of another network.
     """
     config = read_config(folder / CONFIG)
     training = TrainingFile.read(folder)
     path = folder / FILE
     shapes = shapes_of_network(make_network(config.network, device="meta"))
-    # Before there is a network, which may be large.
+    # Checked before the network is made, which may be large.
     check_fit(shapes, headers_of(path, bytes_of(shapes)), str(path))
     network = make_network(config.network)
     set_weights(network, path)

@@ -1,4 +1,4 @@
-"""Quality of a network on validation pairs, counted as for predictions."""
+"""Quality of a network on validation pairs, counted like predictions."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ PROTOCOL = "known"
 def completed(
     network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
 ) -> NDArray[np.float16]:
-    """The prediction (n, n, n) float16 in [0, 1] of a partial view (64, 64, 64), both in the grid's axes."""
+    """Predict a partial view (64, 64, 64): (n, n, n) float16 in [0, 1], both in the grid's axes."""
     network.eval()
     with torch.inference_mode():
         tensor = as_tensor(turned_axes(partial, config)[None], device)
@@ -34,13 +34,13 @@ def completed(
 def validation_iou(
     network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
 ) -> tuple[float, float]:
-    """The highest mean IoU over some pairs, protocol known, and the threshold that it is reached at.
+    """Return the highest mean IoU over some pairs, protocol `known`, and its threshold.
 
     Args:
-        network: that is judged.
-        pairs: at least one.
-        config: axes and precision.
-        device: where the network lies.
+        network: the network to validate.
+        pairs: validation pairs, at least one.
+        config: gives axes and precision.
+        device: the network's device.
     """
     curves = []
     for path, sha256 in pairs:

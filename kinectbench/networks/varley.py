@@ -13,15 +13,15 @@ from kinectbench.networks.network import Network
 
 CELLS = 40
 CHANNELS, VECTOR = 64, 5000
-# Of 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
+# Sides from 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
 BOTTOM_CELLS = 7
 
 
 class Varley(Network):
-    """430,288,384 weights, the paper's 430.3 M, and 69,192 biases."""
+    """Varley et al.: 430,288,384 weights, the paper's 430.3 M, and 69,192 biases."""
 
     def __init__(self, divisor: int = 1) -> None:
-        """Hidden channels, and the vector of 5000, are divided by `divisor`."""
+        """Make the network; hidden channels, and the vector of 5000, are divided by `divisor`."""
         super().__init__(input_cells=CELLS, output_cells=CELLS)
         n = narrowed(CHANNELS, divisor)
         vector = max(VECTOR // divisor, 1)
@@ -31,7 +31,7 @@ class Varley(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """He's normal values, the last layer Glorot's normal ones, biases 0, as in the source."""
+        """Draw He-normal weights, Glorot-normal ones in the last layer, and zero biases, as in the source."""
         with torch.no_grad():
             for layer in (*self.convolutions, self.to_vector):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
@@ -40,7 +40,7 @@ class Varley(Network):
             self.from_vector.bias.zero_()
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Logits of occupancy, (b, 1, 40, 40, 40), of partial views of the same shape."""
+        """Return logits of occupancy, (b, 1, 40, 40, 40), for partial views of the same shape."""
         x = functional.relu(self.convolutions[0](partial))
         x = functional.max_pool3d(functional.relu(self.convolutions[1](x)), 2)
         x = functional.max_pool3d(functional.relu(self.convolutions[2](x)), 2)
@@ -49,5 +49,5 @@ class Varley(Network):
 
     @property
     def weight_count(self) -> int:
-        """Parameters without biases, as the paper seems to count them."""
+        """Number of parameters without biases, as the paper seems to count them."""
         return sum(values.numel() for values in self.parameters() if values.dim() > 1)

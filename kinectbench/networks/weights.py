@@ -1,4 +1,4 @@
-"""weights.npz: a network's values by name, float32 or float16; plain numpy opens it."""
+"""weights.npz: a network's values by name, float32 or float16; numpy can open it."""
 
 import math
 import zipfile
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from torch.nn import Module
 
 FILE = "weights.npz"
-# Varley's 1.72 GB is the largest network here.
+# Largest file: Varley's 1.72 GB is the largest network here.
 MOST_BYTES = 4 << 30
 KINDS = tuple(np.dtype(kind) for kind in (np.float16, np.float32, np.float64, np.int64))
 OTHER_KIND = "what are no finite numbers in float16, float32, float64 or int64, low bytes first"
-# Values that are read at a time: 8 MB of the widest kind.
+# Number of values read at a time: 8 MB of the widest kind.
 SLAB_VALUES = 1 << 20
-# Of a value in the widest of these; and of an array, its header.
+# Bytes of a value of the widest kind, and of an array's header.
 WIDEST_BYTES, HEADER_BYTES = 8, 1 << 10
 
 Shapes = Mapping[str, tuple[int, ...]]
 
 
 def write_weights(arrays: Arrays, path: Path) -> None:
-    """Write arrays by name, uncompressed and in order: the same bytes for the same values."""
+    """Write arrays by name, uncompressed and in order; the same values give the same bytes."""
     with replaced_file(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
@@ -48,7 +48,7 @@ def read_weights(path: Path) -> Arrays:
     """Read the arrays of an untrusted file.
 
     Raises:
-        StorageError: it is missing, damaged, too large for any network, or no such file.
+        StorageError: the file is missing, damaged, too large for any network, or no file of weights.
     """
     arrays = {
         name: np.empty(header.shape, header.dtype) for name, header in headers_of(path, MOST_BYTES).items()
@@ -59,9 +59,9 @@ def read_weights(path: Path) -> Arrays:
 
 
 def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.generic]]]:
-    """Yield the values of a file, flat, some at a time: name of the array, number of the first, values (n,).
+    """Yield a file's values in flat slabs: name of the array, index of the first value, values (n,).
 
-    A network may be as large as the memory; so may an array. Raises as `read_weights`.
+    Slabs are needed because an array may be as large as the memory. Errors as in `read_weights`.
     """
     with _opened(path, most_bytes) as archive:
         for entry in archive.infolist():
@@ -79,14 +79,14 @@ def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.g
                     values = np.frombuffer(bytearray(content), header.dtype)
                     _refuse(path, name, _problem(name, values))
                     yield name, begin, values
-                stream.read(1)  # reaching the end checks the archive's checksum
+                stream.read(1)  # the end checks the archive's checksum
 
 
 def headers_of(path: Path, most_bytes: int) -> dict[str, NpyHeader]:
-    """The headers of a file's arrays, by name, without unpacking.
+    """Read the headers of a file's arrays, by name, without unpacking.
 
     Raises:
-        StorageError: as `read_weights`; an array is of another kind than weights are.
+        StorageError: as in `read_weights`, or an array cannot be weights.
     """
     headers = dict[str, NpyHeader]()
     with _opened(path, most_bytes) as archive:
@@ -109,7 +109,7 @@ def _refuse(path: Path, name: str, problem: str) -> None:
 
 @contextmanager
 def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
-    """Open an npz of at most this many unpacked bytes; errors within the block become one line."""
+    """Open an npz of at most this many unpacked bytes; turn errors within the block into one line."""
     try:
         with open_plain(path) as file, open_npz(file, most_bytes) as archive:
             yield archive
@@ -120,8 +120,8 @@ def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _problem(name: str, array: FileArray) -> str:
-    """Why a network cannot have this value; "" if it can."""
-    # A float64 may be larger than what the network has. Of NaN neither is so.
+    """Return why a network cannot have this value; "" if it can."""
+    # A float64 may exceed float32. The comparison is also false for NaN.
     most = np.finfo(np.float32).max
     if not -most <= array.min() <= array.max() <= most:
         return "what are no finite numbers"
@@ -129,12 +129,12 @@ def _problem(name: str, array: FileArray) -> str:
 
 
 def shapes_of_network(network: "Module") -> dict[str, tuple[int, ...]]:
-    """The shapes of a torch module's values by name, which may be on "meta"."""
+    """Return {name: shape} of a torch module's values, which may be on "meta"."""
     return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
 def arrays_of_network(network: "Module") -> Arrays:
-    """The values of a torch module by name, on the CPU."""
+    """Return {name: value} of a torch module, on the CPU."""
     return {name: values.detach().cpu().numpy() for name, values in network.state_dict().items()}
 
 
@@ -142,7 +142,7 @@ def set_weights(network: "Module", path: Path) -> None:
     """Load a file's values, with checked headers, into a torch module, part by part.
 
     Raises:
-        StorageError: as `read_weights`.
+        StorageError: as in `read_weights`.
     """
     import torch
 
@@ -150,7 +150,7 @@ def set_weights(network: "Module", path: Path) -> None:
     with torch.no_grad():
         for name, begin, values in _slabs(path, bytes_of(shapes_of_network(network))):
             whole = state[name]
-            if begin == 0:  # a convolution's may lie in memory in another order
+            if begin == 0:  # a convolution's memory may be ordered differently
                 in_order = whole.is_contiguous()
                 flat = whole.view(-1) if in_order else torch.empty(whole.numel(), dtype=whole.dtype)
             flat[begin : begin + len(values)] = torch.from_numpy(values)
@@ -159,7 +159,7 @@ def set_weights(network: "Module", path: Path) -> None:
 
 
 def bytes_of(shapes: Shapes) -> int:
-    """Maximum unpacked size of a file for a network of these shapes, by name."""
+    """Return the maximum unpacked size of a file for a network of these shapes, by name."""
     return sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
 
 
@@ -167,7 +167,7 @@ def check_fit(wanted: Shapes, arrays: Mapping[str, NpyHeader], where: str) -> No
     """Refuse arrays whose headers do not match the network.
 
     Raises:
-        StorageError: a name or a shape does not fit; a line for each, that begins with `where`.
+        StorageError: a name or a shape does not fit; a line for each, beginning with `where`.
     """
     if problems := list(misfits(wanted, arrays)):
         raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))

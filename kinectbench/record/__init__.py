@@ -1,1 +1,1 @@
-"""Recording with a camera: devices behind one interface, and the folder that is written as frames come."""
+"""Recording with a camera: devices behind one interface, and a folder that is written while frames arrive."""

@@ -1,7 +1,7 @@
-"""The beginning of a build, in a process of its own while a recording is written.
+"""Start a build in a separate process while the recording is still being written.
 
-It reads the folder that grows, so that it never holds the recorder up. It stores every frame and registers it
-to those before, by the build's own code, and the build goes on where it is.
+The process reads the growing folder, so it never delays the recorder. It stores each frame and registers it
+to earlier frames with the build's own code; the build then continues from there.
 """
 
 import multiprocessing
@@ -27,26 +27,27 @@ from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Follower
 from kinectbench.stages.track.partial_odometry import PartialOdometry
 
-# The process gives way to the recorder and to the guide.
+# Niceness: the recorder and the guide get the processor first.
 NICER = 10
-# The lists of the folder are read again so often: 70 ms for 600 frames.
+# Interval at which the folder's lists are read: 70 ms for 600 frames.
 READ_AGAIN_S = 1.0
-# Rows at the end of the lists whose colour may still come.
+# Number of rows at the end of the lists whose colour may still arrive.
 MAY_CHANGE = 2
-# A folder in that of the recording, so that one disk holds both; hidden, it is no part of the recording. The
-# number of the process follows: another recorder, which is refused, removes its own alone.
+# A hidden folder inside the recording's folder, so that both are on one disk; it is no part of the recording.
+# The process id follows, so that another recorder, which is refused, removes only its own folder.
 STORED = ".stored-"
-# What a closed terminal, or whoever ends a group of processes, sends: the other end decides, and is ended.
+# Signals that a closed terminal, or the end of a process group, sends. They are ignored: the recorder ends
+# this process.
 IGNORED = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM) if os.name == "posix" else (signal.SIGINT,)
-# The process ends by itself within a frame; then it is killed.
+# The process ends within a frame; after this time it is killed.
 ENDS_WITHIN_S = 5.0
 
 
 class BuildProcess:
-    """Takes the frames of a folder as they are written."""
+    """Takes the frames of a folder in a separate process, as they are written."""
 
     def __init__(self, folder: Path) -> None:
-        """Start the process (spawned: threads do not survive a fork); the folder may come later."""
+        """Start the process (spawned: threads do not survive a fork); the folder may appear later."""
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
         self._process = context.Process(target=_run, args=(theirs, folder), name="build", daemon=True)
@@ -56,25 +57,25 @@ class BuildProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
+        """Id of the process."""
         return self._process.pid
 
     def ended(self) -> None:
-        """The folder is whole: its last frames are taken too."""
+        """Tell the process that the folder is complete, so that its last frames are taken, too."""
         self._ask("whole")
 
     def sequence(self) -> PartialSequence | None:
-        """What was stored so far; None if nothing was, or the process failed. The process goes on."""
+        """Return what was stored so far; None if nothing was, or the process failed. The process goes on."""
         answer = self._answer("sequence")
         return answer if isinstance(answer, PartialSequence) else None
 
     def odometry(self) -> PartialOdometry | None:
-        """What was registered so far; None if nothing was, or the process failed. The process ends."""
+        """Return what was registered so far; None if nothing was, or the process failed. The process ends."""
         answer = self._answer("odometry")
         return answer if isinstance(answer, PartialOdometry) else None
 
     def close(self) -> None:
-        """End the process, and remove what it stored."""
+        """End the process, and delete what it stored."""
         self._mine.close()
         self._process.join(ENDS_WITHIN_S)
         self._process.kill()
@@ -93,15 +94,15 @@ class BuildProcess:
 
 
 class GrowingBuild:
-    """Takes the frames of a folder that grows: each is stored as by `ingest`, and registered as by `track`.
+    """Takes the frames of a growing folder: each is stored as in `ingest`, and registered as in `track`.
 
     Attributes:
-        folder: that grows.
-        stored: a folder for the sequence.
+        folder: the growing folder.
+        stored: the folder for the stored sequence.
     """
 
     def __init__(self, folder: Path, stored: Path) -> None:
-        """Nothing was taken; the folder may come later."""
+        """Start without frames; the folder may appear later."""
         self.folder, self.stored = folder, stored
         self._writer: SequenceWriter | None = None
         self._follower: Follower | None = None
@@ -109,11 +110,11 @@ class GrowingBuild:
         self._digests: list[bytes] = []
 
     def read_again(self) -> None:
-        """Look for new frames."""
+        """Read the lists of the folder again."""
         try:
             recording = open_recording(self.folder)
         except KinectBenchError:
-            return  # nothing is there yet
+            return  # the folder does not exist yet
         if self._writer is None:
             self._writer = SequenceWriter(recording, self.stored)
         if stored_by(recording) != stored_by(self._writer.checks.recording):
@@ -121,10 +122,11 @@ class GrowingBuild:
         self._writer.checks.recording = recording
 
     def take(self, *, whole: bool) -> bool:
-        """Take the next frame; False if there is none.
+        """Take the next frame; return False if there is none.
 
         Args:
-            whole: no frame will come; else the last ones are left, as their colour may still come.
+            whole: whether the folder is complete; else the last frames are left, as their colour may still
+                arrive.
         """
         writer = self._writer
         if writer is None:
@@ -139,7 +141,7 @@ class GrowingBuild:
         return True
 
     def _follow(self, recording: Recording, frames: FolderFrames) -> None:
-        """Register the newest of the stored frames."""
+        """Register the newest stored frame."""
         registered = recording.color_registered or recording.color_calibration is not None
         stamps_ns = np.array([row.stamp_ns for row in frames.rows], np.int64)
         sequence = Sequence(recording.camera, recording.depth_scale, stamps_ns, registered, None, frames)
@@ -151,19 +153,19 @@ class GrowingBuild:
         self._follower.take(len(self._follower.frames))
 
     def sequence(self) -> PartialSequence | None:
-        """What was stored so far."""
+        """Return what was stored so far."""
         return PartialSequence(self._writer, tuple(self._marks)) if self._writer else None
 
     def odometry(self) -> PartialOdometry | None:
-        """What was registered so far."""
+        """Return what was registered so far."""
         return PartialOdometry(self._follower, tuple(self._digests)) if self._follower else None
 
 
 def _run(connection: Connection, folder: Path) -> None:
-    """In the process: take frames until they are asked for, or the other end closes."""
+    """Run in the process: take frames until the other end asks for them, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
-    warnings.simplefilter("ignore")  # the terminal has one line: that of the recorder
+    warnings.simplefilter("ignore")  # the recorder owns the terminal
     with suppress(OSError):
         os.nice(NICER)
     stored = folder / f"{STORED}{os.getpid()}"
@@ -177,10 +179,10 @@ def _run(connection: Connection, folder: Path) -> None:
             if asked == "sequence":
                 connection.send(growing.sequence())
             whole |= asked == "whole"
-            if not busy or asked == "whole":  # the last rows of the lists are known only now
+            if not busy or asked == "whole":  # only now are the last rows final
                 growing.read_again()
             busy = growing.take(whole=whole)
-    except Exception:  # the other end is gone, or the build says what is wrong: the terminal is not ours
+    except Exception:  # the other end closed, or the build reports the error later
         return
     finally:
         shutil.rmtree(stored, ignore_errors=True)

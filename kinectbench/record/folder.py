@@ -1,6 +1,6 @@
-"""The recording that is written: a folder as the TUM RGB-D benchmark has it, frame by frame, on threads.
+"""Write a recording frame by frame, on threads, as a folder in the format of the TUM RGB-D benchmark.
 
-A row of `depth.txt` or `rgb.txt` is added once its image is whole, so that the folder can be read at any
+A row is added to `depth.txt` or `rgb.txt` once its image is complete, so that the folder can be read at any
 moment, and after a crash up to the last frame.
 """
 
@@ -20,9 +20,11 @@ from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.readers.tum import DEPTH_AXES
 
-# 640x480 with colour as pixels takes 21 ms of a processor: two threads do 30 Hz; two more wait for the disk.
+# 640x480 with uncompressed colour takes 21 ms of a processor: two threads do 30 Hz; two more wait for the
+# disk.
 THREADS = 4
-# Frames that wait to be written: five seconds of 640x480 with colour as pixels, two of 1280x720.
+# Most bytes of frames that wait to be written: five seconds of 640x480 with uncompressed colour, two of
+# 1280x720.
 BACKLOG_BYTES = 256 << 20
 HEADERS = {
     "depth": "# timestamp filename",
@@ -32,7 +34,7 @@ HEADERS = {
 
 
 def check_new(folder: Path) -> None:
-    """Refuse a place where something is already: two recordings are never mixed.
+    """Refuse a folder that is not empty: two recordings are never mixed.
 
     Raises:
         SettingsError: the folder holds something, or is no folder.
@@ -47,23 +49,23 @@ class FolderWriter:
     """Writes frames into a new folder; `add` never waits for the disk."""
 
     def __init__(self, folder: Path, setup: Setup, device: str) -> None:
-        """Make the folder.
+        """Create the folder.
 
         Args:
-            folder: absent or empty.
-            setup: what camera.json says.
+            folder: a missing or empty folder.
+            setup: the device's cameras, for camera.json.
             device: the name of the device, for camera.json.
 
         Raises:
-            SettingsError: something is there, or another recorder was first.
-            StorageError: it cannot be made.
+            SettingsError: the folder is not empty, or another recorder was first.
+            StorageError: the folder cannot be created.
         """
         check_new(folder)
         with storage_errors(folder), reachable(folder):
             folder.mkdir(parents=True, exist_ok=True)
         with storage_errors(folder):
             try:
-                (folder / "depth").mkdir()  # of two recorders one succeeds
+                (folder / "depth").mkdir()  # only one of two recorders succeeds
             except FileExistsError as error:
                 said = f"{folder}: another recorder has begun there; name a new folder"
                 raise SettingsError(said) from error
@@ -79,7 +81,7 @@ class FolderWriter:
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="record")
 
     def add(self, frame: Frame) -> int | None:
-        """Have a frame written; its number in the folder, or None if it is dropped: too many wait."""
+        """Queue a frame for writing; return its number, or None if it is dropped: too many wait."""
         with self._lock:
             if self._waiting_bytes + frame.nbytes > BACKLOG_BYTES and self._waiting_bytes:
                 self.dropped += 1
@@ -90,16 +92,16 @@ class FolderWriter:
         return number
 
     def close(self) -> None:
-        """Wait until all that was added is written, or cannot be."""
+        """Wait until all added frames are written, or have failed."""
         self._pool.shutdown(wait=True)
         for handle in self._lists.values():
             os.close(handle)
         self._lists = {}
 
     def _write(self, number: int, frame: Frame) -> None:
-        """Write a frame's images, then the rows of all frames up to the first that is not whole.
+        """Write a frame's images, then the rows of all frames up to the first incomplete one.
 
-        After an error no further frame is begun; those before it become whole.
+        After an error no further frame is started; earlier frames are completed.
         """
         try:
             if self.error is None:
@@ -115,7 +117,7 @@ class FolderWriter:
                 self._waiting_bytes -= frame.nbytes
 
     def _images(self, number: int, frame: Frame) -> tuple[tuple[str, str], ...]:
-        """Write a frame's files; its rows by the name of their list, that of depth last."""
+        """Write a frame's files; return (list, row) for each, depth last."""
         rows = [
             ("accelerometer", f"{format_stamp(s)} {x!r} {y!r} {z!r}") for s, (x, y, z) in frame.accelerations
         ]
@@ -128,7 +130,7 @@ class FolderWriter:
         return tuple(rows)
 
     def _image(self, kind: str, name: str, stamp_ns: int, data: bytes) -> str:
-        """Write an image; its row."""
+        """Write an image and return its row."""
         file = self.folder / kind / name
         try:
             file.write_bytes(data)
@@ -147,7 +149,7 @@ class FolderWriter:
 
 
 def _append(handle: int, row: str) -> None:
-    """Add a row whole, past any buffer, or not at all."""
+    """Append a complete row without buffering, or nothing."""
     data = f"{row}\n".encode()
     before = os.fstat(handle).st_size
     try:
@@ -163,7 +165,7 @@ def _png(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> bytes:
 
 
 def _camera_json(setup: Setup, device: str) -> dict[str, object]:
-    """camera.json, as the reader of TUM folders reads it."""
+    """Return the content of camera.json for the reader of TUM folders."""
     said: dict[str, object] = asdict(setup.camera)
     said |= {"depth_scale": setup.depth_scale, "color_registered": setup.color_registered, "device": device}
     said["accelerometer_axes"] = DEPTH_AXES

@@ -1,4 +1,4 @@
-"""What every camera offers, and what a frame of it holds."""
+"""The interface of all cameras, and a frame of a camera."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -12,16 +12,17 @@ from kinectbench.core.errors import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.stages.ingest.recording import ColorCalibration
 
-# A device is asked so often, that Ctrl-C is answered at once; after so long without a frame it is gone.
-# Cameras give 5 frames a second and more; the first may take two seconds (exposure, laser).
+# A device is polled in this interval, so that Ctrl-C is answered at once; after so many seconds without a
+# frame it counts as gone. Cameras give 5 frames a second and more; the first may take two seconds (exposure,
+# laser).
 POLL_MS, SILENT_S = 200, 5.0
 Item = TypeVar("Item")
 
 
 class Acceleration(NamedTuple):
-    """What an accelerometer measured: stamp in ns, and m/s^2 in the optical axes of the depth camera.
+    """A measurement of an accelerometer: stamp in ns, and m/s^2 in the optical axes of the depth camera.
 
-    At rest it is the reaction to gravity, which points up.
+    At rest, it is the reaction to gravity and points up.
     """
 
     stamp_ns: int
@@ -34,11 +35,12 @@ class Frame:
 
     Attributes:
         stamp_ns: stamp of the depth image, nanoseconds of the device's clock.
-        depth: (height, width) uint16 in native units, 0 = no measurement; nobody else writes to it.
-        color: (suffix, encoded image) as the device gave it; (height, width, 3) uint8 RGB where it gives
-            pixels; or None.
-        color_stamp_ns: stamp of colour, nanoseconds; None: that of depth.
-        accelerations: what was measured since the frame before.
+        depth: (height, width) uint16 in native units, 0 = no measurement; the device does not reuse the
+            array.
+        color: (suffix, encoded image) if the device encodes; (height, width, 3) uint8 RGB if it gives pixels;
+            or None.
+        color_stamp_ns: stamp of colour, nanoseconds; None: the stamp of depth.
+        accelerations: measurements since the previous frame.
     """
 
     stamp_ns: int
@@ -49,7 +51,7 @@ class Frame:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes in memory."""
+        """Bytes of the frame in memory."""
         if self.color is None:
             return self.depth.nbytes
         return self.depth.nbytes + (
@@ -59,13 +61,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a device says once it is open.
+    """What a device states once it is open.
 
     Attributes:
-        camera: intrinsics of the depth images, pixels; they are pinhole images.
+        camera: intrinsics of the depth images (pinhole images), pixels.
         depth_scale: native depth units per metre.
-        color_registered: colour pixels lie on depth pixels.
-        color_calibration: how colour lies to depth, where it is not registered; None: not known.
+        color_registered: whether colour pixels lie on depth pixels.
+        color_calibration: the colour camera relative to the depth camera, if not registered; None: not known.
     """
 
     camera: Camera
@@ -75,14 +77,14 @@ class Setup:
 
 
 class Device(Protocol):
-    """A camera, or what acts as one.
+    """A camera, or something that acts like one.
 
     Attributes:
-        name: as `--device` has it.
-        cameras: which cameras it is for.
-        extra: of kinectbench, with the packages that it needs; "" = none.
-        system: what it needs that pip does not bring, with a command; "" = nothing.
-        missed: frames that the device lost since it was opened, as far as it says.
+        name: the device's name for `--device`.
+        cameras: the cameras that it supports.
+        extra: the extra of kinectbench with the packages that it needs; "" = none.
+        system: what it needs that pip does not install, with a command; "" = nothing.
+        missed: number of frames lost since it was opened, as far as the device reports.
     """
 
     name: str
@@ -92,39 +94,39 @@ class Device(Protocol):
     missed: int = 0
 
     def plugged_in(self) -> tuple[str, ...]:
-        """The cameras that are plugged in, a name each."""
+        """Return the names of the cameras that are plugged in."""
         ...
 
     def open(self) -> Setup:
-        """Start the first camera that is plugged in.
+        """Start the first camera that is plugged in, and return its setup.
 
         Raises:
-            CaptureError: there is none, or it cannot be started.
+            CaptureError: there is no camera, or it cannot be started.
         """
         ...
 
     def frames(self) -> Iterator[Frame]:
-        """The frames, each as soon as it is there.
+        """Yield the frames, each as soon as it arrives.
 
         Raises:
-            CaptureError: no more come.
+            CaptureError: no more frames arrive.
         """
         ...
 
     def close(self) -> None:
-        """Stop it; also where it was not opened, or is gone."""
+        """Stop the camera; allowed also if it was not opened, or is gone."""
         ...
 
 
 def polled(ask: Callable[[], Item | None], device: str) -> Iterator[Item]:
-    """What a device gives, one after another.
+    """Yield a device's items one after another.
 
     Args:
-        ask: waits `POLL_MS` at most; None: nothing came.
-        device: its name, for the message.
+        ask: waits at most `POLL_MS` for an item; returns None if none arrived.
+        device: the device's name, for the message.
 
     Raises:
-        CaptureError: nothing came for `SILENT_S`.
+        CaptureError: nothing arrived for `SILENT_S`.
     """
     last = time.monotonic()
     while True:

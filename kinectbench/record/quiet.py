@@ -1,4 +1,4 @@
-"""Libraries of cameras that print where they are imported or opened."""
+"""Silence camera libraries that print when they are imported or opened."""
 
 import io
 import os
@@ -10,10 +10,10 @@ STDOUT = 1
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Within the block nothing is printed, neither by Python nor by a library of its own.
+    """Silence all output within the block, of Python and of native libraries.
 
-    Orbbec's SDK prints a line on standard output where it is imported, in the middle of `--json`; NumPy a
-    page on standard error where a library was compiled for another version of it.
+    Orbbec's SDK prints a line on standard output when imported, in the middle of `--json`. NumPy prints a
+    page on standard error if a library was compiled for another version of NumPy.
     """
     kept, nowhere = os.dup(STDOUT), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, STDOUT)
@@ -27,6 +27,6 @@ def quiet() -> Iterator[None]:
 
 
 def in_a_line(error: Exception) -> str:
-    """The first sentence of what an error of a library says; its kind if it says nothing."""
+    """Return the first sentence of an error's message; the error's class if the message is empty."""
     said = str(error).strip().partition("\n")[0].partition(". ")[0].rstrip(":. ")
     return said or type(error).__name__

@@ -1,4 +1,4 @@
-"""Recording: frames from a device into a folder, and before the eyes of those who look on."""
+"""Record: write a device's frames into a folder, and show them to observers."""
 
 import sys
 import time
@@ -13,9 +13,9 @@ from kinectbench.record.interface import Acceleration, Device, Frame, Setup
 from kinectbench.record.quiet import in_a_line, quiet
 from kinectbench.record.watching import Observer, Watcher
 
-# Python's lock changes hands after 5 ms (its default) where somebody computes in Python itself, and writing a
-# frame takes the lock a dozen times: a busy observer cost 306 of 1,000 frames at 30 Hz, with 0.2 ms 6, with
-# this none (two cores that others used as well; `ingest_speed`).
+# Interval at which Python's lock changes hands. It is 5 ms by default while another thread computes in
+# Python, and writing a frame takes the lock a dozen times. A busy observer cost 306 of 1,000 frames at 30 Hz;
+# with 0.2 ms it cost 6, with this value none (two shared cores; `ingest_speed`).
 SWITCH_S = 0.00005
 # Called with (frames added, seconds since the first).
 Progress = Callable[[int, float], None]
@@ -23,18 +23,18 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class Recorded:
-    """What became of a recording.
+    """The outcome of a recording.
 
     Attributes:
-        folder: where it lies.
+        folder: the folder of the recording.
         device: the name of the device.
-        frames: that were written.
-        missed: that the device lost, as far as it says.
-        dropped: that were not written, as the disk was too slow.
-        set_back: how often the device's clock went back.
-        seconds: from the first frame to the end, by the clock of this machine.
-        failure: one line on what ended it too early, or "".
-        observers: one line about each observer that failed.
+        frames: number of written frames.
+        missed: number of frames that the device lost, as far as it reports.
+        dropped: number of frames not written because the disk was too slow.
+        set_back: number of times that the device's clock went back.
+        seconds: time from the first frame to the end, by the clock of this machine.
+        failure: one line on what ended the recording too early, or "".
+        observers: one line for each observer that failed.
     """
 
     folder: Path
@@ -49,27 +49,27 @@ class Recorded:
 
 
 class Clock:
-    """Stamps that increase, whatever the device's clock does.
+    """Makes stamps that increase, whatever the device's clock does.
 
-    Where its clock is set back, or begins again, the stamp is the one before and the time that has passed
-    since by this machine's monotonic clock. Later stamps keep that offset.
+    If the device's clock goes back or restarts, the new stamp is the previous one plus the time passed by
+    this machine's monotonic clock. Later stamps keep that offset.
 
     Attributes:
-        set_back: how often that was needed.
+        set_back: number of times that was needed.
     """
 
     def __init__(self) -> None:
-        """No frame has come."""
+        """Start without frames."""
         self.set_back = 0
         self._offset_ns = 0
         self._last: tuple[int, int] | None = None
 
     def put_right(self, frame: Frame, now_ns: int) -> Frame:
-        """The frame with stamps that increase.
+        """Return the frame with increasing stamps.
 
         Args:
-            frame: as the device gave it.
-            now_ns: the monotonic time when it came.
+            frame: the frame from the device.
+            now_ns: the monotonic time of its arrival, nanoseconds.
         """
         stamp_ns = frame.stamp_ns + self._offset_ns
         if self._last is not None and stamp_ns <= self._last[0]:
@@ -91,19 +91,19 @@ def record(
     observers: Sequence[Observer] = (),
     progress: Progress | None = None,
 ) -> Recorded:
-    """Record until the device ends, so many seconds have passed, or KeyboardInterrupt.
+    """Record until the device ends, `seconds` have passed, or KeyboardInterrupt.
 
     Args:
-        device: it is opened here, and closed.
-        folder: absent or empty; it is made with the first frame.
-        seconds: by the clock of this machine, from the first frame; None: no limit.
-        observers: they look on, each on a thread of its own.
+        device: the device, which is opened and closed here.
+        folder: a missing or empty folder; it is created with the first frame.
+        seconds: time limit from the first frame, by the clock of this machine; None: no limit.
+        observers: get frames while recording, each on a separate thread.
         progress: called after each frame.
 
     Raises:
-        SettingsError: the folder holds something.
+        SettingsError: the folder is not empty.
         CaptureError: the device cannot be opened, or gave no frame.
-        StorageError: the folder cannot be made.
+        StorageError: the folder cannot be created.
     """
     check_new(folder)
     try:
@@ -116,7 +116,7 @@ def record(
         finally:
             sys.setswitchinterval(switch_s)
     finally:
-        with suppress(Exception):  # of a device that is gone
+        with suppress(Exception):  # the device is gone
             device.close()
     if run.writer is None:
         raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
@@ -136,7 +136,7 @@ def _opened(device: Device) -> Setup:
 
 
 class _Run:
-    """One recording: the writer is there from the first frame on."""
+    """One recording; its writer exists from the first frame on."""
 
     def __init__(self, device: Device, folder: Path, setup: Setup, observers: Sequence[Observer]) -> None:
         self.device, self.folder, self.setup = device, folder, setup
@@ -146,7 +146,7 @@ class _Run:
         self.started_s = self.seconds = 0.0
 
     def until_the_end(self, seconds: float | None, progress: Progress) -> str:
-        """Take frames; one line on what ended it too early, or ""."""
+        """Take frames; return one line on what ended the recording too early, or ""."""
         try:
             for frame in self.device.frames():
                 self._take(frame)
@@ -176,7 +176,7 @@ class _Run:
                 watcher.offer(number, frame)
 
     def closed(self, failure: str) -> Recorded:
-        """Wait for the writer and for those who look on."""
+        """Wait for the writer and the observers, and return the outcome."""
         assert self.writer is not None
         self.writer.close()
         for watcher in self.watchers:

@@ -1,4 +1,4 @@
-"""Those who look on while a recording is made: they get the newest frame, and never hold it up."""
+"""Observers of a recording: they get the newest frame, and never delay the recorder."""
 
 import threading
 from typing import Protocol
@@ -7,17 +7,17 @@ from kinectbench.record.interface import Frame, Setup
 
 
 class Observer(Protocol):
-    """Somebody who looks on, such as a live picture or a tracker."""
+    """An observer of a recording, such as a live picture or a tracker."""
 
     def see(self, number: int, frame: Frame, setup: Setup) -> None:
-        """Look at a frame, for as long as it takes.
+        """Process a frame; this may take any time.
 
-        It runs on a thread of its own. Of the frames that come meanwhile only the newest waits for it. An
-        error ends its looking on, not the recording.
+        It is called on a separate thread. Of the frames that arrive meanwhile, only the newest is kept. An
+        error ends the observation, but not the recording.
 
         Args:
-            number: of the frame in the recording, from 0; its files are named by it.
-            frame: as it is written; its arrays are not to be changed.
+            number: the frame's number in the recording, from 0, as in its file names.
+            frame: the frame as it is written; its arrays must not be changed.
             setup: the device's cameras.
         """
         ...
@@ -27,12 +27,12 @@ class Watcher:
     """Hands an observer the newest frame, one at a time.
 
     Attributes:
-        skipped: frames that the observer did not see.
-        failure: what ended its looking on, or None.
+        skipped: number of frames that the observer did not get.
+        failure: the error that ended the observation, or None.
     """
 
     def __init__(self, observer: Observer, setup: Setup) -> None:
-        """Start its thread, which ends with the process at the latest."""
+        """Start the observer's thread, which ends with the process at the latest."""
         self.skipped = 0
         self.failure: Exception | None = None
         self._observer, self._setup = observer, setup
@@ -43,14 +43,14 @@ class Watcher:
         self._thread.start()
 
     def offer(self, number: int, frame: Frame) -> None:
-        """Put a frame in place of the one that waits, if any; returns at once."""
+        """Replace the waiting frame, if any, by this one; return at once."""
         with self._changed:
             self.skipped += self._newest is not None
             self._newest = (number, frame)
             self._changed.notify()
 
     def end(self) -> None:
-        """Let it see the last frame, and wait for it."""
+        """Let the observer process the last frame, and wait for it."""
         with self._changed:
             self._ended = True
             self._changed.notify()
@@ -65,7 +65,7 @@ class Watcher:
                 return
 
     def _next(self) -> tuple[int, Frame] | None:
-        """Wait for a frame; None at the end."""
+        """Wait for a frame; return None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._ended)
             newest, self._newest = self._newest, None

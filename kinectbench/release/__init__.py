@@ -1,1 +1,1 @@
-"""Publish a benchmark, and verify one."""
+"""Publish a benchmark as a release, check a release, and read it."""

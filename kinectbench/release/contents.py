@@ -1,4 +1,4 @@
-"""The files of a release: their names, and how they are read in a folder or an archive, in place."""
+"""The files of a release: their names, their size limits, and reading them in place."""
 
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
@@ -24,11 +24,11 @@ PREVIEW = "index.html"
 CATEGORIES = "categories"
 SCHEMAS = "schemas"
 SPLIT_TARGETS = "targets"
-# previews/<split>/: a table of pairs, and a picture of each.
+# previews/<split>/ has a table of the pairs, and a picture of each.
 PREVIEWS, ROWS = "previews", "metadata.jsonl"
-# The bytes of each object, and of each view.
+# Files of each object.
 OBJECT_FILES = ("mesh.ply", "volume.npz")
-# objects/<recording>.glb, and the most that it has: enough for 60,000 triangles with normals.
+# objects/<recording>.glb, and its largest size: enough for 60,000 triangles with normals.
 GLB, MOST_GLB_BYTES = ".glb", 2_000_000
 VIEW_IMAGES = (".depth.png", ".mask.png")
 # surfaces/<recording>.ply: an open mesh that is the truth, world frame, metres.
@@ -37,17 +37,17 @@ LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
 LINK = "a link; in an archive only plain files are read"
-# A text of a release, or another file that is read whole.
+# Largest text or other file of a release that is read at once.
 MAX_READ_BYTES = 64 << 20
-# Files and folders of a release: 70,000 pairs of 1,400 recordings; listing them takes 300 MB.
+# Most files and folders of a release: 70,000 pairs of 1,400 recordings; listing them takes 300 MB.
 MOST_FILES = 300_000
-# A larger file is no file of a release, and is not hashed: the largest, an object's volume, may unpack to
-# 1.25 GiB, and shrinks to a tenth or less.
+# Largest file of a release; larger files are not hashed. The largest kind, an object's volume, may unpack to
+# 1.25 GiB, and compresses to a tenth or less.
 MOST_FILE_BYTES = 256 << 20
-# What an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
+# Most bytes that an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
 VOLUME_BYTES = 5 << 28
-# By how a name ends, what is written, checked and made again. A mesh of 128 MB has 3 million vertices, 6
-# million triangles, and takes 320 MB to be checked (measured).
+# Largest size by the end of a name, for files that are written, checked and rebuilt. A mesh of 128 MB has 3
+# million vertices and 6 million triangles; checking it takes 320 MB (measured).
 MOST_BYTES = {
     "/mesh.ply": 128 << 20,
     "/volume.npz": MOST_FILE_BYTES,
@@ -55,25 +55,25 @@ MOST_BYTES = {
     ".png": IMAGE_BYTES,
     GLB: MOST_GLB_BYTES,
 }
-# What zipfile, tarfile and gzip raise of damaged files.
+# Exceptions of zipfile, tarfile and gzip for damaged files.
 DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
 
 def surface_name(recording: str) -> str:
-    """The open mesh that is the truth of a recording."""
+    """Return the name of the open mesh that is the truth of a recording."""
     return f"{SURFACES}/{recording}.ply"
 
 
 def most_bytes(name: str) -> int:
-    """The largest size of a release's file, by its name."""
+    """Return the largest size of a release's file, by its name."""
     return next((most for end, most in MOST_BYTES.items() if name.endswith(end)), MAX_READ_BYTES)
 
 
 def refuse_large(folder: Path) -> None:
-    """Refuse a release with a file that its own check would find too large.
+    """Refuse a release with a file that `verify` would find too large.
 
     Raises:
-        ReleaseError: it names the file, and says what to do.
+        ReleaseError: a file is too large; the message names it.
     """
     for path in release_files(folder):
         name = path.relative_to(folder).as_posix()
@@ -92,15 +92,15 @@ def refuse_large(folder: Path) -> None:
 
 
 def release_files(folder: Path) -> Iterator[Path]:
-    """Every file and link below a release but SHA256SUMS, sorted; links are not followed.
+    """Yield every file and link below a release except SHA256SUMS, sorted; links are not followed.
 
     Raises:
-        ReleaseError: there are too many, or a folder cannot be read.
+        ReleaseError: there are too many files, or a folder cannot be read.
     """
     if not folder.is_dir():
         return
     try:
-        # By their parts, as paths are compared, but one by one that takes longer than to list them.
+        # Sorted by parts, as paths compare; comparing paths themselves would take longer than listing them.
         files = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
     except OSError as error:
         raise ReleaseError(
@@ -112,12 +112,12 @@ def release_files(folder: Path) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Entry:
-    """One file.
+    """One file of a release.
 
     Attributes:
-        size: bytes, as the folder or archive says.
-        opener: opens it, if it has no problem.
-        problem: why it must not be opened, or None.
+        size: bytes, as the folder or archive states.
+        opener: opens the file, if it has no problem.
+        problem: why the file must not be opened, or None.
     """
 
     size: int
@@ -130,19 +130,19 @@ class Contents:
     """The files of a release's folder or archive.
 
     Attributes:
-        entries: every file and link by its name, relative to the release, with "/".
-        problems: one line each about what cannot be a file of a release, such as a way out of it.
+        entries: {name relative to the release, with "/": file or link}.
+        problems: a line for each name that cannot be a file of a release, such as a path that leaves it.
     """
 
     entries: Mapping[str, Entry]
     problems: tuple[str, ...] = ()
 
     def read(self, name: str, limit: int | None = None) -> bytes:
-        """The bytes of a file.
+        """Return the bytes of a file.
 
         Raises:
-            ReleaseError: missing, not a plain file, larger than `limit` bytes (default: what its kind may
-                have), or damaged.
+            ReleaseError: the file is missing, not plain, damaged, or larger than `limit` bytes (default: the
+                limit of its kind).
         """
         entry = self.entries.get(name)
         if entry is None:
@@ -154,7 +154,7 @@ class Contents:
                 f"{name}: {entry.size} bytes are more than such a file can have", what="too-large"
             )
         with self.stream(name) as file:
-            # No more than is said: an entry of an archive may unpack to any size.
+            # Read no more than the stated size: an entry of an archive may unpack to any size.
             return file.read(entry.size)
 
     @contextmanager
@@ -162,7 +162,7 @@ class Contents:
         """Open a file that has no problem.
 
         Raises:
-            ReleaseError: it is larger than any file of a release, its bytes are damaged, or cannot be read.
+            ReleaseError: the file is larger than any file of a release, damaged or unreadable.
         """
         size = self.entries[name].size
         if size > MOST_FILE_BYTES:
@@ -176,14 +176,14 @@ class Contents:
             reason = error.strerror or error
             raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
         except DAMAGED as error:
-            # In the archive, or the file in a folder: who reads it checks it here.
+            # Errors while the caller reads the stream arrive here, too.
             raise ReleaseError(f"{name}: damaged ({error}); make or download it again") from error
 
     def text(self, name: str, limit: int = MAX_READ_BYTES) -> str:
-        """A UTF-8 text file.
+        """Return the text of a UTF-8 file.
 
         Raises:
-            ReleaseError: as `read`, or it is not UTF-8.
+            ReleaseError: as in `read`, or the file is not UTF-8.
         """
         try:
             return decoded(self.read(name, limit), limit, name)
@@ -196,7 +196,7 @@ def release_json(text: str, where: str) -> Any:
     """Parse JSON without NaN and infinities.
 
     Raises:
-        ReleaseError: it is malformed; the line begins with `where`.
+        ReleaseError: the text is malformed; the message begins with `where`.
     """
     try:
         return untrusted_text.strict_json(text)

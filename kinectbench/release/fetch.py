@@ -1,4 +1,4 @@
-"""Download a release, or part of one, from a URL or folder; checks files, keeps existing ones."""
+"""Download a release, or part of one, from a URL or folder; check its files and keep existing ones."""
 
 import contextlib
 import hashlib
@@ -29,10 +29,10 @@ from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes
 from kinectbench.release.own_folder import is_ours, owned, remains
 from kinectbench.release.published import release_store, release_text
 
-# Where a plain NAME is looked for: a URL that holds releases by their names.
+# Environment variable with a URL below which a plain NAME is looked up.
 RELEASES_VARIABLE = "KINECTBENCH_RELEASES"
 CACHE_VARIABLE = "KINECTBENCH_CACHE"
-# Folders of a release that hold a folder or file for each recording.
+# Folders of a release with a folder or file for each recording.
 BY_RECORDING = ("pairs", "views", "objects")
 
 
@@ -42,8 +42,8 @@ class ReleasePart:
 
     Attributes:
         split: train, validation or test.
-        categories: such as chair.
-        views: so many of each recording, the first by name.
+        categories: names of categories, such as chair.
+        views: number of views of each recording, the first by name.
     """
 
     split: str | None = None
@@ -56,11 +56,11 @@ class Fetched:
     """The result of a download.
 
     Attributes:
-        folder: the release here.
-        benchmark_sha256: its identity.
-        pairs: number of pairs of the part.
-        fetched: number of files that were copied now, of those that SHA256SUMS lists.
-        kept: number of them that were here already.
+        folder: the release's folder on this machine.
+        benchmark_sha256: the release's identity.
+        pairs: number of pairs in the requested part.
+        fetched: number of files of SHA256SUMS that were downloaded now.
+        kept: number of files of SHA256SUMS that were already here.
     """
 
     folder: Path
@@ -71,10 +71,10 @@ class Fetched:
 
 
 def release_url(name: str | Path) -> str:
-    """The URL of a release, from its URL, a folder of this machine, or its name below a known place.
+    """Return the URL of a release, given its URL, a local folder, or its name below a known place.
 
     Raises:
-        SettingsError: it is a name, and no place of releases is known.
+        SettingsError: a name is given, and no place of releases is known.
     """
     if problem := unusable(str(name)):
         raise SettingsError(printable(problem, 300), what="bad-url")
@@ -99,19 +99,19 @@ def fetch_release(
 ) -> Fetched:
     """Download a release, or part of it, into a folder; resumes a stopped download.
 
-    The small files are always those of the whole release. Another part may be added to the same folder.
-    Of parallel fetches into one folder one works, and the others use its files.
+    The small files of the whole release are always downloaded. Another part may be added to the same folder.
+    If several processes fetch into one folder, one downloads, and the others wait and use its files.
 
     Args:
-        url: of the release.
-        out: made if it is not there.
+        url: URL of the release.
+        out: the folder, which is made if missing.
         part: the part to fetch.
         progress: called with (files done, files in all).
 
     Raises:
         ReleaseError: there is no release, it is damaged, a file is not the published one, or the folder
             holds something else.
-        SettingsError: the part has no pair, or none of one of its categories.
+        SettingsError: the part has no pair, or a requested category has none.
         StorageError: the store fails.
     """
     store = release_store(url)
@@ -132,7 +132,7 @@ def fetch_release(
             what="no-pairs",
         )
     names = wanted_names(sums, targets, part)
-    # Whoever finds all of it waits for nobody: many read one folder.
+    # Whoever finds all files does not wait for the lock: many processes may read one folder.
     present = in_parallel(partial(_is_here, out / name, sums[name]) for name in names)
     missing = [name for name, is_present in zip(names, present, strict=True) if not is_present]
     fetched = 0
@@ -146,8 +146,8 @@ def fetch_release(
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Download the files of the list `text` into our folder; returns the number that were missing."""
-    # The list comes first: by it a fetch that was stopped is known; benchmark.json comes last.
+    """Download the missing files of the list `text` into our folder; return their number."""
+    # The list comes first: it identifies a fetch that was stopped; benchmark.json comes last.
     if not _is_here(out / SHA256SUMS, hashlib.sha256(text.encode()).hexdigest()):
         with replaced_file(out / SHA256SUMS) as temporary:
             temporary.write_bytes(text.encode())
@@ -177,15 +177,15 @@ def mirror_release(url: str, out: Path, progress: Progress | None = None) -> lis
 def stored_hashes(
     url: str, out: Path, progress: Progress | None = None
 ) -> tuple[dict[str, str | None], list[str]]:
-    """SHA-256 of each file of a release, which is copied into an empty folder and removed at once.
+    """Return the SHA-256 of each file of a release; each is downloaded, hashed and deleted at once.
 
-    `SHA256SUMS` and `benchmark.json` stay there.
+    `SHA256SUMS` and `benchmark.json` stay in the folder.
 
     Returns:
-        {name: hash; None if it is missing}, in the list's order; and names as of `mirror_release`.
+        {name: hash; None if missing}, in the list's order; and further names as in `mirror_release`.
 
     Raises:
-        ReleaseError: as `mirror_release`.
+        ReleaseError: as in `mirror_release`.
         StorageError: the store fails.
     """
     store, sums = _mirror_list(url, out)
@@ -195,14 +195,14 @@ def stored_hashes(
 
 
 def cached_release(url: str, progress: Progress | None = None) -> Path:
-    """The folder of the local cache with a release, which is downloaded if missing."""
+    """Return the folder of a release in the local cache; download the release if it is missing."""
     _, info = _head(release_store(url))
     base = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "kinectbench")
     return fetch_release(url, base / "releases" / info.benchmark_sha256, progress=progress).folder
 
 
 def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Target, ...]:
-    """The targets of a part, in the order of recordings and views."""
+    """Return the targets of a part, in the order of recordings and views."""
     found: dict[str, list[Target]] = {}
     for target in sorted(targets):
         if part.split in (None, target.split) and (not part.categories or target.category in part.categories):
@@ -211,7 +211,7 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 
 
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
-    """The release's files of a part; files of no recording or view always belong to it."""
+    """Return the release's files of a part; files that belong to no recording or view are always included."""
     if part is None:
         return list(names)
     views: dict[str, set[str]] = {}
@@ -229,10 +229,10 @@ def wanted_names(names: Collection[str], targets: Collection[Target], part: Rele
 
 
 def _head(store: Store) -> tuple[str, ReleaseInfo]:
-    """The text of SHA256SUMS, and benchmark.json, which agree.
+    """Return the text of SHA256SUMS, and benchmark.json; they agree.
 
     Raises:
-        ReleaseError: there is no release, or they do not.
+        ReleaseError: there is no release, or the two do not agree.
     """
     try:
         stated = _text(store, BENCHMARK_JSON)
@@ -276,7 +276,7 @@ def _is_here(path: Path, sha256: str) -> bool:
 
 
 def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
-    """Download a missing file; returns whether it did. `parse_sums` has checked the name."""
+    """Download a missing file; return whether it was missing. `parse_sums` has checked the name."""
     path = out / name
     if _is_here(path, sha256):
         return False
@@ -288,7 +288,7 @@ def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
 
 
 def _mirror_list(url: str, out: Path) -> tuple[Store, dict[str, str]]:
-    """Copy SHA256SUMS unchanged; returns the store and the list."""
+    """Copy SHA256SUMS unchanged; return the store and the list."""
     store = release_store(url)
     try:
         text = store.read(SHA256SUMS, TEXT_BYTES)
@@ -319,13 +319,13 @@ def _mirrored_hash(store: Store, out: Path, name: str) -> str | None:
 
 
 def _mirror(store: Store, out: Path, name: str) -> None:
-    """Fetch a file as it is; a missing one stays missing."""
+    """Download a file unchanged; a missing one stays missing."""
     with contextlib.suppress(MissingObjectError):
         store.fetch(name, out / name, MOST_FILE_BYTES)
 
 
 def _refuse_other(out: Path, text: str) -> None:
-    """Refuse a folder with anything else than the release of this SHA256SUMS."""
+    """Refuse a folder that holds anything else than the release of this SHA256SUMS."""
     if not out.exists():
         return
     if not out.is_dir():

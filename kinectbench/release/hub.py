@@ -1,4 +1,4 @@
-"""A release is put into a data set of the Hugging Face hub, as one commit: it appears whole or not at all."""
+"""Upload a release to a data set of the Hugging Face hub, in one commit: it appears whole or not at all."""
 
 import re
 from pathlib import Path
@@ -12,17 +12,17 @@ from kinectbench.release.published import release_text
 from kinectbench.release.put import PutSummary
 
 SCHEME = "hf://"
-# A user or organisation, and a data set; as the hub checks both (its `validate_repo_id`).
+# user/name or organisation/name, as the hub's `validate_repo_id` accepts it.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,95}/[A-Za-z0-9][A-Za-z0-9._-]{0,95}")
-# What the hub itself writes into a new data set, or somebody before anything is put.
+# Files that the hub writes into a new data set, or that people add before the first upload.
 ITS_OWN = frozenset({".gitattributes", "README.md"})
 
 
 def hub_name(url: str) -> str:
-    """The data set that hf://user/name names, user/name.
+    """Return the data set of a URL hf://user/name, as user/name.
 
     Raises:
-        SettingsError: it names none, or huggingface_hub is not installed.
+        SettingsError: the URL names no data set, or huggingface_hub is not installed.
     """
     name = url.removeprefix(SCHEME).removeprefix("datasets/").rstrip("/")
     if not NAME.fullmatch(name):
@@ -33,13 +33,13 @@ def hub_name(url: str) -> str:
 
 
 def put_on_hub(folder: Path, name: str) -> PutSummary:
-    """Bring a data set of the hub to be this release; it is made if it is not there.
+    """Make a data set of the hub equal to this release; create it if missing.
 
-    The hub finds by itself what it has already, and does not ask for it again.
+    Files that the hub already has are not uploaded again; the hub finds them itself.
 
     Args:
-        folder: a release on this machine.
-        name: user/name.
+        folder: the release's folder on this machine.
+        name: the data set, user/name.
 
     Raises:
         ReleaseError: the data set holds something else than a release.
@@ -62,7 +62,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
         api.upload_folder(**where, folder_path=folder, commit_message=message, delete_patterns=gone)
     except ReleaseError:
         raise
-    except Exception as error:  # of the hub's many kinds, and of its HTTP library's
+    except Exception as error:  # the hub and its HTTP library raise many kinds
         raise _refusal(name, error) from error
     return PutSummary(put=len(names), kept=0, removed=len(gone))
 
@@ -79,7 +79,7 @@ def _refuse_other(name: str, there: set[str]) -> None:
 
 
 def _refusal(name: str, error: Exception) -> StorageError:
-    """What the hub said, in a line."""
+    """Return the hub's answer as an error of one line."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     said = printable((str(error).strip().splitlines() or [type(error).__name__])[0], 200)
     if status in (401, 403) or type(error).__name__ == "LocalTokenNotFoundError":

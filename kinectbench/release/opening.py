@@ -32,9 +32,9 @@ from kinectbench.core.zip_files import open_zip
 from kinectbench.release.contents import DAMAGED, LINK, MOST_FILES, Contents, Entry, release_files
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
-# Bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
+# Most bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
 MOST_HEADER_BYTES = 128 << 10
-# Bytes of a tar's global headers; git writes one.
+# Most global headers of a tar; git writes one.
 MOST_GLOBALS = 64
 
 
@@ -43,7 +43,8 @@ def open_contents(path: Path) -> Iterator[Contents]:
     """Open a release.
 
     Args:
-        path: its folder, or an archive: .zip, .tar, .tar.gz. In an archive it may lie in one folder.
+        path: the release's folder, or an archive: .zip, .tar, .tar.gz. In an archive, the release may be
+            inside one folder.
 
     Raises:
         ReleaseError: there is no release, the archive is cut off, or it claims to hold far more than
@@ -62,9 +63,9 @@ def open_contents(path: Path) -> Iterator[Contents]:
 
 
 def _folder(path: Path) -> Contents:
-    """The files of a folder, if it exists; follows links to files, not to folders.
+    """Return the files of a folder, if it exists; links to files are followed, links to folders are not.
 
-    Caches of downloads hold links. A file is the published one by its SHA-256, wherever it lies.
+    Download caches hold links to files. A file is checked by its SHA-256, wherever it lies.
     """
     entries = {file.relative_to(path).as_posix(): _entry(file) for file in release_files(path)}
     if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
@@ -86,10 +87,10 @@ def _entry(file: Path) -> Entry:
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
-    """The files of a release at the top of an archive, or in a folder of it.
+    """Return the files of a release at the top of an archive, or in one folder of it.
 
     Raises:
-        ReleaseError: there is none, or there are several.
+        ReleaseError: there is no release, or there are several.
     """
     known = (BENCHMARK_JSON, SHA256SUMS)
     if any(name in contents.entries for name in known):
@@ -110,14 +111,14 @@ def _rooted(contents: Contents, path: Path) -> Contents:
 
 @contextmanager
 def _open_archive(path: Path) -> Iterator[Contents]:
-    """Open a .zip, .tar or .tar.gz, whatever its name's ending.
+    """Open a .zip, .tar or .tar.gz, whatever its name.
 
-    A zip or a tar is read where it is. A .tar.gz is inflated into one temporary file without a name, for
-    its files cannot be reached otherwise.
+    A zip or a tar is read in place. A .tar.gz is inflated into an unnamed temporary file first, because its
+    files cannot be reached otherwise.
 
     Raises:
-        ReleaseError: it is none of these, cut off, or claims to hold over 100 times its size.
-        StorageError: no room for the temporary file.
+        ReleaseError: the file is no such archive, is cut off, or claims to hold over 100 times its size.
+        StorageError: there is no room for the temporary file.
     """
     with ExitStack() as stack:
         try:
@@ -132,7 +133,7 @@ def _open_archive(path: Path) -> Iterator[Contents]:
 
 
 def _opened(path: Path, stack: ExitStack) -> Contents:
-    """An archive's files; objects to close go onto the stack."""
+    """Return an archive's files; `stack` closes what was opened."""
     file: IO[bytes] = stack.enter_context(open_plain(path))
     head, packed_bytes = file.read(2), size_of(file)
     file.seek(0)
@@ -160,7 +161,7 @@ def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
 
 
 def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
-    """The members of a zip and how each is opened."""
+    """Return the members of a zip and how each is opened."""
     members = list[tuple[str, Entry]]()
     for info in archive.infolist():
         problem = LINK if stat.S_ISLNK(info.external_attr >> 16) else None
@@ -172,10 +173,11 @@ def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
 
 
 def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
-    """The members of a tar and how each is opened.
+    """Return the members of a tar and how each is opened.
 
     Raises:
-        tarfile.TarError, ValueError, OverflowError: it is damaged, or its headers cost more than a release's.
+        tarfile.TarError, ValueError, OverflowError: the tar is damaged, or its headers are larger than a
+        release's.
     """
     members = list[tuple[str, Entry]]()
     headers = _Headers(file)
@@ -184,7 +186,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
         while info := archive.next():
             headers.read_bytes = 0
             archive.members.clear()  # type: ignore[attr-defined] # it keeps all
-            # A size below 0, which pax can say, leads back to the same header.
+            # A negative size, which pax allows, leads back to the same header.
             if info.offset <= before or info.size < 0 or len(members) == MOST_FILES:
                 raise tarfile.ReadError(f"more than {MOST_FILES} members, or one without end")
             if len(archive.pax_headers) > MOST_GLOBALS:
@@ -198,7 +200,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
             if not info.isdir():
                 members.append((info.name, Entry(info.size, opener, problem)))
         end = archive.offset
-    # tarfile stops silently where a header is damaged or the end is missing.
+    # tarfile stops without error at a damaged header or a missing end.
     file.seek(end)
     if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
         raise tarfile.ReadError("a header is damaged, or the end is missing")
@@ -206,9 +208,9 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
 
 
 class _Headers(io.RawIOBase):
-    """A tar with bounded reading of each member's headers.
+    """A tar file that limits how many bytes are read for each member's headers.
 
-    tarfile takes names and pax records into memory whole, and looks at each keyword.
+    tarfile itself reads names and pax records into memory as a whole.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -232,12 +234,12 @@ class _Headers(io.RawIOBase):
 
 
 def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
-    """A member of a tar as a file."""
+    """Return a member of a tar as a file."""
     return io.BufferedReader(_Slice(file, start, size), COPIED_BYTES)
 
 
 class _Slice(io.RawIOBase):
-    """A run of bytes of an open file."""
+    """A range of bytes of an open file."""
 
     def __init__(self, file: IO[bytes], start: int, size: int) -> None:
         super().__init__()
@@ -257,10 +259,10 @@ class _Slice(io.RawIOBase):
         return self._at
 
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        """Fill a buffer with the next bytes; returns how many, 0 at the end.
+        """Fill a buffer with the next bytes; return their number, 0 at the end.
 
         Raises:
-            EOFError: the file ends before the run of bytes does.
+            EOFError: the file ends before the range does.
         """
         left = max(0, self._size - self._at)
         self._file.seek(self._start + self._at)
@@ -273,7 +275,7 @@ class _Slice(io.RawIOBase):
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
-    """An archive's files by name; names that lead elsewhere and duplicates are reported, not opened."""
+    """Return an archive's files by name; names that lead elsewhere and duplicates are listed as problems."""
     entries: dict[str, Entry] = {}
     problems = []
     for stated_name, entry in members:

@@ -1,4 +1,4 @@
-"""A download folder with one writer at a time, and the remains of killed ones. The lock leaves no file."""
+"""A download folder with one writer at a time, and the leftovers of killed ones. No lock file remains."""
 
 import contextlib
 import errno
@@ -11,28 +11,28 @@ from pathlib import Path
 from kinectbench.core.storage import open_to_add, storage_errors
 
 LOCK = ".lock"
-# The names that `replaced_file` gives, those of earlier versions included: .000.npz.1f2e3d4c.part
+# Names that `replaced_file` gives, also in earlier versions: .000.npz.1f2e3d4c.part
 _LEFT = re.compile(r"\..+\.[0-9a-f]+\.part")
 
 
 def is_ours(name: str) -> bool:
-    """Whether a file is the lock, or an unfinished download."""
+    """Return whether a file is the lock, or an unfinished download."""
     return name == LOCK or _LEFT.fullmatch(name) is not None
 
 
 def remains(folder: Path) -> list[Path]:
-    """Files of a running or killed download that are not the release's. Links are not followed."""
+    """Return files of a running or killed download that are not the release's; links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Write to a folder exclusively; leftovers of killed downloads are removed first.
+    """Hold a folder as its only writer; leftovers of killed downloads are removed first.
 
-    Where the file system keeps no locks nothing is swept, as another fetch may be at work.
+    On a file system without locks nothing is removed, as another fetch may be running.
 
     Args:
-        folder: made if it is not there.
+        folder: the folder, which is made if missing.
 
     Raises:
         StorageError: the disk cannot be written.
@@ -54,7 +54,7 @@ def owned(folder: Path) -> Iterator[None]:
 def _lock(path: Path, held: contextlib.ExitStack) -> bool:
     """Hold a lock until the stack ends; False if the file system has no locks.
 
-    If its last holder removed the file, the lock is taken again.
+    If the last holder removed the lock file, a new one is locked.
     """
     while True:
         with contextlib.ExitStack() as closing:

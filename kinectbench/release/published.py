@@ -1,7 +1,7 @@
-"""The bytes of a published file, in a release's folder, in its archive or at its URL, read in place.
+"""Read the bytes of a published file in place: in a release's folder, in its archive or at its URL.
 
-A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`;
-or it may be a URL. So whatever is given the path of a file, in this process or in another, reads them all.
+A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
+It may also be a URL. So every function and process that gets a path can read all three.
 """
 
 import errno
@@ -22,15 +22,15 @@ from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
 
-# Of archives, a listing is kept of so many; one of 100,000 pairs takes 300 MB.
+# Number of archives whose listing is kept; a listing of 100,000 pairs takes 300 MB.
 MOST_OPEN = 2
 
 
 def release_text(path: Path) -> str:
-    """A UTF-8 text file of a release or a build.
+    """Read a UTF-8 text file of a release or a build.
 
     Raises:
-        ReleaseError: it cannot be read.
+        ReleaseError: the file cannot be read.
     """
     try:
         return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, shown(path))
@@ -43,14 +43,14 @@ def release_text(path: Path) -> str:
 
 
 def published_bytes(path: Path, sha256: str | None) -> bytes:
-    """The bytes of a release's file in a folder, following a link, or in an archive.
+    """Return the bytes of a release's file, in a folder (links are followed), in an archive or at a URL.
 
     Args:
         path: the file.
-        sha256: their expected hashes.
+        sha256: the expected hash; None, for a file that is not published, never matches.
 
     Raises:
-        ReleaseError: it is missing, larger than its kind may be, cannot be read, or is not the published one.
+        ReleaseError: the file is missing, too large for its kind, unreadable, or not the published one.
     """
     try:
         content = _read(path, most_bytes(str(path)))
@@ -66,10 +66,10 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
 
 def release_store(url: str) -> Store:
-    """The store of a release, or of its URL.
+    """Return the store at a release's URL.
 
     Raises:
-        ReleaseError: the URL has a query, to which no name of a file can be joined.
+        ReleaseError: the URL has a query, so that no file name can be appended.
     """
     if "?" in url and not url.startswith(("file:", "memory:")):
         raise ReleaseError(
@@ -81,7 +81,7 @@ def release_store(url: str) -> Store:
 
 
 def is_there(path: Path) -> bool:
-    """Whether a file exists in a folder, in an archive or at a URL.
+    """Return whether a file exists in a folder, in an archive or at a URL.
 
     Raises:
         ReleaseError: the archive cannot be read.
@@ -90,7 +90,7 @@ def is_there(path: Path) -> bool:
     url = url_of(path)
     if url is not None:
         store, name = _store_of(url)
-        # The answer to HEAD has no body, in which alone a store says that the bucket is missing.
+        # An answer to HEAD has no body, but only the body says that the bucket is missing.
         return store.head(name) is not None or store.read_if_there(name) is not None
     if path.is_file():
         return True
@@ -108,7 +108,7 @@ def _read(path: Path, limit: int) -> bytes:
             raise FileNotFoundError(errno.ENOENT, "missing", store.place(name)) from error
     try:
         return read_plain(path, limit)
-    except NotADirectoryError:  # a part of the way is a file
+    except NotADirectoryError:  # a parent is a file
         archive = _archive_above(path)
         if archive is None:
             raise
@@ -121,21 +121,21 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """The bucket, host or machine of a URL, which shares one client, and the name in it.
+    """Return the store of a URL's bucket or host, so that its files share one client, and the name in it.
 
     Raises:
-        ReleaseError: as `release_store`.
+        ReleaseError: as in `release_store`.
     """
     release_store(url)
     scheme, _, place, *tail = url.split("/", 3)
-    if not tail:  # a name without a bucket, which the store refuses
+    if not tail:  # no bucket: the store refuses it
         return Store(f"{scheme}//"), place
     name = tail[0]
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 
 def _archive_above(path: Path) -> Path | None:
-    """The file that a path leads into, if it does."""
+    """Return the file that a path leads into, if any."""
     return next((parent for parent in path.parents if parent.is_file()), None)
 
 
@@ -148,8 +148,8 @@ class _Opened:
     """An archive that stays open.
 
     Attributes:
-        contents: its files.
-        lock: held while a file of it is read: they share one open file, and the place in it.
+        contents: the archive's files.
+        lock: held while a member is read: all members share one open file and its position.
     """
 
     contents: Contents
@@ -157,13 +157,13 @@ class _Opened:
 
 
 def _listed(archive: Path) -> _Opened:
-    """This process's open archive; reopened if the file was replaced.
+    """Return this process's open archive; reopen it if the file was replaced.
 
-    A process that was forked opens it again, too: the place in an open file is shared with the parent.
+    A forked process opens it again, too, as it would share the position in the open file with its parent.
 
     Raises:
-        ReleaseError: it holds no release, or is damaged.
-        OSError: it is gone.
+        ReleaseError: the archive holds no release, or is damaged.
+        OSError: the archive is gone.
     """
     status = archive.stat()
     return _opened(archive, (os.getpid(), status.st_size, status.st_mtime_ns, status.st_ino))

@@ -1,7 +1,8 @@
 """Upload a release to a store, benchmark.json last, so that a partial one is never taken for complete.
 
-A stopped upload is resumed: files beside a `SHA256SUMS` without `benchmark.json` are of that list.
-Files outside the new list are deleted before the new `SHA256SUMS` is uploaded, and its files follow.
+A stopped upload is resumed: a `SHA256SUMS` without `benchmark.json` means that the files beside it belong to
+that list. Files that are not in the new list are deleted first; then the new `SHA256SUMS` is uploaded, then
+its files.
 """
 
 from collections.abc import Mapping
@@ -24,9 +25,9 @@ class PutSummary:
 
     Attributes:
         put: number of uploaded files.
-        kept: number of files that lay there already.
-        removed: number of files that were removed, for they are not of the release.
-        replaced: `benchmark.json` of the release that lay there, if it is another; else None.
+        kept: number of files that the store already had.
+        removed: number of removed files that are not of the release.
+        replaced: `benchmark.json` of a different release that the store held; else None.
     """
 
     put: int
@@ -40,11 +41,11 @@ class _Place:
     """The state of a store.
 
     Attributes:
-        sizes: bytes of every file by its name.
-        text: `SHA256SUMS` of a release; empty if there is none.
-        sums: the hash of every file by its name.
-        info: `benchmark.json` of a release; None if there is none.
-        stated: its text.
+        sizes: {file: bytes}.
+        text: text of `SHA256SUMS`; empty if there is none.
+        sums: {file: hash} of `SHA256SUMS`.
+        info: content of `benchmark.json`; None if there is none.
+        stated: text of `benchmark.json`.
     """
 
     sizes: Mapping[str, int]
@@ -55,13 +56,13 @@ class _Place:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a complete release for whoever downloads it."""
+        """Whether the store holds a complete release."""
         stated = self.info
         return stated is not None and stated.benchmark_sha256 == benchmark_sha256(self.text, self.stated)
 
     @property
     def is_known(self) -> bool:
-        """Whether the files are those of the list: a release, or the remains of a stopped upload.
+        """Whether the files belong to the list: as a release, or as the remains of a stopped upload.
 
         If benchmark.json names another list, another program wrote it.
         """
@@ -69,18 +70,18 @@ class _Place:
 
 
 def put_release(folder: Path, store: Store, progress: Progress | None = None) -> PutSummary:
-    """Make the content of a URL this release; files that are already there are not uploaded again.
+    """Upload a release to a store; files that the store already has are not uploaded again.
 
-    A file is there already if the list there has its hash, and the store its size. While files are put, the
-    place holds no benchmark.json, so that it is not taken for a release.
+    The store has a file if its list has the hash, and its listing the size. During the upload the store has
+    no benchmark.json, so that it is not taken for a release.
 
     Args:
-        folder: a release on this machine.
-        store: its URL. Files of an earlier release that are not of this one are removed.
+        folder: the release's folder on this machine.
+        store: the place to upload to. Files of an earlier release that are not in this one are removed.
         progress: called with (files uploaded, files in all).
 
     Raises:
-        ReleaseError: the place holds something else than a release, or the beginning of one; or its URL has a
+        ReleaseError: the store holds something else than a release or the beginning of one, or its URL has a
             query.
         StorageError: the store fails.
     """
@@ -110,7 +111,7 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
 
 
 def _put(folder: Path, store: Store, names: list[str], progress: Progress | None) -> None:
-    """Upload files, the list first and benchmark.json last."""
+    """Upload files, SHA256SUMS first and benchmark.json last."""
     total, first = len(names) + 1, [name for name in names if name == SHA256SUMS]
     for name in first:
         store.put(name, folder / name)
@@ -124,15 +125,15 @@ def _put(folder: Path, store: Store, names: list[str], progress: Progress | None
 
 
 def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
-    """Delete other files; after an interruption at any point an upload is still possible.
+    """Delete files that are not of the new release; if interrupted, the upload can still be resumed.
 
-    Files that the list there does not have go while benchmark.json still says that this is a release's place.
-    Those that it has go after benchmark.json, if it is a release to anybody until then.
+    Files outside the store's list are deleted while benchmark.json still marks the place as a release's.
+    Files in the list are deleted after benchmark.json, so that nobody sees an incomplete release.
 
     Args:
-        store: the place.
-        place: its present state.
-        same: what stays.
+        store: the store.
+        place: the store's present state.
+        same: names of files that stay.
         begins: whether files will be uploaded.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
@@ -145,7 +146,7 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
 
 
 def _look(store: Store) -> _Place:
-    """The state of a store. Others use the names SHA256SUMS and benchmark.json, too: both are read."""
+    """Read the state of a store: SHA256SUMS and benchmark.json, as other programs use these names, too."""
     sizes = {each.name: each.size for each in store.objects()}
     text, sums, info, stated = "", dict[str, str](), None, ""
     try:

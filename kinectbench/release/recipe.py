@@ -1,6 +1,6 @@
-"""A recipe: downloads public scans by its sources.yaml and adds them to its benchmark.
+"""A recipe: sources.yaml lists public scans; they are downloaded and added to the recipe's benchmark.
 
-sources.yaml and sources.lock and the scans are untrusted. sources.lock pins the first download.
+sources.yaml, sources.lock and the scans are untrusted. sources.lock pins the hashes of the first download.
 """
 
 import contextlib
@@ -30,9 +30,9 @@ from kinectbench.settings.template import yaml_text
 
 BENCHMARK, RECORDINGS = "benchmark.yaml", "recordings.yaml"
 SCANS, INDEX = "scans", "index.json"
-# Scans that are fetched at a time: public servers are shared, and a browser opens six.
+# Number of scans downloaded at a time: public servers are shared, and a browser opens six connections.
 AT_ONCE = 4
-# A list of a million ids has 16 MB.
+# Largest list of scans: a million ids take 16 MB.
 INDEX_BYTES = 16 << 20
 HEADER = """\
 # Written by `kinectbench fetch`: a recording for each scan that was fetched. What you change stays;
@@ -52,9 +52,9 @@ class FetchedScan:
     """The outcome of one scan.
 
     Attributes:
-        scan: which.
-        fetched: whether it came now; else it was here.
-        error: why it did not come, one line; None if it is here.
+        scan: the scan.
+        fetched: whether it was downloaded now; else it was here already.
+        error: why the download failed, one line; None if the scan is here.
     """
 
     scan: Scan
@@ -63,7 +63,7 @@ class FetchedScan:
 
 
 def is_recipe(name: str) -> bool:
-    """Whether a folder of this machine is a recipe."""
+    """Return whether a local folder is a recipe."""
     return os.path.isfile(f"{name}/{SOURCES_YAML}")  # noqa: PTH113 - whatever the name is
 
 
@@ -72,10 +72,10 @@ class Recipe:
     """An open recipe; `opened_recipe` makes it.
 
     Attributes:
-        folder: that holds sources.yaml, and sources.lock.
-        out: the folder of the benchmark, perhaps the same.
-        sources: what sources.yaml says.
-        is_read: whether a reader opens a file as it is; an archive that none opens is unpacked.
+        folder: the folder that holds sources.yaml and sources.lock.
+        out: the benchmark's folder, perhaps the same.
+        sources: the content of sources.yaml.
+        is_read: returns whether a reader opens a file directly; an archive that no reader opens is unpacked.
     """
 
     folder: Path
@@ -86,11 +86,11 @@ class Recipe:
     _writing: threading.Lock = field(default_factory=threading.Lock)
 
     def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
-        """The requested scans; downloads the source's list if it is missing.
+        """Return the requested scans; download the source's list if it is missing.
 
         Raises:
-            SettingsError: there are none, or the list is none.
-            StorageError: it cannot be fetched.
+            SettingsError: there are no such scans, or the list is invalid.
+            StorageError: the list cannot be downloaded.
         """
         listed: dict[str, list[str]] = {}
         index = self.sources.index
@@ -103,14 +103,14 @@ class Recipe:
         return chosen_scans(self.sources, listed, categories, limit)
 
     def place(self, scan: Scan) -> str:
-        """The recording of a downloaded scan, relative to the benchmark's folder."""
+        """Return the recording of a downloaded scan, relative to the benchmark's folder."""
         return scan.folder if (self.out / scan.folder).is_dir() else scan.path
 
     def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
         """Download scans in parallel; a failure does not stop the others.
 
         Raises:
-            NoRoomError: the disk has no room for one.
+            NoRoomError: the disk has no room for a scan.
             StoreGoneError: no server answers any more.
         """
         files = {scan.scan: scan for scan in scans}
@@ -127,8 +127,8 @@ class Recipe:
         """Download a scan.
 
         Args:
-            scan: which.
-            room: called with the expected bytes; default: refuses files that do not fit the disk.
+            scan: the scan.
+            room: called with the expected bytes; default: refuse files that do not fit the disk.
 
         Raises:
             NoRoomError: there is no room.
@@ -169,7 +169,7 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a missing file, and lock its hash after the check; returns whether it was downloaded."""
+        """Download a missing file, and lock its hash after the check; return whether it was downloaded."""
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
@@ -211,7 +211,7 @@ class Recipe:
         """Add scans to recordings.yaml, which the recipe's benchmark.yaml includes; existing entries stay.
 
         Raises:
-            SettingsError: benchmark.yaml is wrong, or does not include it.
+            SettingsError: benchmark.yaml is wrong, or does not include recordings.yaml.
         """
         if not scans:
             return
@@ -237,7 +237,7 @@ class Recipe:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
     def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
-        """A line if entries that were written before state another licence or source than sources.yaml.
+        """Return a line if earlier entries state another licence or source than sources.yaml.
 
         Raises:
             SettingsError: benchmark.yaml is wrong.
@@ -269,10 +269,10 @@ def opened_recipe(
     """Open a recipe, with a lock on its folder against other downloads.
 
     Args:
-        folder: that holds sources.yaml.
-        out: the benchmark's folder; default: the same.
-        waiting: called once with who else fetches there, before waiting.
-        is_read: whether a reader opens a file as it is.
+        folder: the folder that holds sources.yaml.
+        out: the benchmark's folder; default: `folder`.
+        waiting: called once before waiting, with the name of the other process that downloads there.
+        is_read: returns whether a reader opens a file directly.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong.
@@ -308,7 +308,7 @@ def _check_zip(path: Path) -> None:
 
 
 def _no_check(path: Path) -> None:
-    """Accept any other file, which the readers check."""
+    """Accept any other file; the readers check it."""
 
 
 def remove_scan(out: Path, scan: Scan) -> None:
@@ -331,14 +331,14 @@ def _text(path: Path) -> str:
 
 
 def _ids(text: str, source: str) -> set[str]:
-    """The ids of the recordings of a file that `benchmark.yaml` includes."""
+    """Return the ids of the recordings in a file that `benchmark.yaml` includes."""
     entries = yaml_nodes.items(yaml_nodes.compose(text, source)).get("recordings")
     rows = entries.value if entries is not None and isinstance(entries.value, list) else []
     return {str(id_.value) for row in rows if (id_ := yaml_nodes.items(row).get("id"))}
 
 
 def _entry(recipe: Recipe, scan: Scan) -> str:
-    """A recording as lines of YAML."""
+    """Return a recording as lines of YAML."""
     sources = recipe.sources
     rows: dict[str, object] = {"path": recipe.place(scan), "category": scan.category, "split": scan.split}
     if scan.object != scan.id:

@@ -24,39 +24,39 @@ from kinectbench.core.untrusted import decoded, printable
 from kinectbench.release.contents import MAX_READ_BYTES
 from kinectbench.release.published import is_there, published_bytes, release_text
 
-FIRST_LINE = 2  # of targets.csv that holds a target
+FIRST_LINE = 2  # first line of targets.csv with a target
 
 
 @dataclass(frozen=True)
 class Release:
-    """A published benchmark that was opened.
+    """An opened release (a published benchmark).
 
     Attributes:
-        folder: where it lies; or its archive, through which the paths of its files lead (see published.py).
-        targets: every line of targets.csv, in its order.
-        metadata: benchmark.json.
+        folder: the release's folder, or its archive; paths of files lead into the archive (see published.py).
+        targets: every line of targets.csv, in the same order.
+        metadata: content of benchmark.json.
     """
 
     folder: Path
     targets: tuple[Target, ...]
-    metadata: ReleaseInfo = field(hash=False)  # it holds dicts
+    metadata: ReleaseInfo = field(hash=False)  # holds dicts
 
     @property
     def benchmark_sha256(self) -> str:
-        """Identifies the published bytes (see core/artefacts/targets.py)."""
+        """Hash that identifies the published bytes (see core/artefacts/targets.py)."""
         return self.metadata.benchmark_sha256
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """The categories, sorted."""
+        """Return the categories, sorted."""
         return tuple(sorted({target.category for target in self.targets}))
 
     def split(self, name: str) -> tuple[Target, ...]:
-        """The targets of one split, in the order of targets.csv."""
+        """Return the targets of one split, in the order of targets.csv."""
         return tuple(target for target in self.targets if target.split == name)
 
     def of_splits(self, names: Sequence[str]) -> tuple[Target, ...]:
-        """The targets of some splits, in their order; at least one.
+        """Return the targets of some splits, in the order of targets.csv; at least one.
 
         Raises:
             SettingsError: no pair is of any of these splits.
@@ -71,18 +71,18 @@ class Release:
         return targets
 
     def open_split(self, name: str) -> tuple[Target, ...]:
-        """The targets of one split with solid truth; none if it is held back, or an open mesh."""
+        """Return the targets of one split with solid truth; none if it is held back, or an open mesh."""
         return () if name in self.metadata.inputs_only else self.split(name)
 
     def require_truth(self, splits: Iterable[str], *, solid: bool = True) -> None:
         """Raise an error if a split has no truth.
 
         Args:
-            splits: their names.
-            solid: whether an open mesh, which has no inside, does not suffice.
+            splits: names of splits.
+            solid: whether the truth must be solid; an open mesh has no inside.
 
         Raises:
-            ReleaseError: it is held back, and the line says where it is; or it is an open mesh.
+            ReleaseError: the truth is held back (the message says where it is), or is an open mesh.
         """
         splits = tuple(splits)
         if solid and any(split in self.metadata.surface_truth and self.split(split) for split in splits):
@@ -101,31 +101,31 @@ class Release:
             )
 
     def pair_path(self, target: Target) -> Path:
-        """The target's pair file."""
+        """Return the path of the target's pair file."""
         return self.folder / target.file
 
     @cached_property
     def sums(self) -> dict[str, str]:
-        """SHA256SUMS: the hash of every file by its path."""
+        """Content of SHA256SUMS: {file: hash}."""
         path = self.folder / SHA256SUMS
         return parse_sums(release_text(path), shown(path))
 
     def content(self, name: str) -> bytes:
-        """The bytes of a file of the release.
+        """Return the bytes of a file of the release.
 
         Args:
-            name: its path, relative to the release.
+            name: the file's path, relative to the release.
 
         Raises:
-            ReleaseError: it is missing, or not the published one.
+            ReleaseError: the file is missing, or not the published one.
         """
         return published_bytes(self.folder / name, self.sums.get(name))
 
     def text(self, name: str) -> str:
-        """A UTF-8 text of the release.
+        """Return a UTF-8 text file of the release.
 
         Raises:
-            ReleaseError: as `content`, or it is not UTF-8.
+            ReleaseError: as in `content`, or the file is not UTF-8.
         """
         try:
             return decoded(self.content(name), MAX_READ_BYTES, name)
@@ -133,10 +133,10 @@ class Release:
             raise ReleaseError(f"{shown(self.folder / name)}: not a readable text ({error})") from error
 
     def floor(self, recording: str) -> FloorFile | None:
-        """The floor of a recording; None if the release has none, as for synthesised models.
+        """Return the floor of a recording; None if the release has none, as for synthesised models.
 
         Raises:
-            ReleaseError: its file is damaged.
+            ReleaseError: the floor's file is damaged.
         """
         path = self.folder / "objects" / recording / FloorFile.FILE
         if not is_there(path):
@@ -148,17 +148,17 @@ class Release:
 
     @cached_property
     def by_recording(self) -> dict[str, list[Target]]:
-        """The targets of each recording, in the order of the recordings' ids."""
+        """Return the targets of each recording, in the order of the recordings' ids."""
         groups: dict[str, list[Target]] = {}
         for target in sorted(self.targets, key=lambda target: target.recording):
             groups.setdefault(target.recording, []).append(target)
         return groups
 
     def pair_content(self, target: Target) -> bytes:
-        """The bytes of a target's pair file.
+        """Return the bytes of a target's pair file.
 
         Raises:
-            ReleaseError: it is missing, or not the published one.
+            ReleaseError: the file is missing, or not the published one.
         """
         return published_bytes(self.pair_path(target), target.sha256)
 
@@ -167,11 +167,11 @@ def open_release(path: Path) -> Release:
     """Open a release and check that its small files are the published ones (pairs: when read).
 
     Args:
-        path: its folder, or a .zip, .tar or .tar.gz of it, which is read in place.
+        path: the release's folder, or a .zip, .tar or .tar.gz of it, which is read in place.
 
     Raises:
-        ReleaseError: no release there, another format version, targets or benchmark.json changed, an object
-            in two splits, a path that leaves the release, or files that do not agree with each other.
+        ReleaseError: there is no release, it has another format version, targets or benchmark.json were
+            changed, an object is in two splits, a path leaves the release, or files contradict each other.
     """
     if not is_there(path / BENCHMARK_JSON):
         if refusal := other_scheme(path):
@@ -190,7 +190,7 @@ def open_release(path: Path) -> Release:
             what="changed",
         )
     sums = parse_sums(sums_text, shown(path / SHA256SUMS))
-    # Parse the hashed bytes: a file may change between two reads.
+    # Parse the bytes that were hashed: a file may change between two reads.
     published = {BENCHMARK_JSON: b"", SPLITS_JSON: b"", TARGETS_CSV: b""}
     for name in published:
         if not is_there(path / name):
@@ -210,10 +210,10 @@ def open_release(path: Path) -> Release:
 
 
 def _text(path: Path, content: bytes) -> str:
-    """Published bytes as a text.
+    """Return published bytes as a text.
 
     Raises:
-        ReleaseError: they are no UTF-8, or take too much memory as a text.
+        ReleaseError: the bytes are no UTF-8, or take too much memory as a text.
     """
     try:
         return decoded(content, MAX_READ_BYTES, shown(path))

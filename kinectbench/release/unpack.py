@@ -1,4 +1,4 @@
-"""Unpack an untrusted archive into a folder: only plain files, below it, of bounded size."""
+"""Unpack an untrusted archive into a folder: only plain files, inside the folder, of bounded size."""
 
 import gzip
 import stat
@@ -24,11 +24,12 @@ from kinectbench.core.untrusted import (
 )
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
-# Of what stands before a member, such as a long name: tarfile reads it as a whole. Linux has paths of 4 kB.
+# Most bytes of a header before a member, such as a long name: tarfile reads it as a whole. Linux paths have 4
+# kB.
 HEADER_BYTES = 1 << 20
-# What a gzip file begins with, RFC 1952, section 2.3.1.
+# First bytes of a gzip file, RFC 1952, section 2.3.1.
 GZIP = b"\x1f\x8b"
-# The last three: of two members one name is the other's, or that of a folder of it.
+# The last three: two members have the same name, or one's name is a folder of the other's.
 DAMAGED = (
     *(tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError),
     *DAMAGED_ZIP,
@@ -41,7 +42,7 @@ class _Member(tarfile.TarInfo):
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str | None, errors: str) -> Self:
-        """The member of a header block."""
+        """Return the member of a header block."""
         member = super().frombuf(buf, encoding or "utf-8", errors)
         plain = member.type in tarfile.REGULAR_TYPES or member.type not in tarfile.SUPPORTED_TYPES
         if not plain and member.size > HEADER_BYTES:
@@ -50,12 +51,13 @@ class _Member(tarfile.TarInfo):
 
 
 def unpack_archive(archive: Path, folder: Path) -> None:
-    """Unpack a .tar, .tgz or .zip, whatever its name's ending; an enclosing folder is left out.
+    """Unpack a .tar, .tgz or .zip, whatever its name; an enclosing folder is left out.
 
-    The target appears whole or not at all. Links, devices and hidden files are passed over.
+    The target appears whole or not at all. Links, devices and hidden files are skipped.
 
     Raises:
-        StorageError: it is damaged, leads out of the folder or unpacks to too much; or the disk is full.
+        StorageError: the archive is damaged, leads out of the folder or unpacks to too much; or the disk is
+            full.
     """
     try:
         with replaced_folder(folder) as temporary:
@@ -76,7 +78,7 @@ def unpack_archive(archive: Path, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A member: its name, its stated size, and a function for its content (None: no plain file)."""
+    """A member: its name, its stated size, and a function that opens its content (None: no plain file)."""
 
     name: str
     size: int
@@ -84,7 +86,7 @@ class _Part:
 
 
 def _of_tar(file: BinaryIO) -> Iterator[_Part]:
-    """The members of a .tar or .tgz, in their order."""
+    """Yield the members of a .tar or .tgz, in their order."""
     packed = file.read(2) == GZIP
     file.seek(0)
     content = gzip.GzipFile(fileobj=file) if packed else file
@@ -95,7 +97,7 @@ def _of_tar(file: BinaryIO) -> Iterator[_Part]:
 
 
 def _of_zip(file: BinaryIO) -> Iterator[_Part]:
-    """The members of a .zip. One with a password counts as damaged; a link is a file that holds a path."""
+    """Yield the members of a .zip. A password counts as damage; a link is a file that holds a path."""
     with open_zip(file, MOST_LISTED, unpacked_bound(size_of(file))) as archive:
         for member in archive.infolist():
             is_link = stat.S_ISLNK(member.external_attr >> 16)
@@ -122,6 +124,6 @@ def _unpack(members: Iterator[_Part], folder: Path, most_bytes: int) -> None:
         with path.open("xb") as out:
             while part := source.read(COPIED_BYTES):
                 left -= len(part)
-                if left < 0:  # a .zip says what it likes
+                if left < 0:  # a .zip may state any size
                     raise ValueError(f"it unpacks to more than {most_bytes} bytes")
                 out.write(part)

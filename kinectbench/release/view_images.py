@@ -1,4 +1,4 @@
-"""The images of a view of a release: depth, mask and colour, from untrusted files."""
+"""Read the images of a release's view: depth, mask and colour, from untrusted files."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -19,9 +19,9 @@ class Kind(NamedTuple):
     """A kind of image.
 
     Attributes:
-        suffix: of its file, after the view.
-        words: its kind.
-        format: suffix, bits and colour type, as its head has them.
+        suffix: end of its file name, after the view.
+        words: name of the kind in messages.
+        format: suffix, bits and colour type, as in the file's head.
     """
 
     suffix: str
@@ -35,52 +35,52 @@ COLOR = Kind(".color.jpg", "JPEG", (".jpg", 8, 2))
 
 
 def depth_m(release: Release, target: Target) -> Float32:
-    """Depth of a pair's view: (height, width) float32, metres, 0 without a measurement.
+    """Read the depth of a pair's view: (height, width) float32, metres, 0 without a measurement.
 
     Raises:
-        ReleaseError: the release has no such image, or it is damaged or not the published one.
+        ReleaseError: the release has no such image, or the image is damaged or not the published one.
     """
     return _pixels(release, target, DEPTH).astype(np.float32) / np.float32(MM_PER_M)
 
 
 def mask(release: Release, target: Target) -> Bools:
-    """The object in a pair's view, in the pixels of depth: (height, width) bool.
+    """Read the object's mask in a pair's view, in the pixels of depth: (height, width) bool.
 
     Raises:
-        ReleaseError: as `depth_m`.
+        ReleaseError: as in `depth_m`.
     """
     return np.asarray(_pixels(release, target, MASK) > 0)
 
 
 def mask_file(release: Release, target: Target) -> tuple[Path, str] | None:
-    """The file of a view's mask and its expected hash; None if the release has none."""
+    """Return the file of a view's mask and its expected hash; None if the release has none."""
     name = f"views/{target.recording}/{target.view}{MASK.suffix}"
     return (release.folder / name, release.sums[name]) if name in release.sums else None
 
 
 def read_mask(path: Path, sha256: str) -> Bools:
-    """The same mask from its file, as `mask_file` names it.
+    """Read the same as `mask`, from the file and hash that `mask_file` returns.
 
     Raises:
-        ReleaseError: as `depth_m`.
+        ReleaseError: as in `depth_m`.
     """
     return np.asarray(_decoded(published_bytes(path, sha256), shown(path), MASK) > 0)
 
 
 def color(release: Release, target: Target) -> Rgb:
-    """Colour of a pair's view: (height, width, 3) uint8 RGB.
+    """Read the colour of a pair's view: (height, width, 3) uint8 RGB.
 
     Raises:
-        ReleaseError: as `depth_m`; most releases have no colour.
+        ReleaseError: as in `depth_m`; most releases have no colour.
     """
     return np.ascontiguousarray(_pixels(release, target, COLOR)[..., ::-1])
 
 
 def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
-    """Depth as it is stored: (height, width) uint16, millimetres.
+    """Decode a stored depth image: (height, width) uint16, millimetres.
 
     Raises:
-        ReleaseError: it is something else; the line begins with `where`.
+        ReleaseError: the bytes are no depth image; the message begins with `where`.
     """
     return np.asarray(_decoded(png, where, DEPTH), dtype=np.uint16)
 
@@ -95,7 +95,7 @@ def _pixels(release: Release, target: Target, kind: Kind) -> FileArray:
 
 
 def _decoded(content: bytes, where: str, kind: Kind) -> FileArray:
-    """The pixels of an image; its head is read before it is decoded."""
+    """Return the pixels of an image; its head is checked before it is decoded."""
     import cv2
 
     try:

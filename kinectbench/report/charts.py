@@ -17,17 +17,17 @@ from kinectbench.scoring.counts import THRESHOLDS
 
 WIDTH, HEIGHT = 340.0, 240.0
 LEFT, RIGHT, TOP, BOTTOM = 34.0, 10.0, 20.0, 36.0
-COLORS = 8  # of the style sheet; methods beyond are distinguished by dashes
+COLORS = 8  # in the style sheet; dashes distinguish further methods
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
-# Pairs are sorted by visible share and averaged in groups, so that a line shows through the points.
+# Pairs are sorted by visible share and averaged in groups, which gives the line through the points.
 GROUP_PAIRS, MAX_GROUPS = 6, 8
-# Of a method in a chart, of 13 bytes each: more hide each other.
+# Most points of a method in a chart, at 13 bytes each: more would hide each other.
 MOST_DOTS = 500
 
 
 @dataclass(frozen=True)
 class Bar:
-    """One method in one category: lengths are per cent of the chart's width."""
+    """The bar of one method in one category; lengths are per cent of the chart's width."""
 
     method: str
     text: str
@@ -37,7 +37,7 @@ class Bar:
 
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
-    """Bars of the mean IoU with its interval, a group for each category and one over all."""
+    """Return bars of the mean IoU with its interval: a group for each category, and one over all."""
     scores = {table.method: table.averages(protocol) for table in tables}
     names = sorted({c for of in scores.values() for c in of} - {OVERALL})
     values = [s.iou for of in scores.values() for s in of.values() if s.iou is not None]
@@ -58,7 +58,7 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]
 
 
 def nice_top(value: float) -> float:
-    """The end of an axis from 0 that holds a share: a tenth, at most 1."""
+    """Return the end of an axis from 0 that covers a share: a multiple of a tenth, at most 1."""
     return min(1.0, max(0.1, float(np.ceil(round(value * 10, 6)) / 10)))
 
 
@@ -71,7 +71,7 @@ class Axes:
     y_high: float
 
     def at(self, x: float, y: float) -> tuple[float, float]:
-        """Pixels of a point."""
+        """Return a point's position in pixels."""
         across = (x - self.x_low) / (self.x_high - self.x_low)
         return (
             LEFT + across * (WIDTH - LEFT - RIGHT),
@@ -81,9 +81,9 @@ class Axes:
 
 @dataclass(frozen=True)
 class Series:
-    """The drawing of one method: its legend index, the `d` of points and of a line, and a dot.
+    """The drawing of one method: its legend index, SVG paths of its points and its line, and a dot.
 
-    `words` say the same in a sentence, for those who do not see it.
+    `words` describes the drawing in a sentence, for readers who cannot see it.
     """
 
     index: int
@@ -95,7 +95,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing and its heading."""
+    """A chart's drawing and heading."""
 
     title: str
     svg: Markup
@@ -120,19 +120,19 @@ def _chart(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Ticks of an axis, four to six of them."""
+    """Return the ticks of an axis, four to six."""
     step = next((s for s in TICKS if (high - low) / s <= 5), TICKS[-1])
     first = int(np.ceil(round(low / step, 6)))
     return [k * step for k in range(first, int(np.floor(round(high / step, 6))) + 1)]
 
 
 def series_class(index: int) -> str:
-    """The style of the method at an index of the legend."""
+    """Return the CSS class of the method at an index of the legend."""
     return f"s{index % COLORS}" + (f" dash{index // COLORS % 3}" if index >= COLORS else "")
 
 
 def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """IoU against the threshold, a chart for each category; a dot marks the threshold that was used."""
+    """Draw IoU against threshold, a chart for each category; a dot marks the threshold that was used."""
     curves = [_curves_of(table, protocol) for table in tables]
     categories = sorted({category for of in curves for category in of})
     charts = []
@@ -151,16 +151,16 @@ def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart
 
 
 def _curves_of(table: ScoreTable, protocol: str) -> dict[str, list[float]]:
-    """IoU at each threshold by category; a curve of another length than the thresholds is left out."""
+    """Return IoU at each threshold by category; curves with another number of thresholds are left out."""
     curves = (table.iou_by_threshold or {}).get(protocol, {})
     return {category: curve for category, curve in curves.items() if len(curve) == len(THRESHOLDS)}
 
 
 def visible_shares(table: ScoreTable) -> dict[str, float]:
-    """{pair: share of the shape's known voxels that the input view saw}.
+    """Return {pair: share of the shape's known voxels that the input view saw}.
 
-    What `occluded` leaves out of `known`: 1 - coverage_shape(occluded) / coverage_shape(known). Pairs that
-    were not scored under both are left out.
+    The share is 1 - coverage_shape(occluded) / coverage_shape(known). Pairs without scores under both
+    protocols are left out.
     """
     known = {row.pair: row.coverage_shape for row in table.pairs("known")}
     shares = {}
@@ -172,7 +172,7 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
 
 
 def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """IoU of every pair against the share of the shape that the view saw, by category, if known."""
+    """Draw each pair's IoU against the share of the shape that the view saw, by category, if known."""
     shares: dict[str, float] = {}
     for table in tables:
         shares |= visible_shares(table)
@@ -195,11 +195,11 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
 
 
 def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """How often truth is solid against the share of several predictions that are, of all cells together."""
+    """Draw how often the truth is solid against the share of hypotheses that are solid, over all cells."""
     axes, series = Axes(0.0, 1.0, 1.0), []
     for index, table in enumerate(tables):
         rows = [r for r in table.rows if r.calibration and (r.protocol, r.part) == (protocol, "whole")]
-        # Under `aligned` the last kind of registration is the freest.
+        # Under `aligned` the last kind of registration has the most freedom.
         rows = [row for row in rows if row.heading == rows[-1].heading]
         found = [row.calibration for row in rows if row.calibration is not None]
         points = []
@@ -218,13 +218,13 @@ def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Cha
 
 
 def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
-    """(n, 2) share and IoU of each pair, by share."""
+    """Return (n, 2), share and IoU of each pair, sorted by share."""
     points = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
     return np.array(points, np.float64).reshape(-1, 2)
 
 
 def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str:
-    """A curve as a sentence: the IoU at the threshold used, and the best IoU."""
+    """Return a curve as a sentence: IoU at the threshold used, and the best IoU."""
     best = max(range(len(curve)), key=lambda step: curve[step])
     at = (
         f"{shown_figure(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "
@@ -235,7 +235,7 @@ def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str
 
 
 def _scatter_words(method: str, points: Float64) -> str:
-    """The points of a method in a sentence."""
+    """Return the points of a method as a sentence."""
     (low, worst), (high, best) = points.min(axis=0), points.max(axis=0)
     return (
         f"{method}: {len(points)} pairs, {shown_figure(low)} to {shown_figure(high)} of the shape seen, "
@@ -244,7 +244,7 @@ def _scatter_words(method: str, points: Float64) -> str:
 
 
 def _scatter(axes: Axes, index: int, points: Float64, method: str) -> Series:
-    """Points, of very many some, and the means of groups of as many pairs each."""
+    """Draw points (a part of them if very many), and the means of equally large groups."""
     drawn = spread(points.tolist(), MOST_DOTS)
     dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in drawn)
     groups = np.array_split(points, min(MAX_GROUPS, max(1, len(points) // GROUP_PAIRS)))

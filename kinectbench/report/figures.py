@@ -1,4 +1,4 @@
-"""Figures of a stage in words: its verdict, its colour, and every other key of its file with its unit."""
+"""Figures of a stage for the page: verdict, colour, and every other key of its file with its unit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
 MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
-# Said in words of their own, beside the object's other figures.
+# Keys that are shown in separate words, beside the object's other figures.
 OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
-# The whole of each share, which its key does not name.
+# Names of shares whose keys do not say what they are a share of.
 NAMES: Mapping[str, str] = {
     "unknown_share": "never seen, share of the solid",
     "unknown_air_share": "never seen and taken for air, by the solid's volume",
@@ -21,7 +21,7 @@ NAMES: Mapping[str, str] = {
     "underside": "underside, as stated by a person",
     "underside_share": "seen from below only, share of the solid: the word about the underside decides it",
 }
-# The colour of each grade of health.json; warnings turn "good" into "warn".
+# Colour of each grade of health.json; a "good" with warnings becomes "warn".
 TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}
 
 
@@ -30,15 +30,15 @@ class StageFigures:
     """The figures of one stage, ready to be shown.
 
     Attributes:
-        verdict: the stage's own word, or "".
-        tone: "good", "warn", "bad" or "plain": how the verdict is coloured; its words do not matter.
-        grade: of a trajectory, in a few words; else "".
+        verdict: the verdict that the stage gives, or "".
+        tone: "good", "warn", "bad" or "plain": the verdict's colour.
+        grade: grade of a trajectory, in a few words; else "".
         warnings: the stage's warnings.
         rows: (name, value) of every other figure.
         estimate: the estimated IoU with its interval, or "".
-        reasons: what widens that interval, one line each.
-        advice: what to record again, a line for each unobserved opening.
-        word: what rests on a person's statement, or "".
+        reasons: what widens the interval, one line each.
+        advice: what to record again, one line for each unobserved opening.
+        word: what a person stated about the object, or "".
     """
 
     verdict: str
@@ -53,7 +53,7 @@ class StageFigures:
 
 
 def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
-    """A trajectory's figures, coloured by its grade, after the number of frames that could not be read."""
+    """Return a trajectory's figures, coloured by its grade; the number of unreadable frames comes first."""
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
@@ -63,7 +63,7 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """An object's figures, good if they have no warning; advice is no warning beside itself."""
+    """Return an object's figures, coloured good if there are no warnings beside the advice."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",
@@ -84,7 +84,7 @@ def _shown(part: StoredPart, hidden: tuple[str, ...]) -> tuple[tuple[str, str], 
 
 
 def text_of(value: object) -> str:
-    """A JSON value in a few characters."""
+    """Return a JSON value in a few characters."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -100,7 +100,7 @@ def text_of(value: object) -> str:
 
 
 def per_cent(value: float | None) -> str:
-    """A share as text."""
+    """Return a share as text."""
     return "–" if value is None else f"{100 * value:.1f} %"
 
 
@@ -112,13 +112,13 @@ def _rows(values: Mapping[str, object], prefix: str) -> list[tuple[str, str]]:
         elif key == "rejected" and isinstance(value, list):
             rows.append((f"{prefix}rejected", str(len(value))))
         elif not (isinstance(value, list) and any(isinstance(item, Mapping) for item in value)):
-            # Lists of objects, one for each frame say, are for machines.
+            # Lists of objects, such as one for each frame, are for programs.
             rows.append((prefix + _name(str(key)), text_of(value)))
     return rows
 
 
 def _name(key: str) -> str:
-    """A readable key: `median_residual_m` is `median residual (m)`."""
+    """Return a readable key: `median_residual_m` becomes `median residual (m)`."""
     if key in NAMES:
         return NAMES[key]
     for suffix, unit in UNITS.items():

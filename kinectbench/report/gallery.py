@@ -37,30 +37,31 @@ from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 from kinectbench.scoring.workers import run_tasks
 
-# Of the text; the rest of a page is its pictures. And of a page of many recordings, which has 5 MB in all.
+# Largest text of a gallery; the rest of a page is its pictures. The second limit is for a page of many
+# recordings, which has 5 MB in all.
 MAX_BYTES, MAX_BYTES_OF_MANY = 4 << 20, 1 << 20
 DEFLATE_LEVEL = 6
-# Pairs of a method: the best, the worst, and some that are the same for every method.
+# Pairs shown of a method: this many of the best, and of the worst; and pairs shown of every method.
 EXTREME, SHARED = 6, 12
-# Of the view beside a pair: 3 to 6 kB.
+# Width of the view beside a pair: 3 to 6 kB.
 VIEW_PX = 200
-# A cell of 64 is drawn if this share of its 4 x 4 x 4 voxels is set: parts thinner than a cell stay.
+# A cell of 64 is drawn if this share of its 4 x 4 x 4 voxels is set: parts thinner than a cell stay visible.
 DRAWN_SHARE = 0.25
 
 
 def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
-    """The pairs of a method that a page shows, sorted.
+    """Return the pairs of a method that a page shows, sorted.
 
     Args:
-        rising: its pairs by rising IoU.
-        every: all pairs of the test split, in an order that no method changes.
+        rising: the method's pairs by rising IoU.
+        every: all pairs of the test split, in an order that is the same for every method.
     """
     spread = np.unique(np.linspace(0, len(every) - 1, min(SHARED, len(every))).astype(int))
     return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *(every[i] for i in spread)})
 
 
 def reduced_packed(packed: Packed) -> Packed:
-    """(256, 256, 32) packed to (64, 64, 8) packed: cells at least a quarter set."""
+    """Reduce packed (256, 256, 32) to packed (64, 64, 8): cells with at least a quarter of voxels set."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
 
@@ -71,24 +72,24 @@ def gallery_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """{pair: (64, 64, 8) uint8, packed} of the pairs worth showing, above the thresholds of their scores.
+    """Return {shown pair: (64, 64, 8) uint8, packed}: predictions above the thresholds of their scores.
 
     Args:
-        release: of the predictions.
+        release: the release that was predicted.
         predictions: the method's folder; a prediction that could not be scored is left out.
-        table: its scores.
+        table: the method's scores.
         upsampling: see `upsampled_planes`.
         progress: called with (pairs done, pairs in all).
 
     Raises:
-        PredictionError: a file that was scored has gone or changed.
+        PredictionError: a scored file is missing or was changed.
     """
     files = find_predictions(predictions, release.split("test")).files
 
     def load(target: Target) -> Prediction | None:
-        """The prediction of a pair, or None if it is missing."""
+        """Return the prediction of a pair, or None if it is missing."""
         file = files.get(target)
-        if file is None:  # missing, and scored as empty
+        if file is None:  # missing, scored as empty
             return None
         mesh = file.suffix in MESHES
         size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
@@ -104,7 +105,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """The same for predictions from any source; `load` gives a pair's, None is an empty grid."""
+    """Do the same as `gallery_cells` for any source; `load` returns a pair's prediction, None: empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -121,11 +122,11 @@ def baseline_cells(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[dict[str, Packed]]:
-    """The same for baselines that were scored in memory; they are predicted again, pair by pair.
+    """Do the same as `gallery_cells` for baselines scored in memory; they are predicted again.
 
     Args:
-        release: of the predictions.
-        tables: their scores.
+        release: the release that was predicted.
+        tables: the baselines' scores.
         upsampling: see `upsampled_planes`.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
@@ -153,13 +154,13 @@ def baseline_cells(
 
 
 def _baselines_of(upsampling: str, task: tuple[BaselineTask, Mapping[str, float]]) -> dict[str, Packed]:
-    """{baseline: drawing of its prediction} for one pair."""
+    """Return {baseline: drawing of its prediction} for one pair."""
     baselines, thresholds = task
     return {name: _drawn(grid, thresholds[name], upsampling) for name, grid in predicted(baselines)}
 
 
 def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
-    """The pairs of a method that are shown, and the thresholds that they were scored at."""
+    """Return the shown pairs of a method, with the thresholds that they were scored at."""
     protocols = table.settings.protocols
     first = next((row.heading for row in table.rows if row.protocol == protocols[0]), protocols[0])
     rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else first)}
@@ -171,14 +172,14 @@ def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
 
 
 def _figure(row: ScoreRow) -> float | None:
-    """What pairs are sorted by, the better the higher: the IoU, else the Chamfer distance."""
+    """Return the figure that pairs are sorted by, higher is better: IoU, or minus the Chamfer distance."""
     if row.in_space:
         return None if row.chamfer_l1_m is None else -row.chamfer_l1_m
     return row.iou
 
 
 def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed:
-    """A prediction as (64, 64, 8) packed cells; None is an empty grid."""
+    """Return a prediction as packed cells (64, 64, 8); None is an empty grid."""
     if grid is None:
         return np.zeros(CELLS_SHAPE, np.uint8)
     return reduced_packed(occupied(grid, threshold, upsampling))
@@ -190,13 +191,13 @@ class PairTruth:
 
     Attributes:
         category: such as "chair".
-        object: the thing recorded.
+        object: the recorded object.
         up: (3,) unit vector that points up, in the grid's axes.
         partial: (64, 64, 8) uint8, packed.
-        full: likewise, of the truth.
-        known: likewise, where the truth is trusted: at one voxel within each cell.
-        unseen: likewise, cells of `full` of whose shape at least a half is not known: nobody saw it.
-        picture: the view's depth, and its colour if published, as a `data:` address; "" if it has no images.
+        full: (64, 64, 8) uint8, packed, of the truth.
+        known: (64, 64, 8) uint8, packed, cells whose sampled voxel is known.
+        unseen: (64, 64, 8) uint8, packed, cells of `full` whose shape is at least half unknown.
+        picture: the view's depth, and its colour if published, as a `data:` address; "" without images.
     """
 
     category: str
@@ -210,7 +211,7 @@ class PairTruth:
 
 
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
-    """Read the shown parts of a pair of a release.
+    """Read the parts of a release's pair that the page shows.
 
     Raises:
         ReleaseError: the pair file is missing, or not the published one.
@@ -233,7 +234,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 
 
 def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
-    """(64, 64, 8) packed: the cells of the truth's cube that a surface in its frame goes through."""
+    """Return packed cells (64, 64, 8) of the truth's cube that a surface in its frame goes through."""
     at = np.floor(surface.points_m / (truth.voxel_size_m * BLOCK))
     inside = ((at >= 0) & (at < PARTIAL_CELLS)).all(axis=1)
     cells = np.zeros((PARTIAL_CELLS,) * 3, np.bool_)
@@ -242,8 +243,8 @@ def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
 
 
 def _picture(release: Release, target: Target) -> str:
-    """The view as it was recorded: depth with the mask's outline, on its right colour; "" if not shown."""
-    if find_spec("cv2") is None:  # the page does without pictures where nothing decodes them
+    """Return the recorded view, depth with the mask's outline and colour to its right; "" if not shown."""
+    if find_spec("cv2") is None:  # without a decoder the page has no pictures
         return ""
     try:
         depth = images.depth_picture((depth_m(release, target) * 1000).astype(np.uint16))
@@ -259,13 +260,13 @@ def _picture(release: Release, target: Target) -> str:
 
 
 def _unseen(full: Packed, known: Packed) -> Packed:
-    """Cells (64, 64, 8), packed, of whose set voxels at least a half is not known."""
+    """Return packed cells (64, 64, 8) of whose set voxels at least half are unknown."""
     share_unknown = block_density(full & ~known)
     return pack(share_unknown >= block_density(full) / np.float32(2))
 
 
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
-    """The up direction in a grid, by the recording's floor; else up in the image."""
+    """Return the up direction in a grid: the floor's normal; without a floor, up in the image."""
     up = np.zeros(3)
     with contextlib.suppress(ReleaseError):  # it only turns a picture
         floor = release.floor(recording)
@@ -275,7 +276,7 @@ def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64
 
 
 def _sampled(packed: Packed) -> Packed:
-    """(256, 256, 32) packed to (64, 64, 8) packed: the voxel beyond the middle of each cell."""
+    """Sample packed (256, 256, 32) to packed (64, 64, 8): each cell's voxel just beyond its middle."""
     middle = BLOCK // 2
     return pack(unpack(packed[middle::BLOCK, middle::BLOCK])[..., middle::BLOCK])
 
@@ -291,14 +292,14 @@ def gallery_json(
     """The gallery's data as JSON for a page, bounded in size.
 
     Args:
-        tables: the methods.
-        galleries: of each of them, or None.
-        truths: pairs by name; what is not there is not shown.
-        protocol: whose IoU is shown.
-        many: whether the page is one of many recordings.
+        tables: the methods' scores.
+        galleries: each method's gallery, or None.
+        truths: {pair: its drawing}; other pairs are not shown.
+        protocol: the protocol whose IoU is shown.
+        many: whether the page shows many recordings.
 
     Returns:
-        The text, or None if there is nothing to show; and how many pairs were left out for its size.
+        The text, or None if there is nothing to show; and the number of pairs left out to limit the size.
     """
     shown_by = [
         {name: _text(cells) for name, cells in (gallery or {}).items() if name in truths}

@@ -17,19 +17,20 @@ from kinectbench.report.figures import text_of
 FRAMES_SHOWN = 6
 FRAME_PX = 320
 TILE_PX = 120
-# A pair is seen from beside and above its camera, so that the partial's empty back shows.
+# A pair is drawn from beside and above its camera, so that the partial's empty back is visible.
 TILE_AZIMUTH_DEG = 32.0
 TILE_RAISED_DEG = 10.0
 TILE_ELEVATIONS_DEG = (12.0, 50.0)
 STEEP_SINE = 0.97
-# Of the smoothed grids; below a half, so that a part thinner than a cell of 64 does not vanish.
+# Isosurface levels of the smoothed grids; below a half, so that a part thinner than a cell of 64 does not
+# vanish.
 FULL_LEVEL = 0.25
 PARTIAL_LEVEL = 0.15
 
 
 def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
-    """The object from above: closed polygons (n, 2), x and y of the floor frame."""
-    # Looking down with the floor's y away from the viewer's feet: right is x, down is -y.
+    """Return the object's outlines from above: closed polygons (n, 2), x and y of the floor frame."""
+    # The viewer looks down: the floor's x is to the right, and its y is up in the picture.
     R_floor_view = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
     viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
     center = viewpoint.center_m[:2]
@@ -65,9 +66,9 @@ def pair_picture(
 
 
 def _beside_the_camera(up_grid: Float64) -> Float64:
-    """Rotation (3, 3) of an upright viewer to the camera's right and somewhat above it."""
+    """Return the rotation (3, 3) of an upright viewer to the camera's right and somewhat above it."""
     sine = float(-up_grid[2])
-    # A camera that looks straight down or up has no level direction ahead: the top of its picture serves.
+    # If the camera looks straight down or up, the top of its picture replaces the level direction ahead.
     ahead = np.array([0.0, 0, 1]) if abs(sine) < STEEP_SINE else np.array([0.0, -1, 0])
     level = ahead - (ahead @ up_grid) * up_grid
     level /= np.linalg.norm(level)
@@ -80,7 +81,7 @@ def _beside_the_camera(up_grid: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class FramePicture:
-    """One recorded view: its picture with the mask, and its colour if separate."""
+    """A recorded view: its picture with the mask, and its colour if separate."""
 
     view: str
     frame: str
@@ -89,7 +90,7 @@ class FramePicture:
 
 
 def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> tuple[FramePicture, ...]:
-    """Some of the views, `most` at most, evenly chosen; `folder` holds their images."""
+    """Return at most `most` of the views, evenly spread; `folder` holds their images."""
     rows = views.views
     chosen = np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int))
     shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
@@ -97,7 +98,7 @@ def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> 
 
 
 def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
-    """One view; None if its files are missing."""
+    """Return one view; None if its files are missing."""
     paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
     color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
     color = images.read_color(color_path) if color_path else None

@@ -1,4 +1,4 @@
-"""Many recordings on the page of a benchmark: one row each, from small files alone."""
+"""The list of a page with many recordings: one row each, read only from small files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -27,10 +27,10 @@ OBJECT_COLUMNS = ("object", "category", "pairs", "unknown", "pairs left out")
 
 
 def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
-    """A recording's row of the list: a text for each of `COLUMNS`.
+    """Return a recording's row of the list: a text for each of `COLUMNS`.
 
     Args:
-        job: the recording, and the settings that it must be built with.
+        job: the recording, with the settings that its build must have.
         folder: `build/<recording>/`.
 
     Raises:
@@ -63,13 +63,13 @@ def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
 
 
 def listing(rows: Sequence[Sequence[str]], shown: Sequence[str]) -> Listing:
-    """All recordings as a table; those shown below it are links."""
+    """Return all recordings as a table; recordings shown below it are links."""
     links = {name: f"#r{number}" for number, name in enumerate(shown, start=1)}
     return Listing(COLUMNS, FILTERS, rows, links, "`kinectbench build --status` lists all of them")
 
 
 def object_listing(objects: Sequence[Sequence[object]]) -> Listing | None:
-    """The unknown share of each object's truth, as a list; None if there are few objects."""
+    """Return the unknown share of each object's truth, as a list; None if there are few objects."""
     if len(objects) <= PAGE_ROWS:
         return None
     rows = [[str(cell) for cell in row] for row in objects]
@@ -77,18 +77,18 @@ def object_listing(objects: Sequence[Sequence[object]]) -> Listing | None:
 
 
 def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, object], int]:
-    """The settings with the first of many recordings only, and how many were left out."""
+    """Return the settings with only the first of many recordings, and the number left out."""
     recordings = settings.get("recordings") or []
     left_out = max(0, len(recordings) - SHOWN)
     return dict(settings) | ({"recordings": recordings[:SHOWN]} if left_out else {}), left_out
 
 
 def known_median(values: Iterable[float | None]) -> float | None:
-    """The median of those that are known; None of none."""
+    """Return the median of the known values; None if none is known."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
 
 
 def millimetres(value_m: float | None) -> str:
-    """A length as the page shows it."""
+    """Return a length as the page shows it."""
     return "–" if value_m is None else f"{1000 * value_m:.1f} mm"

@@ -1,4 +1,4 @@
-"""The page of a whole benchmark: one file that opens from disk, with every picture inside."""
+"""Write the page of a whole benchmark: one HTML file that opens from disk and contains every picture."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,8 +32,8 @@ class Groups:
 
     Attributes:
         letters: {protocol: {index of the table: letters}} by mean IoU; incomplete methods have none.
-        notes: what to know of them, one line each.
-        too_small: that the test set is too small to tell any two methods apart, in a sentence; else "".
+        notes: notes on the letters, one line each.
+        too_small: a sentence if the test set is too small to distinguish any two methods; else "".
     """
 
     letters: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
@@ -46,9 +46,9 @@ class Beside:
     """Content beside score tables.
 
     Attributes:
-        groups: of the tables, by mean IoU over all categories.
-        galleries: of each table, or none at all.
-        truths: shown parts of the pairs, by name.
+        groups: groups of the methods, by mean IoU over all categories.
+        galleries: a gallery (or None) for each table; empty: no galleries.
+        truths: {pair: its shown parts}.
     """
 
     groups: Groups = field(default_factory=Groups)
@@ -68,21 +68,21 @@ def write_report(
     beside: Beside = NOTHING_BESIDE,
     released: ReleaseInfo | None = None,
 ) -> Path:
-    """Write the page of a benchmark: the same text for the same input.
+    """Write the page of a benchmark; the same input gives the same text.
 
     Args:
-        settings: the benchmark.
-        build: folder that holds a folder for each recording; what is not built yet, or not with these
-            settings, is noted on the page. None shows no recordings.
-        scores: a table for each method; may be empty. Methods of one name are called `net`, `net #2`.
+        settings: the benchmark's settings.
+        build: the folder with a subfolder for each recording; the page notes what is not built, or was built
+            with other settings. None: no recordings are shown.
+        scores: a table for each method; may be empty. Methods of the same name are called `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
-        progress: called with (recording, done, total) before each recording, and at last ("", total, total).
+        progress: called with (recording, done, total) before each recording, and finally ("", total, total).
         beside: ranks and galleries of the score tables, in the same order.
-        released: benchmark.json of a release whose build is not here: the settings shown are those that it
-            was built with.
+        released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
+            are shown.
 
     Returns:
-        The file written: `out`.
+        `out`.
 
     Raises:
         StorageError: a file in `build` is damaged, or `out` cannot be written.
@@ -121,7 +121,7 @@ def write_report(
 
 
 def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
-    """The paper's tables to show beside scores: none beside those in space, as the paper scores cells."""
+    """Return the paper's tables to show beside scores; none beside scores in the camera frame."""
     in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
     if scores and not in_cells:
         return ()
@@ -143,7 +143,7 @@ def _recordings(
 
 
 def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingPart]) -> Listing | None:
-    """A list of all recordings, if only some are shown."""
+    """Return a list of all recordings, if the page shows only some."""
     if len(shown) == len(settings.recordings):
         return None
     rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]
@@ -151,11 +151,11 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
 
 
 def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, object]:
-    """The scores' section of the page."""
+    """Return the scores section of the page."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)
-    # The protocol that the charts and the gallery show; "" without scores.
+    # The protocol of the charts and the gallery; "" without scores.
     primary = protocols[0] if protocols else next((r.heading for t in parsed for r in t.rows), "")
     objects = tables.truth_of_objects(parsed, primary)
     ordered = tables.best_first(parsed, primary)
@@ -167,7 +167,7 @@ def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bo
         for protocol, of in beside.groups.letters.items()
     }
     return {
-        # Of the benchmarks that the predictions were scored against: one, if all is well.
+        # Hashes of the benchmarks that the predictions were scored against; normally one.
         "hashes": sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256}),
         "tables": [tables.protocol_table(parsed, p, groups.get(p)) for p in protocols],
         "groups": beside.groups,

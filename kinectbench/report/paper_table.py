@@ -1,7 +1,7 @@
-"""The paper's table of some methods' scores: IoU and cross-entropy of each category, pairs weigh equally.
+"""The paper's table for some methods: IoU and cross-entropy by category, every pair weighs equally.
 
-Source of the form: the tables at 256^3 of 3D-RecGAN++ (`scoring.published`). Pairs whose recordings say from
-which viewing angles they are stand in tables of their own, as the paper's test sets do.
+Its form is that of the tables at 256^3 of 3D-RecGAN++ (`scoring.published`). Pairs whose recordings are named
+by a set of viewing angles get tables of their own, like the paper's test sets.
 """
 
 import re
@@ -24,15 +24,15 @@ from kinectbench.scoring.published import (
     PublishedTable,
 )
 
-# Its synthetic truth is solid; that of its real recordings is less so, and `shell` is the other extreme.
+# The paper's synthetic truth is solid; its real truth is less solid. `shell` is the other extreme.
 PROTOCOL, SHELL = "paper", "shell"
-# How recordings of `import` and of `synthesize` end, and the test set of the paper that has the same angles.
+# Endings of recordings from `import` and `synthesize` -> views of the paper's test set with the same angles.
 VIEWS = {"125": 125, "sv": 125, "216": 216, "cv": 216}
 TITLES = {125: "same viewing angles", 216: "cross viewing angles", None: "all pairs"}
 OF_SHELL = ", the surface alone as truth"
 _ENDING = re.compile(r".+-(125|216|sv|cv)")
 NOT_KNOWN = "–"
-# Characters; the longest published row has 93.
+# Most characters of a cell; the longest published row has 93.
 LONGEST_CELL = 100
 
 
@@ -41,10 +41,10 @@ class PaperRow:
     """One method.
 
     Attributes:
-        method: its name.
-        published: where the paper says these figures; "" of a method that was scored.
+        method: the method's name.
+        published: where the paper states these figures; "" for a scored method.
         iou: {category: mean over pairs}; a category without a pair is left out.
-        ce: likewise, nats a voxel.
+        ce: {category: mean cross-entropy over pairs}, nats a voxel.
     """
 
     method: str
@@ -58,10 +58,10 @@ class PaperTable:
     """One table.
 
     Attributes:
-        title: of which pairs.
-        categories: the paper's in its order, then others by name; those that have pairs.
-        pairs: how many each method was scored on.
-        rows: the methods, highest mean IoU over the categories first; below them the published ones.
+        title: says which pairs the table is of.
+        categories: categories with pairs: the paper's in its order, then others by name.
+        pairs: number of pairs that each method was scored on.
+        rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
 
     title: str
@@ -71,10 +71,10 @@ class PaperTable:
 
 
 def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
-    """The paper's tables of methods that were scored on one truth: one, or one for each kind of viewing.
+    """Return the paper's tables of methods scored on one truth: one table, or one per set of viewing angles.
 
-    Where all were scored under the protocol `shell`, too, its tables follow. The paper's real one stands
-    beside both: how solid its truth is, the paper does not say.
+    If all methods were also scored under `shell`, its tables follow. The paper's table of real recordings is
+    beside both, because the paper does not say how solid its truth is.
 
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.
@@ -87,7 +87,7 @@ def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
 def _tables(
     tables: Sequence[ScoreTable], protocol: str, ending: str, published: Sequence[PublishedTable]
 ) -> list[PaperTable]:
-    """Those of one protocol, with the published ones of the same viewing; their titles have an ending."""
+    """Return the tables of one protocol, with the matching published tables; titles end with `ending`."""
     of_methods = []
     for name, table in zip(method_names(tables), tables, strict=True):
         rows = table.pairs(protocol)
@@ -105,7 +105,7 @@ def _tables(
 
 
 def _views(row: ScoreRow) -> int | None:
-    """The number of viewing angles in the paper's test set of such a recording; None for others."""
+    """Return the number of viewing angles in the paper's test set of such a recording; None for others."""
     match = _ENDING.fullmatch(row.recording)
     return VIEWS[match[1]] if match else None
 
@@ -129,7 +129,7 @@ def _table(
 
 
 def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
-    """{category: the plain mean over its pairs}: under `paper` every pair has every figure."""
+    """Return {category: plain mean over its pairs}; under `paper` every pair has every figure."""
     values: dict[str, list[float]] = {}
     for row in rows:
         values.setdefault(row.category, []).append(getattr(row, figure))
@@ -137,14 +137,14 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
 
 
 def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    """{category: its published figure}, of those that were scored."""
+    """Return {category: its published figure} for the scored categories."""
     return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 
 def paper_markdown(tables: Sequence[PaperTable]) -> str:
-    """The tables as Markdown: a row for each method, IoU of each category and then the cross-entropies.
+    """Return the tables as Markdown: a row for each method, IoU of each category, then cross-entropies.
 
-    Below published rows stand the paper's numbers of parameters.
+    If there are published rows, the paper's numbers of parameters follow.
     """
     last = [PARAMETERS_LINE] if any(row.published for table in tables for row in table.rows) else []
     return "\n\n".join([*("\n".join(_lines(table)) for table in tables), *last]) + "\n"
@@ -171,5 +171,5 @@ def _figure(value: float | None) -> str:
 
 
 def _text(words: str) -> str:
-    """An untrusted text as a cell of a Markdown table."""
+    """Return an untrusted text as a cell of a Markdown table."""
     return printable(words, LONGEST_CELL).replace("|", "\\|")

@@ -19,31 +19,32 @@ MAX_PIECES = 48
 MAX_TICKS = 60
 TICK_PX = 13.0
 MAX_BAR_PX = 130
-# What is looked into more steeply than this is looked into from above or below: a ring.
+# A line of sight steeper than this comes from above or below, and is drawn as a ring.
 LEVEL_COSINE = 0.5
 HEAD_PX = 11.0
 BAR_LENGTHS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-# Start to end of the recording: blue, violet, magenta, orange; legible on a light and a dark page.
+# Colours from start to end of the recording: blue, violet, magenta, orange; legible on a light and a dark
+# page.
 TIME_COLORS = np.array([(47, 107, 196), (124, 88, 190), (196, 78, 142), (232, 140, 46)], np.float64)
 
 
 def time_color(fraction: float) -> str:
-    """Colour of a moment of the recording: 0 is its start, 1 its end; as #rrggbb."""
+    """Return the colour, #rrggbb, of a moment of the recording: 0 is its start, 1 its end."""
     position = min(max(fraction, 0.0), 1.0) * (len(TIME_COLORS) - 1)
     channels = [np.interp(position, np.arange(len(TIME_COLORS)), TIME_COLORS[:, c]) for c in range(3)]
     return "#" + "".join(f"{round(float(c)):02x}" for c in channels)
 
 
 def svg_path(points_px: Iterable[Sequence[float]]) -> str:
-    """The `d` of a line through points."""
+    """Return the SVG path of a line through points."""
     return "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in points_px)
 
 
 def look_arrows(T_floor_camera: Float64, frontiers: Sequence[FrontierPart]) -> list[Float64]:
-    """Arrows from viewpoints to the centres of frontiers: (2, 2) metres, x and y of the floor frame.
+    """Return arrows from viewpoints to the centres of frontiers: (2, 2) metres, x and y of the floor frame.
 
-    That is as far away as the cameras stood in the mean, which is the length of each arrow. What is looked
-    into from above or below has both ends in its middle, and is drawn as a ring.
+    Each arrow is as long as the mean distance of the cameras. For an opening seen from above or below, both
+    ends are its centre, and a ring is drawn.
     """
     arrows = []
     for frontier in frontiers:
@@ -63,19 +64,19 @@ def draw_plan(
 ) -> Markup:
     """Draw the plan as an SVG element, in frame `floor`: x to the right and y up, to scale.
 
-    The path is coloured by time, ticks show where the cameras look (short if straight down), crosses are
-    frames left out, the closed shape is the object, and the bar gives the scale; see `look_arrows`.
+    The path is coloured by time. Ticks show viewing directions (short if straight down), crosses are frames
+    left out, the closed shape is the object, and the bar gives the scale. For arrows see `look_arrows`.
 
     Args:
-        T_floor_camera: (n, 4, 4) the cameras in order of time, n > 0.
-        left_out_floor: (k, 3) where the cameras of frames left out are believed to be.
+        T_floor_camera: (n, 4, 4) camera poses in order of time, n > 0.
+        left_out_floor: (k, 3) estimated camera positions of frames left out.
         outlines_floor: closed polygons (m, 2) of the object.
         frontiers: unobserved openings.
     """
     arrows = look_arrows(T_floor_camera, frontiers)
     points_m = np.concatenate([T_floor_camera[:, :2, 3], left_out_floor[:, :2], *outlines_floor, *arrows])
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
-    # Something that stands still is drawn too: never less than 0.2 m across.
+    # A camera that stands still is drawn, too: the plan is at least 0.2 m across.
     grow_m = np.maximum(0.2 - (high_m - low_m), 0) / 2
     low_m, high_m = low_m - grow_m, high_m + grow_m
     size_m = high_m - low_m
@@ -84,14 +85,14 @@ def draw_plan(
     corner_px = np.array([(WIDTH_PX - size_m[0] * px_per_m) / 2, MARGIN_PX])
 
     def place(points_floor: Float64) -> list[list[float]]:
-        # The picture's y goes down.
+        # The picture's y points down.
         across_down_m = (points_floor[:, :2] - [low_m[0], high_m[1]]) * [1, -1]
         placed: list[list[float]] = (across_down_m * px_per_m + corner_px).tolist()
         return placed
 
     path = place(T_floor_camera[:, :3, 3])
     last = len(path) - 1
-    # Pieces of one colour each, and a tick now and then.
+    # The path is cut into pieces of one colour each, with some ticks.
     cuts, chosen = _spread(last, min(last, MAX_PIECES) + 1), _spread(last, MAX_TICKS)
     ahead_px = (T_floor_camera[:, :2, 2] * [1, -1] * TICK_PX).tolist()
     bar_m = max((b for b in BAR_LENGTHS_M if b * px_per_m <= MAX_BAR_PX), default=BAR_LENGTHS_M[0])
@@ -113,18 +114,18 @@ def draw_plan(
         "time_x": TIME_BAR_X_PX,
         "legend_y": height_px - LEGEND_PX / 2,
     }
-    # Only numbers of our own making go into the drawing: it is safe as it is.
+    # The drawing contains only numbers computed here, so it is safe as it is.
     return Markup(render_page("report/plan.svg", content))
 
 
 def _spread(last: int, count: int) -> list[int]:
-    """At most this many of the numbers 0 to `last`, evenly spread."""
+    """Return at most `count` of the numbers 0 to `last`, evenly spread."""
     indices: list[int] = np.unique(np.linspace(0, last, count).astype(int)).tolist()
     return indices
 
 
 def _head(tail_px: Sequence[float], tip_px: Sequence[float]) -> list[list[float]]:
-    """The triangle at an arrow's tip; none for an arrow without length."""
+    """Return the triangle at an arrow's tip; empty for an arrow without length."""
     along = np.subtract(tip_px, tail_px)
     length = float(np.hypot(*along))
     if not length:

@@ -1,4 +1,4 @@
-"""Everything that the page shows of one recording, collected from its build folder."""
+"""Collect everything that the page shows of one recording from its build folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """One pair: a picture of partial and full, and its figures."""
+    """A pair on the page: a picture of partial and full, and its figures."""
 
     view: str
     frame: str
@@ -52,17 +52,18 @@ class RecordingPart:
         settings: the recording's own settings.
         health: figures of the trajectory, or None.
         quality: figures of the object, or None.
-        turntable: strip of pictures of the object from all around, or None.
-        plan: the path seen from above, or None.
+        turntable: a strip of pictures of the object from all around, or None.
+        plan: the camera's path seen from above, or None.
         object_pictures: the object from a few sides, with unseen parts in colour.
         frames: some views as recorded.
         tiles: every pair.
-        refused: (view, frame, reason) of every frame refused as a view ("" for the view), and refused pair.
-        containment: median over the pairs, as text.
-        residual: median over the pairs, as text.
+        refused: (view, frame, reason) of every refused pair, and of every frame refused as a view (view is
+            "").
+        containment: median containment over the pairs, as text.
+        residual: median residual over the pairs, as text.
         missing: stages that are not built yet.
-        outdated: artefacts of another version, other settings or inputs, which are not shown.
-        failed: at which stage its last build failed and why, one line, or "".
+        outdated: artefacts that are not shown, as they have another version, other settings or other inputs.
+        failed: the stage at which the last build failed, and why, one line; or "".
     """
 
     settings: RecordingSettings
@@ -85,7 +86,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     """Collect the current results of one recording.
 
     Args:
-        job: the recording, and the settings that it must be built with.
+        job: the recording, with the settings that its build must have.
         folder: `build/<recording>/`.
 
     Raises:
@@ -95,7 +96,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     current = current_stages(folder, job)
 
     def read(stage: str, model: type[File]) -> File | None:
-        """A stage's file; None if it is not current or has none."""
+        """Read a stage's file; None if the stage is not current or has no such file."""
         return model.read_if_there(current[stage]) if stage in current else None
 
     health, floor = read("track", TrajectoryHealth), read("segment", FloorFile)
@@ -144,7 +145,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 
 def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
-    """Pictures of the object from all around, in scene colours if it has any, as a `data:` address."""
+    """Return pictures of the object from all around as a `data:` address, in scene colours if any."""
     scene_floor = None
     if reconstruction and (reconstruction / "mesh.ply").is_file():
         scene_floor = read_own_ply(reconstruction / "mesh.ply", colors=True).transformed(T_floor_world)
@@ -152,7 +153,7 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
-    """The object's closed surface, floor frame, and its unmeasured faces (m,)."""
+    """Read the object's closed surface, floor frame, and a mask (m,) of its unmeasured faces."""
     mesh_world = read_own_ply(folder / "mesh.ply")
     volume = ObjectVolume.read(folder)
     unseen = unmeasured_faces(mesh_world, volume.grid, volume.labels)
@@ -160,9 +161,9 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
-    """Positions (k, 3) of the frames left out, between their neighbours in the trajectory.
+    """Return positions (k, 3) of the frames left out, between their neighbours in the trajectory.
 
-    Only if the trajectory's rows have a known meaning: one for each frame, or one for each frame kept.
+    Empty unless the trajectory has one row for each frame, or one for each kept frame.
     """
     if health is None or not health.rejected:
         return np.zeros((0, 3))
@@ -177,7 +178,7 @@ def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float6
 
 def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
     pair = read_pair(folder / f"{row.view}.npz")
-    # Without a known floor, up is that of the view.
+    # Without a known floor, up is up in the view.
     R_world_grid = pair.T_world_grid[:3, :3]
     up_grid = np.array([0.0, -1, 0]) if T_floor_world is None else T_floor_world[2, :3] @ R_world_grid
     picture = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)

@@ -1,4 +1,4 @@
-"""Pages from files on disk: of a benchmark with its build folders, or of the scores of a release alone."""
+"""Write pages from files on disk: of a benchmark with build folders, or of a release's scores alone."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ NOT_EVERYWHERE = tuple(name for name in PROTOCOLS if name not in COMPARED)
 
 @dataclass(frozen=True)
 class ScoreFile:
-    """One scores.json and the gallery beside it."""
+    """A scores.json and the gallery beside it."""
 
     path: Path
     table: ScoreTable
@@ -37,13 +37,13 @@ class ScoreFile:
 
 
 def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
-    """The scores.json in a folder and in its subfolders, sorted.
+    """Read every scores.json in a folder and its subfolders, sorted.
 
-    Those of another truth are left out, and those that an older version than the newest there counted.
+    Files of another truth are left out, and so are files counted by an older version than the newest file.
 
     Args:
-        folder: of the scores; it need not be there.
-        benchmark_sha256: of the truth, if known.
+        folder: the folder of scores; it may be missing.
+        benchmark_sha256: hash of the truth, if known.
 
     Returns:
         The files, and a warning for each that is left out.
@@ -65,15 +65,15 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
 
 
 def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[ScoreFile]:
-    """The requested score files, of one truth and one score version.
+    """Read the requested score files; all must have the same truth and score version.
 
     Args:
         paths: files, methods' folders, or folders of methods; a file named twice counts once.
-        benchmark_sha256: of the truth; None if only the files know it, who must then agree.
+        benchmark_sha256: hash of the truth; None: the files must agree on one.
 
     Raises:
-        SettingsError: one is missing, or was scored against another truth or by another version.
-        StorageError: one, or the gallery beside it, is damaged.
+        SettingsError: a file is missing, or was scored against another truth or by another version.
+        StorageError: a file, or the gallery beside it, is damaged.
     """
     files: list[ScoreFile] = []
     for path in {path.resolve(): path for path in find_scores(paths)}.values():
@@ -97,9 +97,9 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
 
 
 def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
-    """The baselines that `score` kept beside score files, with equal truth and counting; one of each name.
+    """Return baselines that `score` kept beside score files, of the same truth and counting; one per name.
 
-    One that was scored as a method is not shown twice.
+    A baseline that was scored as a method is not returned.
 
     Args:
         files: the page's score files, of one truth.
@@ -128,9 +128,9 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
     """Group methods by a paired test over objects (see `compare`).
 
     Args:
-        tables: of one truth; letters are given to those that are complete and have rows. Baselines that were
-            added have none: more comparisons would only make methods harder to tell apart.
-        protocols: under which to compare; the first that was scored says whether there is data to compare.
+        tables: tables of one truth; complete ones with rows get letters. Added baselines get none: more
+            comparisons would only make methods harder to distinguish.
+        protocols: protocols to compare under; the first scored one decides whether there are enough objects.
     """
     compared = {
         index: table
@@ -156,7 +156,7 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
 
 
 def _alone(table: ScoreTable, protocols: Sequence[str]) -> str:
-    """Whether a test could distinguish two methods, as a sentence; "" if it could."""
+    """Return a sentence if no test could distinguish two methods; else ""."""
     for protocol in protocols:
         overall = (table.overall or {}).get(protocol)
         if overall is not None and overall.objects:
@@ -175,19 +175,18 @@ def page_of_benchmark(
     """Write the page of a benchmark from its `build/`, its release if any, and score files.
 
     Args:
-        settings: the benchmark.
-        root: its folder.
-        scores: a folder, of which scores of another truth or version are left out, or files and folders by
-            name.
+        settings: the benchmark's settings.
+        root: the benchmark's folder.
+        scores: a folder (scores of another truth or version are left out), or a list of files and folders.
         progress: see `write_report`.
-        out: the page; default: index.html in the folder of scores.
-        baselines: whether those that lie beside the scores are shown too.
+        out: the page's file; default: index.html in the folder of scores.
+        baselines: whether baselines kept beside the scores are shown, too.
 
     Returns:
-        Its path, and a warning for each score file that was left out.
+        The page's path, and a warning for each score file that was left out.
 
     Raises:
-        SettingsError: a score file that was named is missing, or of another truth or version.
+        SettingsError: a listed score file is missing, or of another truth or version.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)
@@ -198,9 +197,9 @@ def page_of_benchmark(
 def page_of_release(
     release: Release, scores: Path | Sequence[Path], out: Path | None = None, baselines: bool = True
 ) -> tuple[Path, list[str]]:
-    """The same for a release without local build folders."""
+    """Do the same as `page_of_benchmark` for a release without local build folders."""
     info = release.metadata
-    # Not validated: the names are another's, and are only shown.
+    # Not validated: names come from the release, and are only shown.
     recordings = [
         RecordingSettings.model_construct(
             id=name, path="-", category=r.category, object=r.object, split=r.split
@@ -228,13 +227,13 @@ def write_galleries(
     """Write the gallery.npz of every method that `score_methods` or `score_baselines` just scored.
 
     Args:
-        release: the truth.
-        predictions: the scored ones; None: baselines, which are predicted again.
-        tables: the result.
-        out: its folder for the results.
-        upsampling: the convention that it scored with.
+        release: the release that was predicted.
+        predictions: the scored predictions; None: baselines, which are predicted again.
+        tables: the tables of scores.
+        out: the folder for the results.
+        upsampling: the convention used for scoring.
         jobs: number of processes for baselines.
-        progress: called with (pairs done, pairs in all); of predictions for each method in turn.
+        progress: called with (pairs done, pairs in all); with `predictions`, for each method in turn.
     """
     if predictions is None:
         for table, cells in zip(
@@ -244,7 +243,7 @@ def write_galleries(
         return
     folders = split_methods(predictions, release.targets).values()
     for table, folder in zip(tables, folders, strict=True):
-        if not table.rows:  # earlier scores, which are kept, have a gallery of their own
+        if not table.rows:  # earlier scores were kept, with their gallery
             continue
         method = read_in_camera(folder)
         if method is None:
@@ -258,7 +257,7 @@ def write_galleries(
 def _scores(
     scores: Path | Sequence[Path], release: Release | None, baselines: bool
 ) -> tuple[list[ScoreTable], Beside, list[str]]:
-    """The tables to show, content beside them, and a warning for each file left out."""
+    """Return the tables to show, the content beside them, and a warning for each file left out."""
     sha256 = release.benchmark_sha256 if release else None
     warnings: list[str] = []
     if isinstance(scores, Path):
@@ -270,7 +269,7 @@ def _scores(
         files, others = _of_release(files, release, refuse=not isinstance(scores, Path))
         warnings += others
     tables = [file.table for file in files]
-    # The truth that is shown is the release's, whatever came with the scores.
+    # The shown truth is the release's, whatever the scores contain.
     truths: dict[str, PairTruth] = {}
     if release is not None:
         targets = {target.name: target for target in release.split("test")}
@@ -284,7 +283,7 @@ def _scores(
 def _of_release(
     files: Sequence[ScoreFile], release: Release, refuse: bool
 ) -> tuple[list[ScoreFile], list[str]]:
-    """The files that agree with the release, and a warning for each that does not; or refuse the first."""
+    """Return the files that agree with the release, and a warning for each other; or refuse the first."""
     score_files, warnings = [], []
     for file in files:
         problem = next(not_of_release(file.table, release), None)
@@ -300,7 +299,7 @@ def _of_release(
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:
-    """The page's folder: that of the scores if they share one."""
+    """Return the page's folder: the scores' folder if they share one."""
     if isinstance(scores, Path):
         return scores
     return scores[0] if len(scores) == 1 and scores[0].is_dir() else default

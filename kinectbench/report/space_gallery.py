@@ -1,4 +1,4 @@
-"""The gallery of predictions in the camera frame: where their surfaces or solids are, at 64^3."""
+"""The gallery of predictions in the camera frame: cells of their surfaces or solids, at 64^3."""
 
 from pathlib import Path
 
@@ -27,13 +27,13 @@ def space_cells(
     table: ScoreTable,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """{view: (64, 64, 8) uint8, packed} of the views worth showing; of several hypotheses the first.
+    """Return {shown view: (64, 64, 8) uint8, packed}; of several hypotheses the first is drawn.
 
     Args:
-        release: what was predicted.
+        release: the release that was predicted.
         predictions: the method's folder.
-        method: its method.json. Predictions of free size are shown after the registration `R+t+s`.
-        table: its scores.
+        method: the method.json. Predictions of free size are drawn after the registration `R+t+s`.
+        table: the method's scores.
         progress: called with (views done, views in all).
     """
     chosen = chosen_pairs(release, table)
@@ -58,18 +58,18 @@ def space_cells(
 
 
 def prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
-    """(64, 64, 8) packed: a solid's cells, or those that the surface goes through where there is no solid.
+    """Return packed cells (64, 64, 8) of a solid; without a solid, cells that the surface goes through.
 
     Args:
-        truth: of the view.
-        shape: predicted, in the camera frame.
-        kind: of the registration; None: as predicted.
+        truth: the truth of the view.
+        shape: the predicted shape, in the camera frame.
+        kind: kind of the registration; None: as predicted.
     """
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:
         T = register_surface(truth, surface.transformed(T), kind).T @ T
     try:
         solid = solid_in(truth, shape, closed_mesh(shape), T)
-    except PredictionError:  # scored before with the same result
+    except PredictionError:  # same outcome as in scoring
         solid = None
     return surface_cells(truth, surface.transformed(T)) if solid is None else reduced_packed(solid.cells)

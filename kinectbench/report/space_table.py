@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.scoring.averages import plain_mean
 
 TITLE = "predictions in the camera frame: means over all categories"
-# Key of the figure -> heading, and how it is written.
+# {key of the figure: (heading, format)}.
 COLUMNS = {
     "chamfer_l1_m": ("Chamfer L1, m", "{:.4f}"),
     "chamfer_l2_m2": ("Chamfer L2, m²", "{:.2e}"),
@@ -23,7 +23,7 @@ COLUMNS = {
     "normal_consistency": ("normals", "{:.3f}"),
     "iou": ("IoU", "{:.3f}"),
 }
-# What rows state beside: as of the columns.
+# Further figures of a row, as in `COLUMNS`.
 BESIDE = {
     **{name: (str(field.title), "{:.3f}") for name, field in fields_of(AsPapers).items() if field.title},
     "cut": ("cut", "{:.1%}"),
@@ -44,8 +44,8 @@ class SpaceTable:
 
     Attributes:
         columns: headings of the figures.
-        groups: {heading of rows: its lines, best first, the ceiling at last}: a name and a text a column.
-        notes: below the table, one line each.
+        groups: {heading: its lines (name, one text per column)}, best first, the ceiling last.
+        notes: lines below the table.
     """
 
     columns: tuple[str, ...]
@@ -54,11 +54,11 @@ class SpaceTable:
 
 
 def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = None) -> SpaceTable:
-    """A line for each method and heading (protocol, registration, part, hypotheses); best first.
+    """Return a line for each method and heading (protocol, registration, part, hypotheses); best first.
 
     Args:
-        tables: some of them of predictions in the camera frame.
-        parts: of the shape, those that have lines (whole, visible, occluded); None: all.
+        tables: score tables; only those of predictions in the camera frame are used.
+        parts: parts of the shape that get lines (whole, visible, occluded); None: all.
     """
     headings = dict.fromkeys(
         name
@@ -94,12 +94,12 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
 
 
 def is_baseline(table: ScoreTable) -> bool:
-    """Whether a table is of a baseline: added, or scored as a method."""
+    """Return whether a table is of a baseline: added, or scored as a method."""
     return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
 
 
 def _without_empty(table: SpaceTable) -> SpaceTable:
-    """The columns in which some line has a figure."""
+    """Return the table with only those columns in which a line has a figure."""
     lines = [cells for of in table.groups.values() for _, cells in of]
     kept = [i for i in range(len(table.columns)) if any(cells[i] for cells in lines)]
     groups = {
@@ -115,7 +115,7 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _empty(rows: Sequence[ScoreRow]) -> str:
-    """How many rows are of views of which nothing is predicted: their distances decide a mean."""
+    """Return how many rows are of views with an empty prediction: their distances dominate a mean."""
     count = sum(row.counts and row.solid is None for row in rows)
     return f" ({count} empty)" if count else ""
 

@@ -1,4 +1,4 @@
-"""Score tables as they are shown: methods down, categories across, the best of a column marked."""
+"""Score tables for display: methods as rows, categories as columns, the best of a column marked."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,8 @@ PROTOCOL_NOTES = {
     "shell": "the shape's surface alone, the extreme of the paper's real truth; plain mean over pairs",
     "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",
 }
-# The two figures of a protocol's table: key, heading, decimals. Of surfaces in space others than of voxels.
+# The two figures of a protocol's table: key, heading, decimals. Protocols of voxels and of space show
+# different figures.
 OF_VOXELS = (("iou", "IoU", 3), ("ce", "CE, nats a voxel", 3))
 OF_SURFACES = (("f_score_10mm", "F-score 10 mm", 3), ("chamfer_l1_m", "Chamfer L1, m", 4))
 CEILING = "ceiling"
@@ -46,7 +47,7 @@ NONE = CategoryAverages()
 
 @dataclass(frozen=True)
 class Cell:
-    """One figure: its text, its sort key ("" if none), and its interval as text or ""."""
+    """A figure: its text, its sort key ("" if none), and its interval as text or ""."""
 
     text: str
     sort: str
@@ -59,12 +60,12 @@ class MethodRow:
     """One method of a table.
 
     Attributes:
-        method: its name.
-        group: letters; methods that share one cannot be distinguished. "" if it is not compared.
-        iou: a cell for each category, of the first of the table's figures; of voxels it is the IoU.
-        ce: likewise, of the second; of voxels the CE.
-        marks: what sets its scores apart, a few words each.
-        standing: "reported", or "verified" with date and version; "" of published figures.
+        method: the method's name.
+        group: letters; methods that share a letter cannot be distinguished. "" if not compared.
+        iou: the table's first figure in each category; under protocols of voxels the IoU.
+        ce: the table's second figure in each category; under protocols of voxels the CE.
+        marks: caveats of the scores, a few words each.
+        standing: "reported", or "verified" with date and version; "" for published figures.
     """
 
     method: str
@@ -81,17 +82,17 @@ class Table:
 
     Attributes:
         title: heading.
-        protocol: whose figures these are, as the headings of columns name it.
-        note: one line below it.
+        protocol: the protocol of the figures, as in the headings of columns.
+        note: one line below the table.
         categories: the columns under each of the figures.
-        rows: best first.
-        base_rate: cross-entropy of a constant, the base rate, under each category; empty if not known, or if
-            the baseline of that name has a row.
+        rows: the methods, best first.
+        base_rate: cross-entropy of predicting the base rate, under each category; empty if not known, or if
+            the baseline `base-rate` has a row.
         unknown: share of the true shapes that is not known, under each category; empty if not known.
-        left_out: how many pairs are left out as all unknown, in a sentence; "" if none.
+        left_out: a sentence with the number of pairs left out as all unknown; "" if none.
         grouped: whether rows have groups.
-        shared: the marks that every row has; they stand above the table, and not in the rows.
-        of_baselines: the further marks that every baseline has; likewise.
+        shared: marks that every row has; they are shown above the table instead of in the rows.
+        of_baselines: further marks that every baseline has, also shown above the table.
         figures: headings of the two figures of each cell.
     """
 
@@ -114,14 +115,14 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """The protocols of the tables, the primary one first; others in the tables' order."""
+    """Return the protocols of the tables, the primary one first, then in the tables' order."""
     names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in names]
     return first + [p for p in names if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """The tables sorted by overall IoU or F-score; those without one last, in the given order."""
+    """Return the tables sorted by overall IoU or F-score; tables without one last, in the given order."""
     name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
@@ -134,7 +135,7 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
 def protocol_table(
     tables: Sequence[ScoreTable], protocol: str, groups: Mapping[str, str] | None = None
 ) -> Table:
-    """The table of one protocol; `groups` are the letters of each method, if known."""
+    """Return the table of one protocol; `groups` has the letters of each method, if known."""
     ordered = best_first(tables, protocol)
     scores = {table.method: table.averages(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
@@ -178,13 +179,13 @@ def protocol_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """The common marks of several rows; a single row shows its own."""
+    """Return the marks that all rows share; none for a single row, which shows its own."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
 
 def published_table(published: PublishedTable = REAL) -> Table:
-    """One of the paper's own tables."""
+    """Return one of the paper's own tables."""
     cells = {
         row.method: {
             category: CategoryAverages(iou=iou, ce=ce)
@@ -223,13 +224,13 @@ def _table(
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
-    """The best value of a column as shown, so that figures that look equal are equal."""
+    """Return the best value of a column, rounded as shown, so that figures that look equal are equal."""
     rounded = [round(value, decimals) for value in values if value is not None]
     return choose(rounded) if rounded else None
 
 
 def shown_figure(value: float | None, decimals: int = DECIMALS) -> str:
-    """A share, a cross-entropy or a length as text."""
+    """Return a share, a cross-entropy or a length as text."""
     return "–" if value is None else f"{value:.{decimals}f}"
 
 
@@ -241,13 +242,13 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
 
 
 def _base_rate(averages: Averages) -> str:
-    """The cross-entropy of the base rate, and the split that the rate is from."""
+    """Return the cross-entropy of the base rate, and the split that the rate is from."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
     return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
-    """The estimated IoU of the truth, with the mean of its objects' intervals."""
+    """Return the estimated IoU of the truth, with the mean of its objects' intervals."""
     low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
     return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
 
@@ -257,7 +258,7 @@ def _surface(name: str) -> Callable[[Averages], str]:
     return lambda averages: shown_figure(getattr(averages, name), decimals)
 
 
-# The columns of the table of details. Of the surface metrics it has those with a heading.
+# Columns of the table of details: those surface metrics that have a heading, among others.
 DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "IoU": lambda of: shown_figure(of.iou),
     CEILING: lambda of: shown_figure(of.ceiling_iou),
@@ -276,7 +277,7 @@ DETAILS: Mapping[str, Callable[[Averages], str]] = {
     "objects": lambda of: text_of(of.objects),
 }
 
-# Those of them that are shares, of which a first click on the heading puts the highest on top.
+# Columns of shares: a first click on the heading sorts the highest on top.
 MORE_IS_BETTER = frozenset(
     str(field.title)
     for kind in (VoxelMetrics, SurfaceMetrics)
@@ -284,15 +285,15 @@ MORE_IS_BETTER = frozenset(
     if name in SHARES and field.title
 )
 
-# The side of these baselines limits nothing: every side of a constant gives the same grid.
+# Baselines whose side limits nothing: a constant gives the same grid at every side.
 CONSTANT = ("empty", BASE_RATE)
 
-# Method, protocol and category; and a text for each of `DETAILS`.
+# (method, protocol, category), and a text for each of `DETAILS`.
 Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
-    """Every other figure, a line for each method, protocol and category."""
+    """Return all further figures, a line for each method, protocol and category."""
     return tuple(
         (
             (table.method, protocol, category),
@@ -307,16 +308,16 @@ def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
     )
 
 
-# An object, its category, how many pairs it has, the share of its truth that is unknown, and pairs left out.
+# An object, its category, its number of pairs, the unknown share of its truth, and its pairs left out.
 ObjectTruth = tuple[str, str, int, str, int]
 
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
-    """The unknown share of each object's truth, largest first; methods share one truth."""
+    """Return the unknown share of each object's truth, largest first; methods share one truth."""
     most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
     for table in tables:
         for name, rows in _by_object(table.pairs(protocol)).items():
-            # The table that has most of its pairs: of another method some predictions may have failed.
+            # Take the table with most of the object's pairs: in another, predictions may have failed.
             if name not in most or len(rows) > len(most[name][1]):
                 most[name] = table, rows
     result = []
@@ -331,7 +332,7 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
-    """The rows of each object."""
+    """Return the rows of each object."""
     groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
         groups.setdefault(row.object, []).append(row)
@@ -339,6 +340,6 @@ def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
 
 
 def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:
-    """The extreme pairs under one protocol of every method that has rows but added baselines."""
+    """Return best and worst pairs under one protocol, of every method with rows except added baselines."""
     by_method = {table.method: extremes(table.rows).get(protocol) for table in tables if not table.baseline}
     return {method: of for method, of in by_method.items() if of and of.best}

@@ -15,14 +15,14 @@ from kinectbench.report.looks import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 
 TONES = {"accept": "good", "look": "warn", "reject": "bad"}
-# Of a recording, beside each other. More than two make the page of a thousand recordings too large to open.
+# Views of a recording, side by side. With more, the page of a thousand recordings would be too large to open.
 VIEWS = 2
 KNOWN_IOU = "IoU on known voxels"
 
 
 @dataclass(frozen=True)
 class Card:
-    """One recording on the page; pictures are `data:` addresses."""
+    """A recording on the page; pictures are `data:` addresses."""
 
     row: TriageRow
     tone: str
@@ -34,17 +34,17 @@ class Card:
 def write_triage_page(
     name: str, triage: TriageFile, build: Path, out: Path, progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Write the page.
+    """Write the page of a triage.
 
     Args:
-        name: of the benchmark.
+        name: the benchmark's name.
         triage: the triage, in the order of the page.
-        build: holds a folder per recording.
-        out: the page.
+        build: the folder with a subfolder for each recording.
+        out: the page's file.
         progress: called with (recordings drawn, recordings in all).
 
     Raises:
-        StorageError: it cannot be written.
+        StorageError: the page cannot be written.
     """
     cards = []
     for number, row in enumerate(triage.rows, start=1):
@@ -65,16 +65,16 @@ def write_triage_page(
 def _card(row: TriageRow, folder: Path) -> Card:
     try:
         pictures = tuple(_pictures(folder))
-    except StorageError:  # what failed may have left anything
+    except StorageError:  # a failed build may have damaged files
         pictures = ()
     quality = QualityFile.read_if_there(folder / "object") if row.built else None
-    # A limit may begin with the same fact.
+    # Leave out lines that a violated limit repeats.
     incomplete = [line for line in row.incomplete if not any(each.startswith(line) for each in row.reasons)]
     return Card(row, TONES[row.decision], _figures(row, quality), tuple(incomplete), pictures)
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """The estimates that no reason states, and whose word the underside is."""
+    """Return the estimates that no reason states, and who stated the underside."""
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
@@ -90,7 +90,7 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """Views with the object's mask; without views the middle frame of the recording."""
+    """Return views with the object's mask; without views, the middle frame of the recording."""
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
         return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]

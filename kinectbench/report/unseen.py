@@ -1,4 +1,4 @@
-"""The object with unseen parts in colour, and viewpoints that would see them."""
+"""Pictures of the object with unseen parts in colour, and viewpoints that would see them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +11,22 @@ from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools, Float64, Rgb
 
 OBJECT_PX = 320
-# Orange and blue, safe for colour-blind readers; on grey, so that only unseen parts have colour.
+# Orange and blue are safe for colour-blind readers; seen parts are grey, so only unseen parts have colour.
 SEEN_RGB, UNSEEN_RGB, ARROW_RGB = (184, 184, 180), (240, 150, 20), (0, 92, 160)
-# Openings lie in the shade, where orange looks brown (chosen from pictures).
+# Contrast of shading: openings are in the shade, where orange looks brown (chosen from pictures).
 CONTRAST = 0.45
-# Three looks at the object, about the vertical, from a person's height: degrees.
+# Three viewpoints around the object, from a person's height: azimuth and elevation, degrees.
 LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
-# From straight above or below the object is hard to recognise (chosen from pictures).
+# Limits of a viewpoint's elevation: from straight above or below the object is hard to recognise (chosen from
+# pictures).
 ELEVATIONS_DEG = (-40.0, 62.0)
 LEVEL_COSINE = 0.2
-# More arrows hide the object.
+# Most arrows: more would hide the object.
 MARKED = 4
-# An arrow's length, of the object's longest edge; one of which less than this share shows is drawn as a ring.
+# Length of an arrow as a share of the object's longest edge; an arrow that appears shorter than the second
+# share of its length is drawn as a ring.
 ARROW_SHARE, RING_SHARE = 0.4, 0.3
-# An arrow on the far side, by more than this cosine, would seem to lie on the near one.
+# An arrow beyond this cosine points to the far side, but would seem to point to the near side.
 BEHIND_COSINE = -0.3
 
 
@@ -39,12 +41,12 @@ class ObjectPicture:
 def object_pictures(
     mesh_floor: TriangleMesh, unseen: Bools, frontiers: Sequence[FrontierPart]
 ) -> tuple[ObjectPicture, ...]:
-    """Draw the object from three sides, and from a viewpoint for its first frontier.
+    """Draw the object from three sides, and from a viewpoint that shows its first frontier.
 
     Args:
-        mesh_floor: its closed surface, floor frame, metres.
-        unseen: unmeasured faces (m,), drawn in orange; the others are grey.
-        frontiers: unobserved openings; an arrow to each of the first four, with its number.
+        mesh_floor: the object's closed surface, floor frame, metres.
+        unseen: mask (m,) of unmeasured faces, drawn in orange; measured faces are grey.
+        frontiers: unobserved openings; the first four get a numbered arrow.
     """
     pieces = [
         (mesh_floor.keep_faces(~unseen), SEEN_RGB),
@@ -65,7 +67,7 @@ def object_pictures(
 
 
 def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float64]:
-    """Tail and tip (2, 3) of the line of sight into each frontier, floor frame, metres."""
+    """Return tail and tip (2, 3) of the line of sight into each frontier, floor frame, metres."""
     centers = [np.array(frontier.center_m) for frontier in frontiers]
     return [
         np.stack([center + length_m * np.array(frontier.look_from), center])
@@ -74,7 +76,7 @@ def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float6
 
 
 def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
-    """Azimuth and elevation, degrees, of a viewpoint that shows a frontier."""
+    """Return azimuth and elevation, degrees, of a viewpoint that shows a frontier."""
     x, y, z = frontier.look_from
     azimuth = LOOKS_DEG[0][0] if np.hypot(x, y) < LEVEL_COSINE else float(np.rad2deg(np.arctan2(y, x)))
     elevation = np.clip(np.rad2deg(np.arctan2(z, np.hypot(x, y))), *ELEVATIONS_DEG)

@@ -1,4 +1,4 @@
-"""For training: a release as a dataset, and a scorer in memory, batch by batch."""
+"""For training: a release as a dataset, and a scorer in memory, pair by pair."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,7 +36,8 @@ from kinectbench.scoring.truth import read_packed_truth
 class Scorer:
     """Scores predictions as they are made: `update` each pair, then ask for the `result`.
 
-    Validation pairs come first, if any: they choose the thresholds, which are fixed by the first test pair.
+    Give validation pairs first, if there are any: the thresholds are chosen on them, and the first test pair
+    fixes the thresholds.
     """
 
     def __init__(
@@ -51,26 +52,26 @@ class Scorer:
         surface: bool = True,
         own_threshold: float | None = None,
     ) -> None:
-        """A scorer for the test split.
+        """Make a scorer for the test split.
 
         Args:
-            dataset: of the release, or its path.
+            dataset: the dataset of the release, or the release's path.
             method: name in the result.
             protocols: some of "paper", "known", "occluded", "measured", "known-unsaid", "shell"; default: all
-                that the pairs allow but "shell".
+                that the pairs allow, without "shell".
             thresholds_file: see docs/scoring.md.
             missing: how a pair without a prediction counts: "error" a failure, "empty" an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
             surface: whether surface metrics are computed. They take most of the time: leave them out (null)
                 where a network is scored after every epoch.
-            own_threshold: the method's own, one of 0.1, 0.15, ... 0.9, for categories without validation
-                pairs: what `threshold` of a method.json says.
+            own_threshold: the method's own threshold for categories without validation pairs, one of 0.1,
+                0.15, ... 0.9; same as `threshold` in a method.json.
 
         Raises:
-            ReleaseError: no release there, or its truth is held back.
-            SettingsError: an unknown protocol, an object in two splits, an unusable threshold file, or an
-                own threshold that is none of these.
-            PredictionError: the method has no name for one.
+            ReleaseError: the path holds no release, or its truth is held back.
+            SettingsError: an unknown protocol, an object in two splits, an unusable threshold file, or an own
+                threshold outside that list.
+            PredictionError: `method` cannot be a method's name.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
         check_words(protocols, upsampling)
@@ -99,7 +100,8 @@ class Scorer:
             prediction: (n, n, n) bool, float16 or float32 in [0, 1], 1 <= n <= 512.
 
         Raises:
-            PredictionError: it is unacceptable, the pair is unknown, or a validation pair comes too late.
+            PredictionError: the prediction is unacceptable, the pair is unknown, or a validation pair comes
+                after the first test pair.
             ReleaseError: the truth is missing or changed.
         """
         target = self._targets.get(pair_id)
@@ -121,9 +123,10 @@ class Scorer:
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:
-        """The table of the counts, equal to that of `kinectbench score` for the same predictions.
+        """Return the table of scores; `kinectbench score` gives the same table for the same predictions.
 
-        Without averages while test pairs are missing, or validation pairs where others of them were counted.
+        The table has no averages while a test pair is missing, or while only some validation pairs were
+        counted.
         """
         thresholds = self._fixed()
         empty = self._empty | self._as_empty("test", thresholds)
@@ -140,7 +143,7 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """The pairs of a split that were not updated; of a validation split that is not used none."""
+        """Return the pairs of a split without a prediction; none of a validation split that is not used."""
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)
         ):
@@ -148,18 +151,18 @@ class Scorer:
         return [t for t in self._targets.values() if t.split == split and t not in self._results]
 
     def _as_empty(self, split: str, thresholds: Thresholds | None) -> dict[Target, PairResult]:
-        """Empty grids for the missing pairs of a split, if they count as empty."""
+        """Score an empty grid for each missing pair of a split, if missing pairs count as empty."""
         grids = {}
         for target in self._left(split) if self._missing == "empty" else ():
             threshold = None if thresholds is None else thresholds.of[target.category]
             path = self._release.pair_path(target)
             result = count_job(PairJob(target, path, None, threshold, self._counting))
-            assert isinstance(result, PairResult)  # there is no file that could be wrong
+            assert isinstance(result, PairResult)  # no file was read that could be wrong
             grids[target] = result
         return grids
 
     def _fixed(self) -> Thresholds:
-        """The thresholds, chosen on the validation pairs so far unless already fixed."""
+        """Return the thresholds; choose them on the validation pairs counted so far unless already fixed."""
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}

@@ -40,13 +40,13 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """The table of a method. Averages over only some pairs are left out, as they would flatter.
+    """Make the table of a method. It has no averages if only some pairs were scored: they would flatter.
 
     Args:
-        release: of the predictions.
-        method: its name.
-        results: of every pair that was counted, also of the validation split.
-        thresholds: of every category of the test split.
+        release: the release that was predicted.
+        method: the method's name.
+        results: result of every counted pair, also of the validation split.
+        thresholds: threshold of every category of the test split.
         rates: base rates.
         failures: why a prediction could not be scored.
         settings: see `describe`.
@@ -88,7 +88,7 @@ def make_table(
 def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
-    """The number of predicted validation pairs, if thresholds are chosen on them."""
+    """Return how many validation pairs were predicted; None if thresholds are not chosen on them."""
     if thresholds.source not in SEARCHED:
         return None
     predicted = sum(target.split == "validation" and target not in empty for target in results)
@@ -102,7 +102,7 @@ def _warnings(
     failures: Mapping[Target, str],
     empty: Collection[Target],
 ) -> tuple[str, ...]:
-    """Warnings of thresholds, and of predictions that are suspicious or missing."""
+    """Return warnings about thresholds, and about suspicious or missing predictions."""
     lines = [*thresholds.warnings, *suspicious_lines(method, results, thresholds)]
     if empty:
         lines.append(f"{len(empty)} predictions are missing and were counted as empty grids")
@@ -117,7 +117,7 @@ def rows_of(
     thresholds: Thresholds,
     rates: Mapping[str, BaseRate],
 ) -> tuple[ScoreRow, ...]:
-    """The rows of the table: every protocol of every test pair."""
+    """Return the rows of the table: every test pair under every protocol."""
     test = sorted(target for target in results if target.split == "test")
     return tuple(
         _row(t, results[t], protocol, thresholds.of[t.category], rates[t.category].value)
@@ -127,7 +127,7 @@ def rows_of(
 
 
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
-    """One pair under one protocol."""
+    """Return the row of one pair under one protocol."""
     tally = result.tally_under(protocol)
     counts, everything = (protocol_counts(tally, name) for name in (protocol, "paper"))
     figures, surface, base_rate_ce, curve = VoxelMetrics(), SurfaceMetrics(), None, None
@@ -156,14 +156,14 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
 
 
 def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
-    """{recording: quality of its truth in the release}."""
+    """Return {recording: quality of its truth in the release}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
     return {name: recordings[name].quality for name in names if name in recordings}
 
 
 def describe(counting: Counting, missing: str) -> ScoreSettings:
-    """The choices that the numbers depend on, in words and numbers."""
+    """Return the settings that the scores depend on."""
     way = "cell centres to cell centres" if counting.upsampling == HALF_PIXEL else "outermost centres aligned"
     return ScoreSettings(
         score_version=VERSIONS["score"],

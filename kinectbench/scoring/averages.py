@@ -27,13 +27,13 @@ class ObjectQuality:
     """The quality of an object's truth.
 
     Attributes:
-        category: of the object.
-        estimated_iou: mean over its recordings; None if that of one is not known.
-        estimated_iou_low: likewise, the lower end of its interval.
-        estimated_iou_high: likewise, the upper one.
-        repeatability_iou: likewise.
-        unknown_share: of its true shape, not known: mean over all its pairs, of which each has all of it;
-            None if older rows do not say it.
+        category: the object's category.
+        estimated_iou: mean over the object's recordings; None if the value of one recording is not known.
+        estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
+        estimated_iou_high: mean upper end of that interval.
+        repeatability_iou: mean repeatability IoU over the object's recordings.
+        unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
+            the rows are of an older version without this share.
     """
 
     category: str
@@ -49,10 +49,10 @@ class ObjectMeans:
     """The objects of one category under one protocol.
 
     Attributes:
-        names: of the objects, sorted.
+        names: names of the objects, sorted.
         values: (k, m) mean over each object's pairs of every metric in `AVERAGED`; NaN where not computed.
-        weights: (k,) what each counts for in the category's mean.
-        pairs: how many pairs of them there are.
+        weights: (k,) weight of each object in the category's mean.
+        pairs: number of pairs of these objects.
     """
 
     names: tuple[str, ...]
@@ -62,13 +62,13 @@ class ObjectMeans:
 
 
 def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """{heading: {category: means of its objects}}, of the categories that have a pair that counts, sorted.
+    """Return {heading: {category: means of its objects}}, sorted, of categories with a counted pair.
 
     Views of one object are not independent: each object counts once, however many views it has. The
     protocols `paper` and `shell` weigh every pair equally, as the paper does.
 
     Args:
-        rows: of a table; one without figures is of a pair that is all unknown, and counts nowhere.
+        rows: the rows of a table; a row without figures is of an all-unknown pair, and counts nowhere.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
@@ -85,14 +85,14 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 
 
 def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
-    """The mean of values beside metrics: over pairs, objects, categories, in this order.
+    """Return the mean of a value that is no metric: over pairs, then objects, then categories.
 
     Args:
-        rows: under one heading; those without figures count nowhere.
-        value: of a row.
+        rows: rows under one heading; rows without figures count nowhere.
+        value: returns the value of a row.
 
     Returns:
-        None if a row that counts has none.
+        The mean; None if a counted row has no value.
     """
     groups: dict[str, dict[str, list[float | None]]] = {}
     for row in rows:
@@ -104,7 +104,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """The means of one category's objects under one protocol."""
+    """Return the means of one category's objects under one protocol."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -118,12 +118,12 @@ def category_averages(
     rates: Mapping[str, BaseRate],
     quality: Mapping[str, ObjectQuality],
 ) -> dict[str, dict[str, CategoryAverages]]:
-    """{protocol: {category: averages, their intervals, and how many pairs and objects they stand on}}.
+    """Return {protocol: {category: averages, their intervals, and the numbers of pairs and objects}}.
 
     Args:
         means: see `object_means`.
-        rates: base rate by category; of one without, the source is not known.
-        quality: of the truth of each object, also of those that are left out.
+        rates: base rate by category; a category may be missing.
+        quality: quality of each object's truth, also of objects that are left out of the means.
     """
     names: dict[str, list[str]] = {}
     for name, of in quality.items():
@@ -142,12 +142,12 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """The averages of one category; without a counted pair only the known share of its truth.
+    """Return the averages of one category; without a counted pair, only the figures of its truth.
 
     Args:
-        here: its objects that count.
-        rate: its base rate.
-        quality: of the truth of all its objects.
+        here: the category's counted objects.
+        rate: the category's base rate.
+        quality: quality of the truth of all its objects.
     """
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
@@ -173,7 +173,7 @@ def overall_averages(
     by_category: Mapping[str, Mapping[str, CategoryAverages]],
     means: Mapping[str, Mapping[str, ObjectMeans]],
 ) -> dict[str, OverallAverages]:
-    """{protocol: macro mean over the categories that count, its intervals, and sums of pairs and objects}.
+    """Return {protocol: macro mean over the counted categories, its intervals, sums of pairs and objects}.
 
     Figures of the truth are means over all categories.
     """
@@ -196,7 +196,7 @@ def overall_averages(
 
 
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
-    """The pairs of the highest and of the lowest IoU by protocol, three each at most."""
+    """Return the pairs of the highest and of the lowest IoU under each protocol, at most three each."""
     by_protocol = {}
     for protocol in dict.fromkeys(row.heading for row in rows):
         rising = [
@@ -212,20 +212,20 @@ def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
 
 
 def _known_mean(values: Sequence[float | None]) -> float | None:
-    """The mean, or None if a value is not known."""
+    """Return the mean; None if a value is not known."""
     known = [value for value in values if value is not None]
     return fmean(known) if known and len(known) == len(values) else None
 
 
 def _known(values: Float64) -> dict[str, float | None]:
-    """Averages by name; None if not computed."""
+    """Return averages by name; None where not computed."""
     return {
         name: None if np.isnan(value) else float(value) for name, value in zip(AVERAGED, values, strict=True)
     }
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Intervals by metric, within the metric's range; None if there is none."""
+    """Return intervals by metric, clipped to the metric's range; None where there is no interval."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):
@@ -235,17 +235,17 @@ def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
 
 
 def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict[str, list[float]]] | None:
-    """{protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
+    """Return {protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
 
-    Averaged like scores (`object_means`): pair, object, category; `paper` weighs every pair equally,
-    and all-unknown pairs are left out.
+    The IoU is averaged like scores (`object_means`): over pairs, objects, categories; `paper` weighs every
+    pair equally. All-unknown pairs are left out.
 
     Args:
-        rows: of a table.
-        protocols: that were scored.
+        rows: the rows of a table.
+        protocols: the scored protocols.
 
     Returns:
-        None if a row that counts has no curve, as those of older tables.
+        The curves; None if a counted row has no curve (older tables).
     """
     by_protocol: dict[str, dict[str, list[float]]] = {name: {} for name in protocols}
     groups: dict[tuple[str, str], dict[str, list[tuple[float, ...]]]] = {}

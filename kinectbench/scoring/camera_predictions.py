@@ -1,4 +1,4 @@
-"""A folder of predictions in the camera frame: which file answers which view, and how near its depth."""
+"""A folder of predictions in the camera frame: which file answers which view, and how it fits its depth."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ from kinectbench.scoring.depth_agreement import (
 )
 from kinectbench.scoring.predictions import stray_files, stray_lines
 
-# Predictions that `score` compares with their depth (chosen here).
+# Number of predictions that `score` compares with their depth (chosen here).
 LOOKED_AT = 5
 
 
@@ -38,8 +38,8 @@ class CameraPredictionFile:
     """The file of one prediction.
 
     Attributes:
-        target: its view.
-        name: `<recording>/<view>`, with `.<k>` of one of several hypotheses, without its suffix.
+        target: the view that it answers.
+        name: `<recording>/<view>` without suffix; hypothesis k of several is `<recording>/<view>.<k>`.
         path: the file.
     """
 
@@ -49,14 +49,14 @@ class CameraPredictionFile:
 
 
 def names_of(target: Target, hypotheses: int) -> list[str]:
-    """What the predictions of a view are called; of several hypotheses each has its number, from 0 on."""
+    """Return the names of a view's predictions; each of several hypotheses has its number, from 0 on."""
     return [target.name] if hypotheses == 1 else [f"{target.name}.{k}" for k in range(hypotheses)]
 
 
 def find_files(
     folder: Path, targets: Iterable[Target], method: MethodFile
 ) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
-    """Each view's predictions by name: its file, why it cannot be used, or None where there is none."""
+    """Yield each view's predictions by name: the file, why it cannot be used, or None where there is none."""
     root = folder.resolve()
     for target in targets:
         for name in names_of(target, method.hypotheses):
@@ -80,14 +80,14 @@ def find_files(
 
 
 def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
-    """The shape of a prediction in its view's camera frame, metres (or of free size, if that is declared).
+    """Read a prediction as a shape in its view's camera frame, metres (or of free size, if declared so).
 
     Raises:
-        PredictionError: the file is unacceptable, or not of the form that is declared; one line.
+        PredictionError: the file is unacceptable, or not of the declared form; one line.
     """
     where = f"{file.name}{file.path.suffix}"
     shape = read_shape(file.path, where)
-    # Closed or not, a mesh without faces is a cloud.
+    # A mesh without faces is a cloud of points.
     if "form" in method.model_fields_set and shape.form != method.form:
         raise PredictionError(
             f"{where}: {MethodFile.FILE} says 'form': '{method.form}', and it holds {shape.form}; correct one"
@@ -96,7 +96,7 @@ def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraS
 
 
 def view_agreement(release: Release, file: CameraPredictionFile, method: MethodFile) -> Agreement | None:
-    """The relation of a prediction to its view's depth; None if that has no point of the object.
+    """Compare a prediction with its view's depth; None if the depth has no point of the object.
 
     Raises:
         PredictionError: the file is unacceptable.
@@ -135,13 +135,13 @@ def check_camera(
     """Check one method's predictions in the camera frame.
 
     Args:
-        release: that they are for.
-        folder: of the predictions.
+        release: the release that was predicted.
+        folder: the folder of predictions.
         method: what method.json declares.
         progress: called with (views done, views in all).
 
     Returns:
-        A line for each problem, and lines on how the others lie to their views' depth.
+        A line for each problem, and notes on how usable predictions lie to their views' depth.
     """
     problems = method_problems(folder, method, release)
     problems += [
@@ -172,15 +172,15 @@ def check_camera(
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:
-    """A line if some predictions look like an error of unit or axes; else none.
+    """Return a line if some predictions seem to be in another unit or other axes; else none.
 
-    A few of them are looked at, as all usually have the same slip: 0.1 s each.
+    Only a few predictions are compared (0.1 s each): all of a method usually have the same error.
     """
     if method.scale == "free" or _without_depth(release):
         return []
     compared = dict[str, Agreement]()
     for file in files[:: max(len(files) // LOOKED_AT, 1)][:LOOKED_AT]:
-        with contextlib.suppress(PredictionError):  # why it cannot be scored is said there
+        with contextlib.suppress(PredictionError):  # `score` reports why it cannot be scored
             if (found := view_agreement(release, file, method)) is not None:
                 compared[file.name] = found
     slips, notes = _judged(compared, method)
@@ -188,9 +188,9 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 
 
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
-    """A line for each slip of unit or axes or refused solid; notes on what a method may well predict.
+    """Return a line for each error of unit or axes and each refused solid, and notes on what may be right.
 
-    The one rule of `check`, where slips are errors, and of the warnings of `score`.
+    `check` reports these lines as errors, `score` as warnings.
     """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems = [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip]
@@ -215,19 +215,19 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """One line that says which file is missing."""
+    """Return one line that says which file is missing."""
     return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
 
 
 def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
-    """A line for each file in a folder that answers no view."""
+    """Return a line for each file in a folder that answers no view."""
     names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
     return stray_lines(stray_files(folder, expected), ())
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:
-    """Keys of `T_camera_prediction` that are no prediction's."""
+    """Return the keys of `T_camera_prediction` that name no prediction."""
     names = {name for target in release.targets for name in names_of(target, method.hypotheses)}
     return set(method.T_camera_prediction or ()) - names - {target.name for target in release.targets}
 

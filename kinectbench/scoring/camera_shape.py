@@ -1,6 +1,6 @@
 """A predicted shape in the camera frame: a mesh, a cloud of points, cells or distances; and its files.
 
-The files are untrusted: their claims are checked before they are believed.
+The files are untrusted: sizes in their headers are checked before anything is allocated.
 """
 
 import io
@@ -25,17 +25,17 @@ from kinectbench.core.voxels.resample import MAX_CELLS
 SUFFIXES = (".ply", ".obj", ".glb", ".npz")
 # 512^3 distances of float32 are 537 MB.
 MAX_GRID_BYTES = 4 * MAX_CELLS**3 + (1 << 20)
-# Units of `method.json` in metres; of `free` the scale is in `T_camera_prediction`, or nobody knows it.
+# Units of `method.json` in metres. The scale of `free` is in `T_camera_prediction`, or is not known.
 METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
-# Axes of `method.json` -> camera (x right, y down, z forward). PyTorch3D: x left, y up, z forward; OpenGL: x
-# right, y up, z backward.
+# Factors from the axes named in `method.json` to the camera (x right, y down, z forward). PyTorch3D: x left,
+# y up, z forward; OpenGL: x right, y up, z backward.
 CAMERA_AXES = {"cv": (1.0, 1.0, 1.0), "pytorch3d": (-1.0, -1.0, 1.0), "opengl": (1.0, -1.0, -1.0)}
-# Nothing of a room is farther away, in any unit that is read.
+# No point of a room is farther away, in any supported unit.
 FARTHEST_M = 1e6
-# Nor is anything smaller.
+# No object is smaller.
 NEAREST_M = 1e-6
-# Cells at a surface: a solid of 512 a side that fills its grid has 1.6 M, its distances twice that; noise
-# has more than memory holds.
+# Most cells at a surface: a solid of 512 a side that fills its grid has 1.6 M, its distances twice that; a
+# grid of noise would exceed the memory.
 MOST_SHOWN = 4 << 20
 
 
@@ -45,11 +45,11 @@ class CameraShape:
 
     Attributes:
         form: mesh, points, voxels or sdf.
-        points_m: (n, 3) float64: vertices, points, centres of occupied cells that have a free neighbour, or
-            of cells that the surface goes through.
-        faces: (m, 3) of a mesh, else (0, 3).
+        points_m: (n, 3) float64: vertices of a mesh, points of a cloud, centres of occupied cells with a free
+            neighbour, or centres of cells less than a cell from the surface (sdf).
+        faces: (m, 3) faces of a mesh, else (0, 3).
         normals: (n, 3) where points have them.
-        cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None of meshes and points.
+        cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None for meshes and points.
         T_camera_grid: (4, 4) similarity; the centre of cell (i, j, k) is at
             `T_camera_grid @ ((i + .5, j + .5, k + .5) * voxel_size_m)`.
         voxel_size_m: edge of a cell, in the units of the grid.
@@ -64,7 +64,7 @@ class CameraShape:
     voxel_size_m: float | None = None
 
     def transformed(self, T: Float64) -> "CameraShape":
-        """The shape mapped by a similarity (4, 4), which may also mirror."""
+        """Return the shape mapped by a similarity (4, 4), which may also mirror."""
         scale = np.cbrt(abs(np.linalg.det(T[:3, :3])))
         normals = None if self.normals is None else self.normals @ (T[:3, :3] / scale).T
         grid = None if self.T_camera_grid is None else T @ self.T_camera_grid
@@ -73,11 +73,11 @@ class CameraShape:
 
 
 def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
-    """(4, 4) from a file of predictions to the camera frame, as method.json declares it.
+    """Return the (4, 4) similarity from a prediction file to the camera frame, as method.json declares it.
 
     Args:
-        method: what is declared.
-        name: of the file without its suffix, `<recording>/<view>.<k>` for example.
+        method: the content of method.json.
+        name: the file's name without its suffix, `<recording>/<view>.<k>` for example.
         view: `<recording>/<view>`.
     """
     T = np.diag([*(METRES[method.unit] * np.array(CAMERA_AXES[method.axes])), 1.0])
@@ -86,11 +86,11 @@ def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
 
 
 def read_shape(path: Path, name: str) -> CameraShape:
-    """Read a predicted shape as its file has it.
+    """Read a predicted shape in the coordinates of its file.
 
     Args:
         path: a .ply (mesh or cloud), .obj, .glb or .npz.
-        name: what error lines call it.
+        name: the file's name in error messages.
 
     Raises:
         PredictionError: the file is unacceptable; one line.
@@ -129,7 +129,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
 
 
 def _of_arrays(arrays: Arrays) -> CameraShape:
-    """The shape that an .npz holds, by its keys."""
+    """Return the shape in an .npz; its keys tell the form."""
     no_faces = np.zeros((0, 3), np.int64)
     several = [key for key in ("points_m", "occupancy", "sdf_m") if key in arrays]
     if len(several) > 1:
@@ -165,7 +165,7 @@ def _checked_points(points: NDArray[np.generic]) -> Float64:
     if len(points) > MAX_POINTS:
         raise PredictionError(f"{len(points)} points; at most {MAX_POINTS} are accepted", what="too-large")
     found = points.astype(np.float64)
-    # Not so of NaN, either.
+    # `<=` is false for NaN, too.
     if not (np.abs(found) <= FARTHEST_M).all():
         raise PredictionError(
             f"a point is not finite, or beyond {FARTHEST_M:g}; write the points again", what="bad-values"
@@ -174,7 +174,7 @@ def _checked_points(points: NDArray[np.generic]) -> Float64:
 
 
 def _checked_cells(cells: FileArray, key: str) -> FileArray:
-    """Occupancy as bool, or distances as finite float32."""
+    """Return occupancy as bool, or distances as finite float32."""
     if key == "occupancy":
         if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):
             return cells.astype(bool)
@@ -189,7 +189,7 @@ def _checked_cells(cells: FileArray, key: str) -> FileArray:
 
 
 def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """A solid of cells; its points are the centres of those that have a free neighbour."""
+    """Return cells as a solid; its points are the centres of occupied cells that have a free neighbour."""
     padded = np.pad(cells, 1)
     inner = cells.copy()
     for axis in range(3):
@@ -199,7 +199,7 @@ def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -
 
 
 def distance_shape(cells: Float32, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """Signed distances, negative inside; its points are the centres less than a cell from the surface."""
+    """Return signed distances (negative inside) as a shape; its points lie within a cell of the surface."""
     near = np.abs(cells) < voxel_size_m * similarity_scale(T_camera_grid)
     return _of_cells("sdf", cells, near, T_camera_grid, voxel_size_m)
 
@@ -219,9 +219,9 @@ def _of_cells(
 
 
 def write_shape(shape: CameraShape, stem: Path) -> Path:
-    """Write a shape as a prediction, `<stem>.ply` of meshes and points, `.npz` of cells; returns the file.
+    """Write a shape as a prediction and return the file: `<stem>.ply` (mesh, points) or `.npz` (cells).
 
-    In metres, in the camera frame; coordinates are float32.
+    Coordinates are float32, in metres, in the camera frame.
     """
     stem.parent.mkdir(parents=True, exist_ok=True)
     if shape.cells is not None:

@@ -1,4 +1,4 @@
-"""Which tables of scores can be compared, by which metric and under which protocol; else what to do."""
+"""Checks that score tables can be compared by a metric under a protocol; errors say what to do."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,15 +10,15 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 
 Tables = Mapping[str, ScoreTable]
-# {protocol, with its part and kind: {category: means of its objects}}.
+# {heading (protocol, with its part and kind): {category: means of its objects}}.
 Means = Mapping[str, Mapping[str, ObjectMeans]]
 
 
 def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
-    """Those by name of which every pair is scored: means over a part of the pairs would flatter.
+    """Return the tables in which every pair is scored; means over some pairs would flatter.
 
     Raises:
-        SettingsError: fewer than two are.
+        SettingsError: fewer than two tables are complete.
     """
     if len(tables) < 2:
         raise SettingsError("compare: give the scores of at least two methods")
@@ -30,7 +30,7 @@ def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
 
 
 def left_out_lines(tables: Tables) -> list[str]:
-    """A line for each method that is not compared with the others, as pairs of its are not scored."""
+    """Return a line for each method that is not compared because some of its pairs are not scored."""
     return [
         f"{name}: left out, some of its pairs are not scored ({len(table.failures)} failed): complete it, or "
         "score it with `--missing empty`"
@@ -40,16 +40,16 @@ def left_out_lines(tables: Tables) -> list[str]:
 
 
 def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:
-    """The object means of each category, of each table.
+    """Return {category: means of its objects} of each table.
 
     Args:
-        tables: by the methods' names, complete.
-        metric: of `METRICS`.
+        tables: complete tables by the methods' names.
+        metric: one of `METRICS`.
         protocol: with its part and kind, such as `aligned-t+s-visible`.
 
     Raises:
-        SettingsError: they are of other truth, or one has no such protocol or metric; the line says which all
-            of them have.
+        SettingsError: the tables are of different truth, or a table has no such protocol or metric; the line
+            names those that all tables have.
     """
     _check_truth(tables)
     of = {name: object_means(table.rows) for name, table in tables.items()}
@@ -72,14 +72,14 @@ def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[st
 
 
 def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
-    """The metrics that every object has."""
+    """Return the metrics that every object has."""
     columns = [np.isnan(of.values).any(axis=0) for of in means.values()]
     without = dict(zip(AVERAGED, np.any(columns, axis=0).tolist(), strict=True))
     return [name for name in METRICS if not without[name]]
 
 
 def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
-    """A line on methods that were not scored under a protocol, and on what all of them can stand."""
+    """Return a line on methods not scored under a protocol, and on the protocols that all have."""
     line = f"{', '.join(lacking)}: not scored under '{protocol}'"
     if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
         return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"
@@ -109,14 +109,14 @@ def _check_truth(tables: Tables) -> None:
 
 
 def check_same(tables: Tables, protocol: str) -> None:
-    """Refuse tables counted otherwise, of other pairs, or with contradictions about the same truth.
+    """Refuse tables that were counted differently, are of other pairs, or disagree about the same truth.
 
     Args:
         tables: by the methods' names.
-        protocol: under which all were scored.
+        protocol: a protocol under which all tables were scored.
 
     Raises:
-        SettingsError: that.
+        SettingsError: the tables cannot be compared.
     """
     first, other = next(iter(tables)), next(iter(tables.values()))
     truth, left_out = _truths(other, protocol), set(other.all_unknown_pairs.get(protocol, ()))
@@ -134,14 +134,14 @@ def check_same(tables: Tables, protocol: str) -> None:
             problem = f"other pairs than {first}; score both against one benchmark"
         elif differs := next((pair for pair, of in pairs.items() if of != truth[pair]), None):
             problem = f"states other truth of {differs} than {first}; score both again"
-        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # the truth alone decides
+        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # only the truth decides
             problem = f"leaves out other pairs than {first}; score both again"
         if problem:
             raise SettingsError(f"{name}: {problem}", what="other-scores")
 
 
 def _truths(table: ScoreTable, protocol: str) -> dict[str, tuple[object, ...]]:
-    """By pair the values of its row that do not depend on the prediction."""
+    """Return, by pair, those values of its row that do not depend on the prediction."""
     return {row.pair: _of_truth(row) for row in table.pairs(protocol)}
 
 

@@ -41,13 +41,13 @@ class Difference:
         second: name of another.
         scope: a category, or "all": the mean over the categories.
         mean: mean of first minus second.
-        interval: lower and upper end of its 95 % interval over objects, of this one difference: unlike
-            `p_holm` it is not corrected for the number of pairs. None with fewer than three objects, or with
-            fewer in a category of "all".
+        interval: lower and upper end of the mean's 95 % interval over objects. Unlike `p_holm`, it is not
+            corrected for the number of pairs of methods. None with fewer than three objects (for "all": in
+            any category).
         by_object: first minus second of each object, by name.
-        p: of the sign-flip test, two-sided.
-        p_holm: corrected for all pairs of methods compared in this scope.
-        smallest_p: what this many objects could give at best, with the same correction.
+        p: p value of the two-sided sign-flip test.
+        p_holm: p, corrected for all pairs of methods compared in this scope.
+        smallest_p: the smallest p that this many objects allow, with the same correction.
         verdict: one sentence.
     """
 
@@ -70,18 +70,19 @@ class Comparison:
     Attributes:
         metric: such as "iou".
         protocol: such as "known".
-        methods: their names.
+        methods: names of the methods.
         means: {scope: {method: mean}}.
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
-        groups: {scope: {method: letters}}: two methods share a letter if no difference between them is shown.
-        differences: of every pair of methods in every scope.
-        notes: one line each: methods that are left out, where the test set is too small to tell, and how many
-            pairs are left out.
+        groups: {scope: {method: letters}}: methods that share a letter do not differ significantly.
+        differences: one for every pair of methods in every scope.
+        notes: one line each: which methods are left out, where the test set is too small to tell, and how
+            many pairs are left out.
         too_small: {scope: a sentence} of scopes where no pair of methods could be distinguished.
         standings: {method: "reported", or "verified" with date and version}.
-        left_out: names of methods that are not compared, as pairs of theirs are not scored.
-        truth_unknown_share: {scope: share of the true shapes that is not known}; None in older tables.
-        unknown_by_object: the same of every object of the tables, also of those that are left out.
+        left_out: names of methods that are not compared because some of their pairs are not scored.
+        truth_unknown_share: {scope: share of the true shapes that is not known}; None for older tables.
+        unknown_by_object: {object: share of its true shape that is not known}, also for objects that are left
+            out.
     """
 
     metric: str
@@ -104,12 +105,12 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
     Args:
         tables: at least two complete ones; incomplete ones are left out, with a note.
-        metric: one of those that are averaged.
-        protocol: one of those that they were scored under.
+        metric: one of the averaged metrics.
+        protocol: one under which all tables were scored.
 
     Raises:
-        SettingsError: fewer than two complete tables, another truth, version or upsampling, pairs that
-            differ, or the metric or protocol was not scored.
+        SettingsError: there are fewer than two complete tables; truth, version, upsampling or pairs differ;
+            or the metric or protocol was not scored.
     """
     if metric not in METRICS:
         raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
@@ -162,10 +163,10 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
 
 def find_scores(paths: Sequence[Path]) -> list[Path]:
-    """The scores.json of each path: a file, one method's folder, or a folder of methods.
+    """Return the scores.json files of paths: each a file, one method's folder, or a folder of methods.
 
     Raises:
-        SettingsError: there is none, or no such path.
+        SettingsError: a path does not exist, or has no scores.json.
     """
     files = []
     for path in paths:
@@ -185,7 +186,7 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
 
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
-    """The methods' names; the second of the same name is called `net #2`."""
+    """Return the methods' names; the second of the same name is called `net #2`."""
     given = [table.method for table in tables]
     again = [given[:index].count(name) for index, name in enumerate(given)]
     return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
@@ -199,7 +200,7 @@ def _mean(values: Weighted) -> float:
 
 
 def _values(means: Mapping[str, ObjectMeans], metric: str, scope: str) -> dict[str, tuple[float, float]]:
-    """{object: its value, and its weight in the mean of the scope}; the weights' sum is 1."""
+    """Return {object: (its value, its weight in the mean of the scope)}; the weights sum to 1."""
     column = AVERAGED.index(metric)
     categories = means if scope == ALL else {scope: means[scope]}
     return {
@@ -216,7 +217,7 @@ def _differences(
     metric: str,
     intervals: Sequence[tuple[float, float] | None],
 ) -> list[Difference]:
-    """Every pair of methods in one scope, each with its interval."""
+    """Return the difference of every pair of methods in one scope, with its interval."""
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
     weights = np.array([weight for _, weight in values[0].values()])
@@ -243,10 +244,9 @@ def _differences(
 def _intervals(
     means: Sequence[Mapping[str, ObjectMeans]], metric: str, scope: str
 ) -> list[tuple[float, float] | None]:
-    """Intervals of the mean difference of every pair of methods, as for the means of one method.
+    """Return the interval of the mean difference of every pair of methods, computed as for one method.
 
-    Both methods were scored on the same objects, so each object's difference is resampled, or gives the
-    standard deviation.
+    Both methods were scored on the same objects, so the interval is of each object's difference.
     """
     column, pairs = AVERAGED.index(metric), list(combinations(range(len(means)), 2))
     groups = []
@@ -259,7 +259,7 @@ def _intervals(
 
 
 def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str) -> dict[str, int]:
-    """1 + the number of methods that are significantly better."""
+    """Return each method's rank: 1 + the number of methods that are significantly better."""
     ranks = dict.fromkeys(names, 1)
     for difference in differences:
         if difference.p_holm <= ALPHA:
@@ -268,18 +268,18 @@ def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str)
 
 
 def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
-    """The letters of each method (see `letters`), in the order of `means`."""
+    """Return the letters of each method (see `letters`), in the order of `means`."""
     best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
     by_name = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
     return {name: by_name[name] for name in means}
 
 
 def too_small(count: int, pairs: int) -> str:
-    """The sentence that no two methods can be distinguished.
+    """Return the sentence that says that no two methods can be distinguished.
 
     Args:
-        count: of objects, or of any other differences.
-        pairs: of methods that are compared.
+        count: number of objects, or of other compared units.
+        pairs: number of pairs of compared methods.
     """
     objects = "1 object" if count == 1 else f"{count} objects"
     corrected = f", {min(1.0, pairs * smallest_p(count)):.2g} for {pairs} comparisons" if pairs > 1 else ""

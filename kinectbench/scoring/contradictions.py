@@ -1,7 +1,7 @@
 """Contradictions in a score table, whatever was predicted.
 
-`read_table` refuses a table with the first of these sentences. They need nothing but the table; what only the
-release can tell is in `of_release`, and what only the predictions can tell is found by `recheck`.
+`read_table` refuses a table and reports the first contradiction. These checks need only the table. Checks
+against the release are in `of_release`, checks against the predictions in `recheck`.
 """
 
 import math
@@ -28,19 +28,19 @@ from kinectbench.scoring.thresholds import (
     VALIDATION_SOURCE,
 )
 
-# What a table states from the version on that accounts for thresholds and missing predictions; from then on
+# Keys that a table has from the version on that accounts for thresholds and missing predictions; from then on
 # each row has its IoU at every threshold, too.
 ACCOUNTS = (
     *("complete", "benchmark_sha256", "thresholds", "threshold_source", "threshold_source_by_category"),
     *("threshold_objects", "validation", "missing_as_empty", "base_rate", "failures", "hashes"),
 )
-# The version of `score` from which on a category without validation pairs has a pooled or its own threshold.
+# From this version of `score` on, a category without validation pairs has a pooled or its own threshold.
 POOLED_FROM = 5
-MOST_CE = -math.log(CE_CLIP)  # nats a voxel, of a prediction that is wrong everywhere
+MOST_CE = -math.log(CE_CLIP)  # nats a voxel, for a prediction that is wrong everywhere
 
 
 def contradictions(table: ScoreTable) -> Iterator[str]:
-    """The contradictions of a table, a sentence each, the gravest first."""
+    """Yield the contradictions of a table, a sentence each, the gravest first."""
     yield from out_of_bounds(table)
     yield from _of_version(table)
     yield from _of_names(table)
@@ -56,7 +56,7 @@ def contradictions(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_version(table: ScoreTable) -> Iterator[str]:
-    """Keys that a table of its version must have, or cannot have."""
+    """Report keys that a table of its version must have, or cannot have."""
     version, known = table.score_version, VERSIONS["score"]
     if version > known:
         yield f"counted by score version {version}, and this kinectbench knows none after {known}"
@@ -76,7 +76,7 @@ def _of_version(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_names(table: ScoreTable) -> Iterator[str]:
-    """Conflicting names in its rows, and categories named like a mean."""
+    """Report conflicting names in the rows, and categories named like a mean."""
     rows = [Named(*row) for row in dict.fromkeys((r.recording, r.object, r.category) for r in table.rows)]
     if clash := first_clash(rows):
         yield clash.problem
@@ -84,7 +84,7 @@ def _of_names(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:
-    """Faults of the rows: singly, and by pair, recording and protocol."""
+    """Report faults of single rows, and of rows compared by pair, recording and protocol."""
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
@@ -120,7 +120,7 @@ def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
-    """The fault of one row."""
+    """Report the fault of one row."""
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
@@ -129,7 +129,7 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
     if row.ce is not None and row.ce > MOST_CE + ROUNDING:
         yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"
     if row.in_space and row.counts:
-        # A mean of ratios is not the ratio of means.
+        # The mean of ratios is not the ratio of the means.
         is_mean = row.hypotheses is not None and row.hypotheses.of == "mean"
         yield from _ratios(row) if row.iou is not None and not is_mean else ()
         return
@@ -145,19 +145,19 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
 
 
 def _ratios(row: ScoreRow) -> Iterator[str]:
-    """Precision, recall and F1 that cannot belong to the row's IoU: all four are of three counts."""
+    """Report precision, recall and F1 that contradict the row's IoU: all four come from three counts."""
     iou, precision, recall = row.iou or 0.0, row.precision, row.recall
     if row.f1 is not None and not _near(row.f1, 2 * iou / (1 + iou)):
         yield f"states an F1 of {row.f1:g}, which no IoU of {iou:g} has"
     if precision is None or recall is None:
         return
-    # 1 / IoU = 1 / precision + 1 / recall - 1, without a division
+    # This is 1 / IoU = 1 / precision + 1 / recall - 1, without a division
     if not _near(precision * recall, iou * (precision + recall - precision * recall)):
         yield f"states precision {precision:g} and recall {recall:g}, which no IoU of {iou:g} has"
 
 
 def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
-    """A row whose IoU contradicts its curve at its threshold."""
+    """Report a row whose IoU contradicts its curve at its threshold."""
     if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
         yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
     elif not _near(of := curve[THRESHOLDS.index(row.threshold)], row.iou or 0.0):
@@ -165,7 +165,7 @@ def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
 
 
 def _of_thresholds(table: ScoreTable) -> Iterator[str]:
-    """Rows of a category with different thresholds, or another than the table's."""
+    """Report rows of a category with different thresholds, or with another threshold than the table's."""
     used: dict[str, float] = dict(table.thresholds)
     for row in table.rows:
         if used.setdefault(row.category, row.threshold) != row.threshold:
@@ -179,7 +179,7 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
-    """Consistency of the thresholds' sources: words, categories and counts."""
+    """Report inconsistent sources of thresholds: words, categories and counts."""
     source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
     categories = {row.category for row in table.rows} | table.thresholds.keys()
     if not categories == table.thresholds.keys() == sources.keys():
@@ -207,7 +207,7 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
 
 
 def _fit(source: str, by_category: set[str], version: int) -> bool:
-    """Whether a table's source agrees with those of its categories."""
+    """Return whether a table's source of thresholds agrees with the sources of its categories."""
     if source.startswith(FROM_FILE):
         return by_category == {source}
     others = by_category - {VALIDATION_SOURCE}
@@ -215,12 +215,12 @@ def _fit(source: str, by_category: set[str], version: int) -> bool:
         return False
     if version < POOLED_FROM:
         return others <= {FIXED_SOURCE}
-    # Where any category has validation pairs, one without them has at least those.
+    # If any category has validation pairs, a category without them can use the pooled ones.
     return others <= set(SOURCES) and (source == FIXED_SOURCE or FIXED_SOURCE not in others)
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
-    """Pairs that were scored as empty, and files that were scored: both are counted in several places."""
+    """Report contradictions about pairs scored as empty and files scored, which several keys count."""
     test = {row.pair: row.cells for row in table.rows}
     empty = set(table.missing_as_empty)
     if {name for name, cells in test.items() if not cells} != empty & test.keys():
@@ -241,6 +241,6 @@ def _near(one: float, other: float) -> bool:
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Some names of a file, and the number of others."""
+    """Return at most `at_most` of some names of a file, and the number of the rest."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(printable(name, 60) for name in names[:at_most]) + more

@@ -1,6 +1,6 @@
 """Counts of one pass over a prediction and its truth: enough for every metric, threshold and protocol.
 
-Likewise for predicted occupancy, and for the truth at a coarser resolution.
+Predicted occupancy, and the truth at a coarser resolution, are computed here, too.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,10 +30,10 @@ class ProtocolCounts:
     """The counts of one pair under one protocol.
 
     Attributes:
-        voxels: number of voxels counted.
-        occupied: number of them that are occupied in the truth.
-        predicted: (17,) int64, number predicted occupied at each threshold.
-        hit: (17,) int64, number of those that are occupied.
+        voxels: number of counted voxels.
+        occupied: number of counted voxels that are occupied in the truth.
+        predicted: (17,) int64, number of counted voxels predicted occupied at each threshold.
+        hit: (17,) int64, number of voxels both predicted occupied and occupied in the truth.
         ce_sum: sum of the cross-entropy in nats.
     """
 
@@ -49,12 +49,12 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
-        truth: the packed grids.
+        truth: the packed grids of the truth.
         upsampling: see `upsampled_planes`.
     """
     if len(prediction) != FULL_CELLS:
         planes = upsampled_planes(prediction, convention=upsampling)
-        return _tally_parts(planes, (truth.full, truth.known, truth.seen))  # memory stays at one plane
+        return _tally_parts(planes, (truth.full, truth.known, truth.seen))  # one plane is in memory at a time
     from kinectbench.scoring.kernels import count_bits, count_halves
 
     grids = truth.flat()
@@ -71,14 +71,14 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """The tally of a prediction, and {protocol: tally} for protocols with less truth, or with another."""
+    """Return a prediction's tally, and {protocol: tally} for protocols that count against another truth."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
-    """Tally of a histogram: `values` (m,) ascending, `counts` (m, 8)."""
+    """Return the tally of a histogram: `values` (m,) ascending, `counts` (m, 8)."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
     tail = np.vstack([counts[::-1].cumsum(axis=0)[::-1], np.zeros((1, 8), np.int64)])
     clipped = np.clip(values, CE_CLIP, 1 - CE_CLIP)
@@ -112,17 +112,17 @@ def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
 
 
 def tally_unknown_share(tally: Tally) -> float:
-    """Share of the true shape's voxels that are not known; 0 of an empty shape."""
+    """Return the share of the true shape's voxels that are not known; 0 for an empty shape."""
     shape = int(tally.voxels[1::2].sum())
     return int(tally.voxels[1::2][[0, 2]].sum()) / shape if shape else 0.0
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Whether a protocol counts no voxel of a pair, which is then left out of means.
+    """Return whether a pair tells nothing under a protocol, and is therefore left out of means.
 
-    Either it counts no voxel, and IoU is 1 for everyone; or of the shape that lies where it looks none is
-    known, and IoU is 1 for who predicts nothing among the known voxels and 0 for all others, whatever the
-    shape. Under `paper`, which counts every voxel, neither can be.
+    There are two cases. The protocol counts no voxel: every prediction has an IoU of 1. Or the part of the
+    shape in the protocol's region is all unknown: a prediction has an IoU of 1 if it is empty among the known
+    voxels, else 0, whatever the shape. Neither happens under `paper`, which counts every voxel.
     """
     voxels: list[int] = tally.voxels.tolist()
     of = PROTOCOLS[protocol]
@@ -131,7 +131,7 @@ def is_all_unknown(tally: Tally, protocol: str) -> bool:
 
 
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
-    """Cells with y > threshold, compared in float64: (256, 256, 32) uint8, most significant bit first.
+    """Return cells with value > threshold, packed: (256, 256, 32) uint8, most significant bit first.
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
@@ -143,11 +143,12 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
         return np.stack([np.packbits(plane > threshold, axis=-1) for plane in planes])
     if prediction.dtype == np.bool_:
         return np.packbits(prediction.view(np.bool_), axis=-1)
-    # The largest number of this type that is not above the threshold: a comparison without conversion.
+    # The largest number of the prediction's type up to the threshold: compares like float64 without
+    # conversion.
     cut = prediction.dtype.type(threshold)
     if float(cut) > threshold:
         cut = np.nextafter(cut, prediction.dtype.type(0))
-    if prediction.dtype == np.float16:  # of numbers in [0, 1] the bit patterns are in the same order
+    if prediction.dtype == np.float16:  # bit patterns of numbers in [0, 1] have the same order
         return np.packbits(prediction.view(np.int16) > cut.view(np.int16), axis=-1)
     return np.packbits(prediction > cut, axis=-1)
 
@@ -155,10 +156,10 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
 def ceiling_tallies(
     truth: PackedTruth, side: int, protocols: Sequence[str], upsampling: str
 ) -> tuple[Tally, Mapping[str, Tally]]:
-    """The tallies of the truth, each cell of `side`^3 the occupied share of its volume, as of a prediction.
+    """Return the tallies of the truth itself, reduced to `side`^3 cells of occupied shares, as a prediction.
 
-    The best IoU among the thresholds is reached by a method of that resolution that knows the truth and
-    reduces it as usual. One that chooses its values with the upsampling in mind may reach a little more.
+    Their best IoU is about the most that a method of that resolution can reach. Values chosen with the
+    upsampling in mind may reach a little more.
 
     Args:
         truth: the packed truth.
@@ -177,7 +178,7 @@ def ceiling_tallies(
 
 
 def reduced(full: NDArray[np.bool_], side: int) -> Float32:
-    """The occupied share of each cell of a coarser grid over the same box: (side, side, side) float32."""
+    """Return the occupied share of each cell of a coarser grid, same box: (side, side, side) float32."""
     if len(full) % side == 0:
         return _block_shares(full, side)
     weights = _overlaps(len(full), side)
@@ -188,7 +189,7 @@ def reduced(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
-    """A faster `reduced` for whole cells per coarse cell, with equal values."""
+    """Return the same as `reduced`, faster, where a coarse cell is a whole number of cells."""
     step = len(full) // side
     counts: NDArray[np.generic] = np.ascontiguousarray(full).view(np.uint8)
     for axes_done, axis in enumerate((2, 1, 0), start=1):
@@ -199,7 +200,7 @@ def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _overlaps(cells: int, side: int) -> Float32:
-    """(side, cells): the share of each fine cell in each coarse cell along one axis."""
+    """Return the share of each fine cell in each coarse cell along one axis: (side, cells)."""
     fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
     covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
     return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)

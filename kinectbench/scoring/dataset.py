@@ -45,9 +45,9 @@ class Dataset:
     """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
 
     `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
-    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid
-    and `unknown_share`, of the cells of `full` those that are not `known`. Where the truth is held back there
-    is no `full`, no `known` and no `unknown_share`. `load` says how to ask for other keys.
+    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid and
+    `unknown_share`, the share of cells of `full` that are not `known`. Where the truth is held back there is
+    no `full`, no `known` and no `unknown_share`. Other keys: see `load`.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Dataset:
         transform: Callable[[Item], object] | None = None,
         packed: bool = False,
     ) -> None:
-        """Like `load`, for some pairs of an opened release.
+        """Make a dataset of some pairs of an opened release; arguments as in `load`.
 
         Raises:
             SettingsError: unknown key.
@@ -70,7 +70,7 @@ class Dataset:
         self.packed = packed
 
     def split(self, name: str) -> "Dataset":
-        """The pairs of "train", "validation" or "test", with the same keys and transform.
+        """Return the pairs of "train", "validation" or "test", with the same keys and transform.
 
         Raises:
             SettingsError: unknown split.
@@ -92,13 +92,13 @@ class Dataset:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> Any:
-        """Read one pair; checks its SHA-256 each time, which takes a quarter of a millisecond.
+        """Read one pair and check its SHA-256, which takes a quarter of a millisecond.
 
         Raises:
             IndexError: unknown pair.
-            TypeError: it is no whole number: a slice, for example.
-            ReleaseError: its file is missing, or not the published one.
-            PairError: it was no pair when it was published.
+            TypeError: the index is no whole number: a slice, for example.
+            ReleaseError: the pair's file is missing, or not the published one.
+            PairError: the published file is no valid pair.
         """
         if isinstance(index, slice):
             raise TypeError("a dataset gives one pair at a time: [dataset[i] for i in range(…)]")
@@ -113,11 +113,11 @@ class Dataset:
 def item_of(
     target: Mapping[str, object], parts: Mapping[str, FileArray], keys: Sequence[str], packed: bool
 ) -> Item:
-    """The dataset's item of a pair.
+    """Return the dataset's item of a pair.
 
     Args:
         target: recording, object, view, category and split.
-        parts: by key, those that the pair has: arrays as they are stored, and images.
+        parts: by key, the parts that the pair has: arrays as they are stored, and images.
         keys: the requested keys, in this order.
         packed: whether grids stay packed.
     """
@@ -131,14 +131,14 @@ def item_of(
 
 
 def _value(key: str, stored: FileArray, packed: bool) -> object:
-    """A value as an item has it."""
+    """Return a stored value in the form that an item has."""
     if key in (*NUMBERS, *TEXTS):
         return stored.item()
     return stored if packed or key not in PACKED_SHAPES else unpack(stored)
 
 
 def wanted_parts(keys: Sequence[str], hidden: bool) -> list[str]:
-    """The arrays of a pair file that some keys need; of a pair whose truth is held back none of the truth."""
+    """Return the arrays of a pair file that some keys need; without the truth's if `hidden` (held back)."""
     wanted = dict.fromkeys(key for key in keys if key in OF_PAIR)
     if META in keys:
         wanted |= dict.fromkeys((*META_PARTS, "full", "known"))
@@ -155,11 +155,11 @@ def load(
     """Open a release; with torch installed the result is also a `torch.utils.data.Dataset`.
 
     Args:
-        path: its folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md), which are read in place.
+        path: the release's folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md); read in place.
         keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids: `partial` (64, 64, 64),
-            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool; of pairs that have them
-            `interior` and `said`. Matrices, float64, metres and pixels: `T_world_grid`, `T_world_camera`
-            (4, 4), `K` (3, 3). Numbers: `voxel_size_m`, `surface_sigma_m`. Texts: `framing`, `partial_rule`,
+            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool; and `interior` and `said`
+            where a pair has them. Matrices, float64, metres and pixels: `T_world_grid`, `T_world_camera` (4,
+            4), `K` (3, 3). Numbers: `voxel_size_m`, `surface_sigma_m`. Texts: `framing`, `partial_rule`,
             `occupancy_rule`. Images of the view: `depth` (height, width) float32, metres, 0 = none; `mask`
             (height, width) bool; `color` (height, width, 3) uint8 RGB. And `meta`. Default: `partial`,
             `full`, `known`, `meta`. Keys of the truth are missing in items whose truth is held back.
@@ -169,7 +169,7 @@ def load(
             `numpy.unpackbits(grid, axis=-1)` unpacks them, later or on another processor.
 
     Raises:
-        ReleaseError: no release there, or it was changed.
+        ReleaseError: there is no release, or it was changed.
         SettingsError: unknown key.
     """
     if problem := unusable(str(path)):
@@ -179,7 +179,7 @@ def load(
 
 
 def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
-    """The requested keys, or the default ones.
+    """Return the requested keys, or the default keys.
 
     Raises:
         SettingsError: unknown key.
@@ -194,10 +194,10 @@ def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
-    """Some arrays of a pair file by key, checked.
+    """Read some arrays of a pair file by key, checked.
 
     Raises:
-        ReleaseError, PairError: as `Dataset.__getitem__`.
+        ReleaseError, PairError: as in `Dataset.__getitem__`.
     """
     content, where = release.pair_content(target), release.pair_path(target)
     try:
@@ -208,7 +208,7 @@ def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
 
 
 def _meta(target: Mapping[str, object], parts: Mapping[str, FileArray]) -> dict[str, object]:
-    """The metadata of a pair."""
+    """Return the metadata of a pair."""
     meta: dict[str, object] = {name: target[name] for name in TARGET_KEYS}
     meta |= {"voxel_size_m": parts["voxel_size_m"].item(), "T_world_grid": parts["T_world_grid"]}
     if "full" in parts:
@@ -226,7 +226,7 @@ def _dataset_class() -> type[Dataset]:
     except ImportError:
         return Dataset
 
-    def reduce(self: Dataset) -> tuple[object, ...]:  # the class is made here: workers make it again
+    def reduce(self: Dataset) -> tuple[object, ...]:  # workers make the class again, too
         return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
 
     return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

@@ -11,8 +11,8 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step
 
-# What a method may declare of predictions in the grid of the pair, by key; in the camera frame all words that
-# the file's format knows are scored.
+# Values that method.json may declare for predictions in the pair's grid, by key. For predictions in the
+# camera frame every value of the file's format is supported.
 SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "frame": ("grid",),
     "form": ("voxels", "mesh"),
@@ -23,27 +23,27 @@ SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "T_camera_prediction": (None,),
 }
 SUFFIXES_OF = {"voxels": (".npy", ".npz"), "mesh": MESHES}
-# Notes, keys and files that are named; characters of a note that are shown.
+# Most notes, keys and files that are named; most characters of a note that are shown.
 NAMED = 20
 LONGEST_NOTE = 200
 
 
 def read_in_camera(folder: Path) -> MethodFile | None:
-    """method.json of predictions in the camera frame; None for others or without the file.
+    """Read method.json of predictions in the camera frame; None for other predictions or without the file.
 
     Raises:
-        PredictionError: it cannot be read, or declares what nothing can have. One line.
+        PredictionError: the file cannot be read, or contradicts itself. One line.
     """
     method = MethodFile.read_if_there(folder)
     return method if method is not None and method.frame == "camera" else None
 
 
 def read_method(folder: Path) -> MethodFile | None:
-    """method.json of a folder of predictions that can be scored; None without the file.
+    """Read method.json of a folder of predictions and check that they can be scored; None without the file.
 
     Raises:
-        PredictionError: it cannot be read, has a misspelt key, or declares what is not supported yet. One
-            line.
+        PredictionError: the file cannot be read, has a misspelt key, or declares what is not supported yet.
+            One line.
     """
     method = MethodFile.read_if_there(folder)
     lines = [] if method is None else list(_not_supported(method))
@@ -55,7 +55,7 @@ def read_method(folder: Path) -> MethodFile | None:
 
 
 def _not_supported(method: MethodFile) -> Iterator[str]:
-    """A few words for each key whose value is not supported yet."""
+    """Yield a few words for each key whose value is not supported yet."""
     for key, supported in SUPPORTED.items():
         if (value := getattr(method, key)) not in supported:
             words = "leave it out" if supported == (None,) else ", ".join(map(str, supported))
@@ -66,25 +66,25 @@ def _not_supported(method: MethodFile) -> Iterator[str]:
 
 
 def form_problem(method: MethodFile | None, suffix: str) -> str | None:
-    """Why a file with this suffix contradicts method.json; None if it does not."""
+    """Return why a file with this suffix contradicts method.json; None if it does not."""
     if method is None or "form" not in method.model_fields_set or suffix in SUFFIXES_OF[method.form]:
         return None
     return f"{MethodFile.FILE} says 'form': '{method.form}', which no {suffix} is; correct one of them"
 
 
 def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Why a folder's predictions may not be from one run for a release, a line each.
+    """Return why a folder's predictions may not be from one run on this release, a line each.
 
     Args:
-        folder: of the predictions.
+        folder: the folder of predictions.
         method: what `read_method` found there.
-        release: that is scored.
+        release: the release that is scored.
     """
     if method is None:
         if (folder / UnfinishedFile.FILE).is_file():
             return [f"{UnfinishedFile.FILE}: `predict` has not completed these predictions; run it again"]
         return []
-    # With its truth held back and with all of it a release is the same to who predicts.
+    # The public and the private half have the same inputs: predictions for one serve the other.
     halves = (release.metadata.public_benchmark_sha256, release.metadata.private_benchmark_sha256)
     if method.benchmark_sha256 in (None, release.benchmark_sha256, *halves):
         return []
@@ -96,7 +96,7 @@ def method_problems(folder: Path, method: MethodFile | None, release: Release) -
 
 
 def method_lines(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Caveats of a method's scores, a line each: `method_problems`, keys, `training.notes`."""
+    """Return caveats of a method's scores, a line each: `method_problems`, unknown keys, `training.notes`."""
     if method is None:
         return method_problems(folder, method, release)
     lines = list(_unknown_keys(method))
@@ -107,7 +107,7 @@ def method_lines(folder: Path, method: MethodFile | None, release: Release) -> l
 
 
 def _unknown_keys(method: MethodFile) -> Iterator[str]:
-    """A line about unknown keys, with the known ones that they resemble."""
+    """Yield a line about unknown keys, with the known keys that they resemble."""
     keys = [
         printable(key, 60) + (f" (did you mean {meant}?)" if (meant := method.meant(key)) else "")
         for key in method.model_extra or {}
@@ -118,10 +118,10 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """Files that are not from the run that method.json names, sorted; none if it names no files.
+    """Return files whose digests differ from those in method.json, sorted; none if it lists no files.
 
     Args:
-        method: what `read_method` found.
+        method: what `read_method` returned.
         digests: {file, relative to the method's folder: digest of its bytes}.
     """
     if method is None or method.files is None:
@@ -130,7 +130,7 @@ def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list
 
 
 def changed_line(names: list[str], count: int) -> str:
-    """A line with the number of files from another run, and the first."""
+    """Return a line with the number of files from another run, and the first such file."""
     verb = "is" if len(names) == 1 else "are"
     return (
         f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "

@@ -1,7 +1,7 @@
 """Distance of a predicted shape from its view's depth, and the unit or axis error that explains it.
 
-A complete shape passes through what its view measured. A shape in another unit or frame does not. For each
-usual slip it is computed how near the shape would be without it.
+A complete shape passes through the points that its view measured. A shape in another unit or frame does not.
+For each usual error of unit or axes, the distance of the corrected shape is computed.
 """
 
 import math
@@ -21,23 +21,25 @@ from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Points of the depth, and of a shape, that are compared: the median of 300 differs by some per cent from
-# that of all, and all slips of a view take 0.1 s (chosen here).
+# Numbers of points of the depth, and of a shape, that are compared. The median of 300 differs by some per
+# cent from the median of all, and testing all errors of a view takes 0.1 s (chosen here).
 DEPTH_POINTS, SHAPE_POINTS = 300, 20_000
 SEED = 0
-# Shares of the diagonal of what the view measured. A distance below the first is what points 1 cm apart on an
-# object of 1 m leave. One above the second is said even if no slip explains it (chosen here; the test of ten
-# objects has 0.3 % at most for exact shapes).
+# Thresholds of the distance, as shares of the diagonal of the measured points. Below the first it is small:
+# points 1 cm apart on an object of 1 m leave as much. Above the second it is reported even if no error
+# explains it (chosen here; in the test of ten objects exact shapes have 0.3 % at most).
 SMALL, LARGE = 0.01, 0.1
-# Of a surface that is farther from the middle of the pair's cube than its side: an object has nothing there,
-# a room of 5 m around an object of 1 m most (chosen here).
+# A shape is a scene if this share of its surface is farther from the middle of the pair's cube than the
+# cube's side: an object has nothing there, a room of 5 m around an object of 1 m has most there (chosen
+# here).
 SCENE = 0.2
-# A slip explains a distance if the shape would be so many times nearer without it; and of distances beyond
-# what the gaps between its points leave, by the second number (chosen here).
+# An error explains a distance if correcting it brings the shape nearer by the first factor; and if the part
+# of the distance beyond the gaps between the shape's points shrinks by the second factor (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
-# Slips explain it about as well up to this factor: a round shape hides an axis (chosen here).
+# Errors whose distances differ by less than this factor explain it equally well: a round shape hides an axis
+# (chosen here).
 ABOUT = 1.3
-# 65535 steps for 10 m are 6553.5 for a metre, where millimetres have 1000.
+# 10 m in 65535 steps are 6553.5 steps a metre; millimetres have 1000.
 STEPS_OF_10_M = 6.5535
 
 # Message about a prediction -> the factor that corrects it.
@@ -48,7 +50,7 @@ UNITS: Mapping[str, float] = {
     f"{STEPS_OF_10_M:.2f} times too far: depth of 65535 = 10 m read as millimetres?": 1 / STEPS_OF_10_M,
     f"{STEPS_OF_10_M:.2f} times too near: depth in millimetres read as 65535 = 10 m?": STEPS_OF_10_M,
 }
-# Two conventions first: where a shape has a mirror plane, one axis alone would explain as much.
+# The two conventions come first: for a shape with a mirror plane, one flipped axis would explain as much.
 AXES: Mapping[tuple[int, int, int], str] = {
     (1, 1, 1): "",
     (-1, -1, 1): "x left and y up (axes: pytorch3d)?",
@@ -63,15 +65,16 @@ AXES: Mapping[tuple[int, int, int], str] = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """The relation of a prediction to its view's depth.
+    """How a prediction lies to its view's depth.
 
     Attributes:
         distance_m: median distance of the view's points of the object from the shape, metres.
-        diagonal_m: of the box around these points.
-        beyond_share: share of its surface more than a cube's side from the middle of the pair's cube.
-        slips: in words what would explain the distance, each with the distance without it, the simplest
-            first; () where it is small, or nothing does. Of a shape with a mirror plane there are several.
-        refused: why `score` refuses it: its solid cannot be made; "" if it can.
+        diagonal_m: diagonal of the box around these points.
+        beyond_share: share of the shape's surface more than a cube's side from the middle of the pair's cube.
+        slips: errors of unit or axes that would explain the distance, in words, each with the distance after
+            its correction, the simplest first; () if the distance is small or unexplained. A shape with a
+            mirror plane has several.
+        refused: why `score` refuses the shape because its solid cannot be made; "" if it can be made.
     """
 
     distance_m: float
@@ -82,16 +85,16 @@ class Agreement:
 
     @property
     def is_scene(self) -> bool:
-        """Whether it extends so far beyond the object that it must be the whole visible scene."""
+        """Whether the shape extends so far beyond the object that it must be the whole visible scene."""
         return self.beyond_share > SCENE
 
     @property
     def is_large(self) -> bool:
-        """Whether to report it even without an explanation."""
+        """Whether the distance is reported even without an explanation."""
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
-        """A line with one of the errors and the key of method.json that corrects it."""
+        """Return a line with one of the errors and the key of method.json that corrects it."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
         without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
         return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
@@ -104,12 +107,12 @@ def agreement(
     T_world_camera: Float64,
     T_world_grid: Float64,
 ) -> Agreement:
-    """Distance of a shape from its view's depth, and its cause.
+    """Compare a shape with its view's depth, and look for errors of unit or axes.
 
     Args:
-        shape: in the camera frame, as it is declared to lie.
+        shape: in the camera frame, placed as method.json declares it.
         depth_points_m: (n, 3), n > 0: the object's measured points, camera frame, metres.
-        T_camera_prediction: (4, 4), what brought the file's coordinates to the camera.
+        T_camera_prediction: (4, 4), the similarity that mapped the file's coordinates to the camera.
         T_world_camera: (4, 4) of the view.
         T_world_grid: (4, 4) of the pair's cube.
     """
@@ -121,14 +124,14 @@ def agreement(
     diagonal = float(np.linalg.norm(np.ptp(depth_points_m, axis=0)))
 
     def distance(T: Float64) -> float:
-        """Distance of the transformed shape: applies the inverse to the points, so that the tree stays."""
+        """Return the distance of the transformed shape; the points move instead, so the tree is reused."""
         back = (seen - T[:3, 3]) @ np.linalg.inv(T[:3, :3]).T
         return float(np.median(tree.query(back)[0])) * _scale(T)
 
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """The part of a distance that exceeds the gaps between a cloud's points."""
+        """Return the part of a distance that exceeds the gaps between a cloud's points."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))
@@ -147,11 +150,11 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """The key of method.json that corrects an error.
+    """Return the key of method.json that corrects an error, with its value.
 
     Args:
-        slip: of `mends`.
-        method: the present declaration.
+        slip: the error, in the words of `mends`.
+        method: the present method.json.
     """
     for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):
         if slip != _both(words, axes):
@@ -167,22 +170,22 @@ def remedy(slip: str, method: MethodFile) -> str:
 
 
 def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> float:
-    """The share of a surface farther than a side from the middle of its pair's cube, along an axis.
+    """Return the share of a surface farther than a side from the middle of the cube, along any axis.
 
     Args:
         shape: in the camera frame.
         T_grid_camera: (4, 4).
-        side_m: of the cube, metres.
+        side_m: side of the cube, metres.
     """
     away = transform_points(T_grid_camera, shape_points(shape)) - side_m / 2
     return float((np.abs(away).max(axis=1) > side_m).mean())
 
 
 def likeliest(agreements: Sequence[Agreement]) -> list[str]:
-    """For each prediction of a method its likeliest error, in words; "" if it has none.
+    """Return the likeliest error of each prediction of a method, in words; "" if it has none.
 
-    Several errors may explain one prediction, as where the object is symmetric. The one is taken that
-    explains most of the method's predictions, as these usually share one error.
+    Several errors may explain one prediction, for example if the object is symmetric. The error that explains
+    most of the method's predictions is taken: they usually share one error.
 
     Args:
         agreements: one for each prediction of the method.
@@ -192,14 +195,14 @@ def likeliest(agreements: Sequence[Agreement]) -> list[str]:
 
 
 def _scale(T: Float64) -> float:
-    """The scale of a similarity (4, 4), which may mirror."""
+    """Return the scale of a similarity (4, 4), which may mirror."""
     return float(np.cbrt(abs(np.linalg.det(T[:3, :3]))))
 
 
 def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
-    """Median distance of points from the nearest other one.
+    """Return the median distance of points from their nearest neighbour.
 
-    Of points at random on a surface it is as large as the median distance of the surface from them.
+    For random points on a surface, it equals the median distance of the surface from the points.
     """
     if tree.n < 2:
         return 0.0
@@ -210,7 +213,7 @@ def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
 def mends(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Typical errors in words, the simplest first, and the (4, 4) correction of each, camera to camera."""
+    """Yield typical errors in words, the simplest first, and each (4, 4) correction, camera to camera."""
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
         if words := _both(unit, axes):
@@ -231,7 +234,7 @@ def _both(unit: str, axes: str) -> str:
 
 
 def shape_points(shape: CameraShape) -> Float64:
-    """Points (m, 3) of a shape's surface, `SHAPE_POINTS` at most; of a mesh spread evenly over its area."""
+    """Return points (m, 3) of a shape's surface, at most `SHAPE_POINTS`; a mesh is sampled evenly by area."""
     rng = np.random.default_rng(SEED)
     if len(shape.faces):
         return _on_triangles(shape.points_m, shape.faces, rng)
@@ -241,7 +244,7 @@ def shape_points(shape: CameraShape) -> Float64:
 
 
 def _on_triangles(vertices: Float64, faces: Int64, rng: np.random.Generator) -> Float64:
-    """Uniform points on triangles (Osada et al., "Shape distributions", 2002, section 4.2)."""
+    """Draw uniform points on triangles (Osada et al., "Shape distributions", 2002, section 4.2)."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if not areas.sum() > 0:

@@ -1,7 +1,7 @@
 """Values that follow from the rows of a table: averages, curves, extremes, notes; computed only here.
 
-`score` fills a table with it, and readers of tables compute it again: what a file states beside its rows
-is compared with that, and a file that states something else is refused.
+`score` fills a table with these values. Readers compute them again from the rows, and refuse a file that
+states other values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,13 +50,13 @@ def from_rows(
 ) -> FromRows:
     """Compute the values that follow from the rows.
 
-    An average over a part of the pairs would flatter, so there is none.
+    There are no averages if only some pairs were scored: they would flatter.
 
     Args:
-        rows: of a table.
-        protocols: that were scored.
+        rows: the rows of a table.
+        protocols: the scored protocols.
         rates: base rate by category.
-        quality: of the truth of each recording.
+        quality: quality of each recording's truth.
         complete: whether every pair was scored.
     """
     left_out: dict[str, list[str]] = {name: [] for name in protocols}
@@ -81,14 +81,14 @@ def from_rows(
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """{object: the figures of its truth that averages show}: means over recordings, and over pairs."""
+    """Return {object: figures of its truth}: means over the object's recordings, or over its pairs."""
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)
     by_object = {}
     for name, own in of_object.items():
         parts = [quality.get(recording, QualityFile()) for recording in sorted({r.recording for r in own})]
-        shares = {row.pair: row.unknown_share for row in own}  # every protocol's row says the same
+        shares = {row.pair: row.unknown_share for row in own}  # the same under every protocol
         known = [share for share in shares.values() if share is not None]
         by_object[name] = ObjectQuality(
             own[0].category,
@@ -102,13 +102,13 @@ def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> 
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean of a figure; None if one of them is not known."""
+    """Return the mean of a figure; None if one of the values is not known."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _few_objects(rows: Sequence[ScoreRow], means: Mapping[str, Mapping[str, ObjectMeans]]) -> list[str]:
-    """A line that names the categories that are too few for an interval, under a protocol at least."""
+    """Return a line with the categories that have too few objects for an interval under some protocol."""
     few = []
     for name in sorted({row.category for row in rows}):
         least = min(len(of[name].names) if name in of else 0 for of in means.values())

@@ -1,4 +1,4 @@
-"""Axes of predicted grids that are swapped or turned round, by what the views measured."""
+"""Swapped or flipped axes of predicted grids, found by comparing them with what the views measured."""
 
 from collections.abc import Iterable
 from itertools import permutations, product
@@ -8,7 +8,7 @@ import numpy as np
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.scoring.counts import Prediction
 
-# The coordinate along each axis of a grid, and whether each coordinate is turned round.
+# The source of each axis of a grid (a permutation), and whether each axis is flipped.
 Axes = tuple[tuple[int, ...], tuple[bool, ...]]
 
 
@@ -17,32 +17,33 @@ def _changes(axes: Axes) -> int:
     return sum(order[axis] != axis for axis in range(3)) + sum(turned)
 
 
-# The fewest changes first, that is the axes of the pairs.
+# All axes, ordered by number of changes; the axes of the pairs are the first.
 ALL_AXES: tuple[Axes, ...] = tuple(
     sorted(product(permutations(range(3)), product((False, True), repeat=3)), key=_changes)
 )
-# So many predictions are looked at, those of one method have the same axes; of fewer nothing is said.
+# At most and at least so many predictions are compared: all predictions of a method have the same axes.
 MOST_LOOKED_AT, LEAST_LOOKED_AT = 20, 10
-# Measured cells that are looked at, and cells of 256 in front of each: beyond a Kinect's noise, before most
-# other parts of an object.
+# Number of measured cells that are compared, and distances in cells of 256 to the compared cells in front of
+# each: beyond a Kinect's noise, before most other parts of an object.
 MEASURED, BEFORE = 4000, (6, 9, 12, 15, 18)
-# Other axes are named if at least this share of the views fits better with them, the mean fit with the axes
-# of the pairs is at most this share of theirs, and theirs is at least so good. Of 11 drawn objects, ten views
-# each, true shapes, four baselines, noisy and coarse (16, 32 cells) ones with right axes reach .07 to 1, with
-# any other at most .55 of that; shapes moved by 10 or 24 of 256 cells reach .11 with the best of all axes.
+# Other axes are reported if three conditions hold: at least this share of the views fits better with them;
+# the mean fit with the pairs' axes is at most this share of the mean fit with the other axes; and the latter
+# is at least this large. Measured on 11 drawn objects of ten views each (true shapes, four baselines, noisy
+# and coarse grids of 16 and 32 cells): right axes reach .07 to 1, wrong ones at most .55 of that; shapes
+# moved by 10 or 24 of 256 cells reach .11 with the best axes.
 LEAST_BETTER, MOST_RATIO, LEAST_FIT = 0.9, 0.75, 0.12
-# Axes that fit about as well as the best, of a symmetric object: the simplest are named.
+# Axes whose fit is at least this share of the best fit as well (symmetric objects): the simplest are named.
 AS_WELL = 0.95
 
 
 def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
-    """A line if a method's grids would fit what the views measured far better with other axes.
+    """Return a line if a method's grids fit the measured cells far better with other axes.
 
-    A prediction of a whole object holds the surface that its view measured, and nothing in front of it.
+    A prediction of a whole object contains the surface that its view measured, and nothing in front of it.
 
     Args:
-        looked_at: a prediction (n, n, n) each, and its view's `partial_256`, bool (256, 256, 256), in the
-            same cube; the camera looks along its last axis.
+        looked_at: predictions (n, n, n), each with its view's `partial_256`, bool (256, 256, 256), in the
+            same cube; the camera looks along the last axis of `partial_256`.
     """
     fits = np.array([_fits(prediction, partial) for prediction, partial in looked_at])
     if len(fits) < LEAST_LOOKED_AT:
@@ -62,16 +63,17 @@ def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
 
 
 def _remedy(order: tuple[int, ...], turned: tuple[bool, ...]) -> str:
-    """What brings a grid with these axes into those of the pairs, in numpy's words."""
+    """Return the numpy expression that brings a grid with these axes into the axes of the pairs."""
     swapped = f".transpose({', '.join(map(str, np.argsort(order)))})" if order != (0, 1, 2) else ""
     return f"grid{swapped}" + f"[{', '.join('::-1' if one else ':' for one in turned)}]" * any(turned)
 
 
 def _fits(prediction: Prediction, partial: Bools) -> Float64:
-    """How well a prediction fits a view with each of `ALL_AXES`: (48,), from -1 to 1.
+    """Return how well a prediction fits a view with each of `ALL_AXES`: (48,), from -1 to 1.
 
-    Its mean in cells that the view measured, less that in the cells in front of them, which are empty, as a
-    share of its largest value.
+    The fit is the mean prediction in measured cells, minus the mean in the empty cells in front of them,
+    divided
+    by the largest value.
     """
     side, largest = len(partial), float(prediction.max())
     found = np.flatnonzero(partial)
@@ -88,7 +90,7 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
-    """Mean of a prediction with some axes in cells (k, 3) of a grid with another side; 0 without cells."""
+    """Return a grid's mean, with other axes, in cells (k, 3) of a grid of another side; 0 without cells."""
     order, turned = axes
     there = np.where(turned, side - 1 - cells, cells)[:, list(order)]
     there = (2 * there + 1) * len(prediction) // (2 * side)

@@ -1,7 +1,7 @@
 """Numba kernels that count a prediction against the truth in one pass. Import late: numba is slow to load.
 
 Every voxel has a code 0 to 7: 1 if it is occupied in the truth, + 2 if the truth is known there, + 4 if the
-input view saw it. What is counted is kept apart by code, so that one pass serves every protocol.
+input view saw it. Voxels are counted separately by code, so that one pass serves every protocol.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ CODES = 8
 HALF_PATTERNS = 0x3C01  # bit patterns of the float16 values 0 to 1
 
 _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
-# Bit i of a packed byte as byte i of a word: eight codes are put together by two shifts and two ors.
+# Spreads bit i of a byte to byte i of a word: two shifts and two ors then make eight codes.
 _SPREAD = (_BITS.astype(np.uint64) << (np.arange(8, dtype=np.uint64) * np.uint64(8))).sum(
     axis=1, dtype=np.uint64
 )
@@ -33,13 +33,13 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
     Args:
         bits: (v,) bit patterns of values in [0, 1], -0 allowed.
         full: (v / 8,) packed truth.
-        known: (v / 8,) packed.
-        seen: (v / 8,) packed.
+        known: (v / 8,) packed: the truth is known.
+        seen: (v / 8,) packed: the input view saw the voxel.
 
     Returns:
         (0x3C01, 8) how many voxels have each pattern and code.
     """
-    # Two tables in turn: increments of one cell in a row would wait for each other.
+    # Two tables in turn: increments of the same cell would wait for each other.
     even = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     odd = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     for byte in range(len(full)):
@@ -57,7 +57,7 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _ones(word: np.uint64) -> np.uint64:
-    """Number of set bits (the usual sideways addition; LLVM makes it vector code)."""
+    """Return the number of set bits (the usual sideways addition; LLVM vectorises it)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -104,16 +104,16 @@ def count_reals(
     Args:
         values: (v,) in [0, 1], v a multiple of 8; every one is used as float64.
         full: (v / 8,) packed truth.
-        known: (v / 8,) packed.
-        seen: (v / 8,) packed.
+        known: (v / 8,) packed: the truth is known.
+        seen: (v / 8,) packed: the input view saw the voxel.
         steps: 20; thresholds are k / steps.
         clip: cross-entropy clips values to [clip, 1 - clip].
-        bins: (21, 8) int64; row k counts the values above k / 20 and not above (k + 1) / 20, and row 0
-            those not above any.
+        bins: (21, 8) int64; row k counts values above k / 20 and up to (k + 1) / 20; row 0 counts values up
+            to 1 / 20, 0 included.
         ce_sum: (8,) sum of -log(y) or -log(1 - y) per code.
     """
-    # A sum of logarithms is the logarithm of a product: one logarithm for some thirty voxels. Eight tables
-    # in turn, as above. Indices are unsigned, as they need no test for a negative one.
+    # A sum of logarithms is the logarithm of a product: one logarithm suffices for some thirty voxels. Eight
+    # tables are used in turn, as above. Unsigned indices need no test for negative values.
     tables, product = np.zeros(8 * _CELLS, np.int64), np.ones(CODES)
     rows, factors = np.zeros(_ROW, np.uint8), np.empty(8)
     for start in range(0, len(values), _ROW):
@@ -123,7 +123,7 @@ def count_reals(
             at, voxel = np.uint64(start // 8 + byte), np.uint32(8 * byte)
             f, k, s = full[at], known[at], seen[at]
             if (f == 0 or f == 255) and (k == 0 or k == 255) and (s == 0 or s == 255):
-                # most bytes: eight voxels of one code
+                # Most bytes hold eight voxels of one code.
                 code = np.uint32(f & 1 | k & 2 | s & 4)
                 for j in range(8):
                     tables[_CELLS * np.uint32(j) + np.uint32(rows[voxel + np.uint32(j)]) + code] += 1
@@ -156,7 +156,7 @@ def count_reals(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _bins_of(values: NDArray[np.floating], steps: int, rows: NDArray[np.uint8]) -> None:
-    """For each value the row of `bins` that counts it, times 8."""
+    """Write for each value the row of `bins` that counts it, times 8."""
     for i in range(len(values)):
         y = np.float64(values[i])
         k = np.int32(np.ceil(y * steps)) - np.int32(

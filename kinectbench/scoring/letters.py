@@ -1,32 +1,32 @@
 """Groups of methods that cannot be distinguished, as letters: a compact letter display.
 
-Indistinguishable is not transitive: of three methods the first and the last may differ while the one
-between them differs from neither. Ranks cannot say so; letters can: two methods share one if, and only if, no
-difference between them is shown.
+Indistinguishability is not transitive: of three methods, the first and the last may differ while the middle
+one differs from neither. Ranks cannot express that; letters can: two methods share a letter if, and only if,
+they do not differ significantly.
 
 Source: Piepho, An algorithm for a letter-based representation of all-pairwise comparisons, J. Comput. Graph.
-Stat. 13 (2004); here the groups are all maximal cliques, which makes the display right by construction.
+Stat. 13 (2004); here the groups are all maximal cliques, so the display is correct by construction.
 """
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import islice
 from string import ascii_lowercase
 
-# Of more groups the letters say less than the differences; n methods can have 3^(n / 3) groups (J. W. Moon,
-# L. Moser, On cliques in graphs, 1965).
+# With more groups, letters say less than the list of differences; n methods can have 3^(n / 3) groups (J. W.
+# Moon, L. Moser, On cliques in graphs, 1965).
 MOST_GROUPS = 2 * len(ascii_lowercase)
 
 
 def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
-    """The letters of each method; in `a` is the best of them.
+    """Return the letters of each method; the best method has an `a`.
 
     Args:
-        names: the methods, the best first, each once.
-        apart: pairs of methods that a difference is shown of.
+        names: the methods, the best first, without repetition.
+        apart: pairs of methods that differ significantly.
 
     Returns:
-        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`. Where
-        that takes more than `MOST_GROUPS` letters, none has any.
+        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`. If
+        that takes more than `MOST_GROUPS` letters, no method has any.
     """
     place = {name: index for index, name in enumerate(names)}
     indistinct = {
@@ -45,7 +45,7 @@ def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str
 
 
 def _maximal_cliques(neighbours: dict[str, set[str]]) -> Iterator[set[str]]:
-    """All sets of nodes that are joined pairwise and that no node can be added to.
+    """Yield all maximal cliques: sets of pairwise neighbours to which no node can be added.
 
     Source: Bron and Kerbosch, Commun. ACM 16 (1973), with Tomita's choice of the pivot.
     """
@@ -62,5 +62,5 @@ def _maximal_cliques(neighbours: dict[str, set[str]]) -> Iterator[set[str]]:
 
 
 def _letter(index: int) -> str:
-    """a, b, … z, then (27), (28), …: in a row of letters each stays one."""
+    """Return a, b, … z, then (27), (28), …: brackets keep the letters of a method apart."""
     return ascii_lowercase[index] if index < len(ascii_lowercase) else f"({index + 1})"

@@ -1,4 +1,4 @@
-"""Caveats of a table: one short mark each."""
+"""Caveats of a score table, as one short mark each."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHO
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """The marks that follow from a table's provenance; older tables state less.
+    """Return the marks that follow from a table's provenance; older tables state less.
 
     Args:
-        table: its own `marks` are not looked at.
+        table: a score table; its stored `marks` are ignored.
     """
     marks: list[tuple[kinds.Kind, str]] = [
         (kinds.BASELINE, _baseline(table)),
@@ -32,25 +32,25 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """By its name: the names of the baselines are theirs, so that a file of their predictions is known."""
+    """Return a mark for a baseline, also by name: only baselines have these names."""
     return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
 
 
 def _older(table: ScoreTable) -> str:
-    """A mark for old versions, whose tables lack part of the provenance."""
+    """Return a mark for tables of an old version, which lack part of the provenance."""
     version = table.score_version
     return "" if version >= ACCOUNTED else f"score version {version}, now {VERSIONS['score']}"
 
 
 def _missing(table: ScoreTable) -> str:
-    """Test pairs that were not predicted and are scored as empty grids."""
+    """Return a mark with the number of test pairs without a prediction, scored as empty grids."""
     test = {row.pair: row.cells for row in table.rows}
     missing = [name for name, cells in test.items() if not cells]
     return f"{len(missing)} of {len(test)} missing, scored as empty" if missing else ""
 
 
 def _validation(table: ScoreTable) -> str:
-    """A part of the validation split that was not predicted."""
+    """Return a mark if only some validation pairs were predicted."""
     use = table.validation
     if use is None or use.predicted >= use.pairs:
         return ""
@@ -58,8 +58,8 @@ def _validation(table: ScoreTable) -> str:
 
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
-    """Categories whose threshold is neither from their own validation pairs nor from a file."""
-    # Most methods in space have no thresholds; those of grids are searched or named.
+    """Return a mark with the categories whose threshold has this source; `words` say where it is from."""
+    # Most methods in space have no thresholds. Thresholds of grid methods are searched or declared.
     has_none = any_in_space(table.settings.protocols) and table.threshold_source == FIXED_SOURCE
     sources = {} if has_none else table.threshold_source_by_category
     names = [name for name, of in sorted(sources.items()) if of == source]
@@ -70,20 +70,20 @@ def _from(table: ScoreTable, source: str, words: str) -> str:
 
 
 def _unchecked(table: ScoreTable) -> str:
-    """Thresholds of a file that cannot be checked for use of the test split."""
+    """Return a mark if thresholds are from a file and may have been searched on the test split."""
     if not table.threshold_source.startswith(FROM_FILE) or table.threshold_objects is not None:
         return ""
     return "thresholds from a file that names no objects"
 
 
 def _closed(table: ScoreTable) -> str:
-    """Open meshes that an option made solid."""
+    """Return a mark with the number of open meshes that an option closed."""
     closed = {row.pair for row in table.rows if row.closed is not None}
     views = len({row.pair for row in table.rows})
     return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Some names, and the number of others."""
+    """Return at most `at_most` names, and the number of the rest."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(names[:at_most]) + more

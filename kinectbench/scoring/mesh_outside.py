@@ -1,4 +1,4 @@
-"""Share of a closed mesh outside the scored cube."""
+"""Compute the share of a closed mesh outside the scored cube."""
 
 from collections.abc import Iterator
 
@@ -6,25 +6,25 @@ import numpy as np
 
 from kinectbench.core.types import Float64, Int32
 
-# Triangles at a time: some 30 MB with their parts.
+# Number of triangles processed at a time: some 30 MB with their pieces.
 AT_ONCE = 1 << 16
 
 
 def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
-    """The share of a closed mesh's volume that lies outside the cube [0, side]^3; exact.
+    """Return the exact share of a closed mesh's volume that lies outside the cube [0, side]^3.
 
-    The volume is the integral of height over the faces as seen from above, signed by where they look; heights
-    are cut at 0 and `side`, and faces at the cube's walls.
+    The volume is the integral of height over the faces projected on the floor; its sign is that of the face's
+    normal. For the part inside, faces are cut at the cube's walls, and heights are clipped to [0, side].
 
     Args:
         vertices: (n, 3) float64, in any unit.
         faces: (m, 3) int32, with one orientation, all outwards or all inwards.
-        side: in the same unit.
+        side: the cube's side, in the same unit.
 
     Returns:
-        From 0 to 1; 1 where the mesh has no volume.
+        A share from 0 to 1; 1 if the mesh has no volume.
 
-    Source: the divergence theorem; parts that overlap count as often as they are enclosed.
+    Source: the divergence theorem; overlapping parts count once for each enclosing surface.
     """
     inside = whole = 0.0
     beyond = np.asarray(((vertices < 0) | (vertices > side)).any(axis=1))
@@ -40,20 +40,20 @@ def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
 
 
 def _mean(heights: Float64) -> Float64:
-    """(k,) of (k, 3). A sum along so short an axis would take numpy three times as long."""
+    """Return the means of rows: (k, 3) to (k,). numpy takes three times as long along so short an axis."""
     mean: Float64 = (heights[:, 0] + heights[:, 1] + heights[:, 2]) / 3
     return mean
 
 
 def _areas(triangles: Float64) -> Float64:
-    """(k,) signed areas of triangles (k, 3, 3) as seen from above."""
+    """Return the signed areas (k,) of triangles (k, 3, 3), projected on the floor."""
     a, b = (triangles[:, corner, :2] - triangles[:, 0, :2] for corner in (1, 2))
     areas: Float64 = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
     return areas
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """Parts of triangles within the four walls, in pieces that cross neither floor nor ceiling."""
+    """Yield the parts of triangles within the four walls, in pieces that cross neither floor nor ceiling."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)
@@ -62,7 +62,7 @@ def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
 
 
 def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
-    """Triangles (k, 3, 3) cut by a plane across an axis: those below it, and those above."""
+    """Cut triangles (k, 3, 3) by a plane across an axis; return the pieces below it, and the pieces above."""
     height = triangles[:, :, axis] - at
     up, down = height > 0, height < 0
     count = np.add(np.add(up[:, 0], up[:, 1], dtype=np.int8), up[:, 2])
@@ -70,7 +70,7 @@ def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
     if not mixed.any():
         return triangles[count == 0], triangles[count > 0]
     below, above = triangles[~mixed & (count == 0)], triangles[~mixed & (count > 0)]
-    # The corner that is alone on its side comes first, the order of the corners kept.
+    # The corner that is alone on its side comes first; the orientation is kept.
     one_up = count[mixed] == 1
     alone = np.where(one_up, up[mixed].argmax(axis=1), up[mixed].argmin(axis=1))
     order = (alone[:, None] + np.arange(3)) % 3

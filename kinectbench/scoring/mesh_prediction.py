@@ -1,4 +1,4 @@
-"""A submitted mesh as occupied voxels. The file is untrusted: its cost is bounded in advance."""
+"""Convert a submitted mesh to occupied voxels. The file is untrusted: its cost is bounded in advance."""
 
 from typing import IO
 
@@ -18,25 +18,25 @@ READERS = {"ply": read_ply, "obj": read_obj}
 MAX_MESH_BYTES = 64 << 20
 MAX_FAR = 16  # grid sides
 
-# What a mesh in the camera frame needs.
+# How a mesh in the camera frame must be declared.
 IN_CAMERA = "or declare 'frame': 'camera' in method.json"
 
 
 def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArray[np.bool_], float]:
-    """The cells whose centre is inside a closed mesh, and how much of it is outside the grid.
+    """Return the cells whose centre is inside a closed mesh, and the mesh's share outside the grid.
 
     Args:
-        file: of at most `MAX_MESH_BYTES`, in grid coordinates and metres: the grid's corner is the origin.
+        file: at most `MAX_MESH_BYTES`; coordinates in metres from the grid's corner.
         suffix: .ply or .obj.
-        voxel_size_m: of the pair's 256-grid.
+        voxel_size_m: edge of a voxel of the pair's 256-grid, metres.
 
     Returns:
-        (256, 256, 256) bool: parts beyond the grid are cut off; and its share of the mesh's volume.
+        (256, 256, 256) bool, without the parts beyond the grid; and the share of the volume cut off.
 
     Raises:
-        OSError: it cannot be read.
-        PredictionError: not a readable, closed, evenly oriented mesh, one that would cost too much, or one
-            without any cell inside the grid; without the file's name.
+        OSError: the file cannot be read.
+        PredictionError: the mesh is unreadable, open, inconsistently oriented, too costly, or has no cell
+            inside the grid; the message lacks the file's name.
     """
     from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 
@@ -56,7 +56,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
             what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)
-    # Nearer to the grid than half a cell is no centre that could have been cut off.
+    # A vertex less than half a cell beyond the grid cuts off no cell centre.
     if np.abs(vertices / voxel_size_m - FULL_CELLS / 2).max() <= (FULL_CELLS + 1) / 2:
         return unpack(packed), 0.0
     if not packed.any():
@@ -65,7 +65,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
 
 
 def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
-    """The vertices that faces use (n, 3), and triangles (m, 3)."""
+    """Read the vertices that faces use (n, 3), and triangles (m, 3)."""
     try:
         vertices, triangles = READERS[kind](file.read(MAX_MESH_BYTES))
     except ValueError as error:
@@ -85,7 +85,7 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
 
 
 def _outside(vertices: Float64, grid: Grid) -> PredictionError:
-    """The message for a mesh with nothing inside the grid, with its place."""
+    """Return the error for a mesh with nothing inside the grid; it says where the mesh lies."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(

@@ -1,7 +1,7 @@
 """The paper's metrics, as pure functions of counts. Ratios have no unit; cross-entropy is in nats a voxel.
 
-Source: the paper's definitions; what it leaves open (nothing predicted, nothing there) is defined here and
-stated at each function.
+Source: the paper's definitions. The paper leaves empty predictions and empty truths open; each function here
+says what it returns for them.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from kinectbench.scoring.counts import CE_CLIP, ProtocolCounts
 
 
 def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
-    """All metrics at the threshold of index `step` (0 to 16)."""
+    """Return all metrics at the threshold of index `step` (0 to 16)."""
     predicted, hit = int(counts.predicted[step]), int(counts.hit[step])
     return VoxelMetrics(
         iou=iou(predicted, counts.occupied, hit),
@@ -24,34 +24,34 @@ def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
 
 
 def iou(predicted: int, occupied: int, hit: int) -> float:
-    """Intersection over union, `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
+    """Return intersection over union, `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
     union = predicted + occupied - hit
     return hit / union if union else 1.0
 
 
 def ious(counts: ProtocolCounts) -> Float64:
-    """`iou` at every threshold: (17,) float64."""
+    """Return the IoU at every threshold: (17,) float64."""
     return np.array(
         [iou(int(p), counts.occupied, int(h)) for p, h in zip(counts.predicted, counts.hit, strict=True)]
     )
 
 
 def f1(predicted: int, occupied: int, hit: int) -> float:
-    """Harmonic mean of precision and recall, `2 hit / (predicted + occupied)`; 1 if both are empty."""
+    """Return the harmonic mean of precision and recall, `2 hit / (predicted + occupied)`; 1 if both are 0."""
     return 2 * hit / (predicted + occupied) if predicted + occupied else 1.0
 
 
 def cross_entropy(counts: ProtocolCounts) -> float:
-    """Mean binary cross-entropy of the clipped prediction, nats a voxel; 0 if no voxel is counted."""
+    """Return the mean binary cross-entropy of the clipped prediction, nats a voxel; 0 without voxels."""
     return counts.ce_sum / counts.voxels if counts.voxels else 0.0
 
 
 def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float:
-    """Mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 without voxels.
+    """Return the mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 without voxels.
 
     Args:
         occupied: number of voxels occupied in the truth.
-        voxels: number of voxels counted.
+        voxels: number of counted voxels.
         constant: in [0, 1]; clipped as a prediction is.
     """
     y = min(max(constant, CE_CLIP), 1 - CE_CLIP)
@@ -60,7 +60,7 @@ def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float
 
 
 def _share(hit: int, total: int, *, other: int) -> float:
-    """`hit / total`; for an empty total 1 if the other set is empty too, else 0."""
+    """Return `hit / total`; for an empty total, 1 if the other set is empty too, else 0."""
     if total:
         return hit / total
     return 0.0 if other else 1.0

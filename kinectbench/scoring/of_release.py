@@ -1,7 +1,7 @@
 """Whether a score table belongs to a release: pairs, objects, hashes of truth, and splits.
 
-The hash of the release, which the table states, is compared by the caller. No pair is read: base rates and
-coverage are found by `recheck`.
+The caller compares the hash of the release that the table states. No pair is read here: `recheck` checks base
+rates and coverage.
 """
 
 from collections.abc import Iterator
@@ -17,11 +17,11 @@ from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
 def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Statements of a table that contradict the release, a sentence each.
+    """Yield a sentence for each statement of a table that contradicts the release.
 
     Args:
-        table: as it was read (`read_table`), scored against this release.
-        release: the truth.
+        table: read by `read_table`, scored against this release.
+        release: the release that the table states.
     """
     test = {target.name: target for target in release.split("test")}
     yield from _rows(table, test)
@@ -38,7 +38,7 @@ def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
-    """Rows of pairs that are not in the test split, of other things, or of another truth's unknown."""
+    """Report rows of pairs outside the test split, with other names, or with a wrong unknown share."""
     for row in table.rows:
         target = test.get(row.pair)
         if target is None:
@@ -50,9 +50,9 @@ def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
 
 
 def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
-    """A contradiction about the unknown share of a row's true shape.
+    """Report a contradiction about the unknown share of a row's true shape.
 
-    What the protocols leave out that look at a part of the shape, only the pair file tells.
+    Protocols that count only a part of the voxels are not checked: that needs the pair file.
     """
     if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
         yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"
@@ -61,7 +61,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Hashes of pairs that were not to be scored, or of another truth."""
+    """Report hashes of pairs that are not scored, or of another truth."""
     known = {target.name: target for target in release.targets if target.split != "train"}
     for name, of in table.hashes.items():
         target = known.get(name)
@@ -72,7 +72,7 @@ def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _validation(table: ScoreTable, release: Release) -> Iterator[str]:
-    """A contradiction about the validation split."""
+    """Report a contradiction about the validation split."""
     validation = release.split("validation")
     if table.validation is not None and table.validation.pairs != len(validation):
         yield f"states {table.validation.pairs} validation pairs; the release has {len(validation)}"

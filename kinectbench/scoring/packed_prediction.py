@@ -1,7 +1,7 @@
 """Probabilities in 8 bits: an npz of `codes`, indices into `levels`; no code's range spans a threshold.
 
-A voxel is above a searched threshold after packing exactly if it was before: IoU at each of them is the same.
-That holds where predictions are counted as they are, at 256^3; coarser ones are interpolated, and not packed.
+Packing moves no voxel across a searched threshold, so the IoU at each of them stays the same. That holds for
+predictions at 256^3, which are counted without interpolation; coarser predictions are not packed.
 """
 
 from functools import cache
@@ -13,34 +13,35 @@ from kinectbench.core.types import Arrays
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
 
-# The names of the two arrays say how the file is coded.
+# Arrays of these names mark a packed prediction.
 CODES, LEVELS = "codes", "levels"
-# As many as a byte has.
+# A byte has so many values.
 MOST_LEVELS = 256
 HALF_ONE = 0x3C00
-# Levels between neighbouring thresholds; and beyond the outermost ones by how much the logits of their bounds
-# grow from one to the next. The demo's 16 views by `recae-small`: 6.3 MB a view, of 25.9 MB in float16; its
-# cross-entropy changes by 0.05 %, 0.1 % at most. On six of them, with middles as levels, 4 and 1.04 took 1.4
-# times as much for 0.02 % at most, 3 and 1.15 three quarters of it for 0.25 %.
+# First number: levels between neighbouring thresholds. Second: beyond the outermost thresholds, the factor
+# from the logit of one level's bound to the next. The demo's 16 views by `recae-small` take 6.3 MB a view,
+# instead of 25.9 MB in float16; the cross-entropy changes by 0.05 %, 0.1 % at most. On six of the views, with
+# middles as levels, 4 and 1.04 took 1.4 times the space for 0.02 % at most, 3 and 1.15 three quarters of it
+# for 0.25 %.
 PARTS, GROWTH = 2, 1.08
-# What a value that does not occur counts, so that a level of such values lies among them, too.
+# Weight of a value that does not occur: a level of only such values then lies among them, too.
 UNUSED = 1e-9
 OUTERMOST_LOGIT = float(np.log(THRESHOLDS[-1] / (1 - THRESHOLDS[-1])))
 
 
 def packed(probability: NDArray[np.float16]) -> Arrays | None:
-    """The arrays of a packed prediction's npz.
+    """Pack a prediction into the arrays of its npz.
 
-    A level is the mean of the values that it stands for: their middle changed the cross-entropy of a network
-    that had learnt for two steps, and gave nearly one value everywhere, by 2 %.
+    A level is the mean of its values. The middle of its range instead changed the cross-entropy by 2 % for a
+    network that was trained for two steps and predicted nearly the same value everywhere.
 
     Args:
         probability: (256, 256, 256), values in [0, 1].
 
     Returns:
         `levels` (m,) float16 ascending, m at most 256, and `codes` (256, 256, 256) uint8: a voxel's value is
-        `levels[code]`. None where a prediction must be kept as it is: another side, or values that are not
-        in [0, 1], which whoever reads them refuses by name.
+        `levels[code]`. None if the prediction cannot be packed: its side is not 256, or a value is not in [0,
+        1] (the reader reports such a value).
     """
     bits = probability.view(np.uint16) & 0x7FFF  # -0 is 0
     if probability.shape != (FULL_CELLS,) * 3 or bits.max() > HALF_ONE or probability.min() < 0:
@@ -55,26 +56,26 @@ def packed(probability: NDArray[np.float16]) -> Arrays | None:
 
 
 def unpacked(levels: NDArray[np.generic], codes: NDArray[np.uint8]) -> Prediction:
-    """The values of a packed prediction, (n, n, n) of the type of `levels`; every code is one of theirs."""
+    """Return the values of a packed prediction, (n, n, n) of the type of `levels`; codes must be valid."""
     values: Prediction = np.take(levels, codes)
     return values
 
 
 def _values() -> NDArray[np.float16]:
-    """All float16 from 0 to 1, ascending: each at the place that its bits say."""
+    """Return all float16 values from 0 to 1, ascending: the index of a value is its bit pattern."""
     return np.arange(HALF_ONE + 1, dtype=np.uint16).view(np.float16)
 
 
 @cache
 def _codes() -> NDArray[np.uint8]:
-    """The code of each of `_values`: from one to the next it is the same, or one more."""
+    """Return the code of each of `_values`; it rises by at most one from a value to the next."""
     exact = _values().astype(np.float64)
     clipped = np.clip(exact, CE_CLIP, 1 - CE_CLIP)
     logits = np.abs(np.log(clipped / (1 - clipped)))
-    above = np.searchsorted(THRESHOLDS, exact)  # how many thresholds lie below a value
+    above = np.searchsorted(THRESHOLDS, exact)  # number of thresholds below each value
     is_between = (above > 0) & (above < len(THRESHOLDS))
     beyond = np.log(np.maximum(logits / OUTERMOST_LOGIT, 1)) / np.log(GROWTH)
     part = np.where(is_between, np.ceil(exact * STEPS * PARTS), np.floor(beyond))
-    keys = np.stack([above, part, exact == 0, exact == 1])  # 0 and 1 have their own
+    keys = np.stack([above, part, exact == 0, exact == 1])  # 0 and 1 have codes of their own
     is_new = np.append(False, (np.diff(keys) != 0).any(axis=0))
     return is_new.cumsum(dtype=np.uint8)

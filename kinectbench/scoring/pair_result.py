@@ -1,4 +1,4 @@
-"""Count one prediction against its truth: all data of a pair that the table needs."""
+"""Count one prediction against its truth; keep the counts of each pair so that a run can be resumed."""
 
 import contextlib
 from collections.abc import Iterable, Mapping
@@ -28,19 +28,19 @@ from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
 
 EMPTY_CELLS = 16
-# Some kilobytes for each pair.
+# A pair takes some kilobytes of the journal.
 MOST_JOURNAL_BYTES = 1 << 30
-# So many kept results are counted again before the others are accepted: of rows of which half
-# are made up, four are all sound in one case of sixteen.
+# At least so many kept results, and at least this share, are counted again before the rest is accepted. If
+# half of the results were made up, four drawn ones would all be genuine in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """The names that are counted again: a random sample, other for each file.
+    """Return the names of pairs that are counted again: a random sample, different for each file.
 
     Args:
-        names: of pairs.
-        of: a text or hash of the whole file: a changed row changes the sample.
+        names: the names of all pairs.
+        of: a text or hash of the whole file; a changed row changes the sample.
     """
     order = sorted(set(names), key=lambda name: sha256_text(f"{of} {name}"))
     return frozenset(order[: max(LEAST_CHECKED, int(CHECKED_SHARE * len(order)))])
@@ -62,7 +62,7 @@ class Counting:
 
     @property
     def further_grids(self) -> tuple[str, ...]:
-        """Grids of a pair file that these protocols read in addition to the common ones."""
+        """Grids of a pair file that these protocols read in addition to the common grids."""
         return further_grids(self.protocols)
 
 
@@ -72,11 +72,11 @@ class PairJob:
 
     Attributes:
         target: the pair.
-        truth: its pair file.
+        truth: the pair file.
         file: the prediction's file, None for an empty grid.
-        threshold: for the surface metrics; None leaves them out.
-        counting: how.
-        earlier: what an interrupted run wrote of this pair, or None.
+        threshold: threshold of the surface metrics; None leaves these metrics out.
+        counting: how the pair is counted.
+        earlier: the pair's result in the journal of an interrupted run, or None.
         check: whether the pair is counted again, and refused if the kept result differs.
     """
 
@@ -89,19 +89,20 @@ class PairJob:
     check: bool = False
 
     def key(self, digest: str | None) -> str:
-        """The inputs of a result; `digest` is that of the prediction's file."""
-        # Without surfaces it only matters whether there is a threshold; a part may not know it.
+        """Return the hash of all inputs of a result; `digest` is the digest of the prediction's file."""
+        # Without surface metrics only the presence of a threshold matters; one part of a run may not know its
+        # value.
         threshold = self.threshold if self.counting.surface else self.threshold is not None
         settings = (asdict(self.counting), threshold)
         return sha256_text(canonical_json([VERSIONS["score"], self.target.sha256, digest, settings]))
 
 
 def count_job(job: PairJob) -> PairResult | str:
-    """Count one pair; the reason if its prediction cannot be scored.
+    """Count one pair; return the reason if its prediction cannot be scored.
 
     Raises:
         ReleaseError: the truth is missing, or not the published one.
-        StorageError: the kept result of the pair is not its prediction's.
+        StorageError: the kept result differs from the pair's counts.
     """
     digest, outside = None, 0.0
     try:
@@ -148,7 +149,7 @@ def count(
 def surfaces(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> Mapping[str, SurfaceMetrics]:
-    """The surface metrics under each protocol; none without a threshold or request."""
+    """Return the surface metrics under each protocol; none without a threshold or `counting.surface`."""
     if not counting.surface or threshold is None:
         return {}
     packed = occupied(prediction, threshold, counting.upsampling)
@@ -156,7 +157,7 @@ def surfaces(
 
 
 def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
-    """{protocol: the IoU that a prediction of this side can reach}; 1 from 256 on."""
+    """Return {protocol: the highest IoU that a prediction of this side can reach}; 1 for sides from 256."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
     best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)
@@ -165,11 +166,11 @@ def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, 
 
 
 class Journal:
-    """Results by pair, on disk as soon as they are known.
+    """Results by pair, written to disk as soon as they are known.
 
     Args:
-        folder: where they are kept; None keeps nothing.
-        shard: the part that this run counts, in a file of its own; the files of all parts are read.
+        folder: where the results are kept; None keeps nothing.
+        shard: the part that this run counts; each part has a file of its own, and all files are read.
     """
 
     def __init__(self, folder: Path | None, shard: Shard | None = None) -> None:
@@ -184,18 +185,18 @@ class Journal:
         self._checked = drawn(self._earlier, whole)
 
     def earlier(self, pair: str) -> CountedPair | None:
-        """An earlier run's result of a pair."""
+        """Return an earlier run's result of a pair."""
         return self._earlier.get(pair)
 
     def is_checked(self, pair: str) -> bool:
-        """Whether to count a pair again to check an earlier run's result."""
+        """Return whether a pair must be counted again to check an earlier run's result."""
         return pair in self._checked
 
     def add(self, job: PairJob, result: PairResult) -> None:
         """Add a result.
 
         Raises:
-            StorageError: the disk is full or read-only, or the existing content is no plain file.
+            StorageError: the disk is full or read-only, or the journal's path is no plain file.
         """
         counted = CountedPair(pair=job.target.name, key=job.key(result.digest), result=result)
         earlier = self.earlier(counted.pair)
@@ -204,13 +205,13 @@ class Journal:
         append_plain(self._path, counted.line())
 
     def remove(self) -> None:
-        """Delete the journal: the table holds its content."""
+        """Delete the journal; call it when the table is written."""
         for path in () if self._path is None else self._path.parent.glob(JOURNALS):
             path.unlink(missing_ok=True)
 
 
 def _text(path: Path) -> str:
-    """The text of a journal; none of what cannot be read."""
+    """Return the text of a journal; "" if it cannot be read."""
     try:
         return read_plain_text(path, MOST_JOURNAL_BYTES)
     except (OSError, UnicodeDecodeError):
@@ -218,7 +219,7 @@ def _text(path: Path) -> str:
 
 
 def _pairs(text: str) -> dict[str, CountedPair]:
-    """The pairs by name, without incomplete lines."""
+    """Return the results by pair; incomplete lines are skipped."""
     by_name = {}
     for line in text.splitlines():
         with contextlib.suppress(ValidationError):

@@ -1,4 +1,4 @@
-"""Load one submitted prediction. The file is untrusted: its claims are checked."""
+"""Load one submitted prediction. The file is untrusted: its header is checked before it is read."""
 
 import contextlib
 import os
@@ -20,7 +20,7 @@ from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.mesh_prediction import MAX_MESH_BYTES, MESHES, voxelised
 from kinectbench.scoring.packed_prediction import CODES, HALF_ONE, LEVELS, MOST_LEVELS, unpacked
 
-MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # the largest array, its header, and what a zip adds
+MAX_BYTES = 4 * MAX_CELLS**3 + 64 * 1024  # largest array, header, zip overhead
 HALF_MINUS_ZERO = 0x8000
 ACCEPTED = "save float16 or float32 in [0, 1], or bool"
 
@@ -30,9 +30,9 @@ class Loaded:
     """A prediction and facts about its file.
 
     Attributes:
-        prediction: (n, n, n), as of `load_prediction`.
-        digest: `blake3:` with the hash of the file that it was read from.
-        outside_share: share of a mesh's volume outside the grid, which was cut off.
+        prediction: (n, n, n), as `load_prediction` returns it.
+        digest: `blake3:` with the hash of the prediction's file.
+        outside_share: share of a mesh's volume that lies outside the grid and was cut off.
     """
 
     prediction: Prediction
@@ -44,10 +44,10 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
     """Load and check one prediction.
 
     Args:
-        path: an .npy file, an .npz file of exactly one array or of a packed prediction, or a .ply or .obj
+        path: an .npy file, an .npz file with exactly one array or a packed prediction, or a .ply or .obj
             mesh.
-        name: what error lines call it (default: the path).
-        voxel_size_m: of the pair; needed for a mesh only.
+        name: the file's name in error messages (default: the path).
+        voxel_size_m: edge of a voxel of the pair; needed only for a mesh.
 
     Returns:
         (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native bytes, every value in [0, 1].
@@ -61,13 +61,12 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
 
 
 def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loaded:
-    """The same prediction, and facts about its file.
+    """Load the same as `load_prediction`, with facts about the file.
 
-    Prediction and hash are of one open file, which must not change meanwhile: a zip is not read from its
-    begin to its end.
+    Prediction and hash are read one after the other from one open file, which must not change meanwhile.
 
     Raises:
-        PredictionError: as `load_prediction`, or the file changed.
+        PredictionError: as in `load_prediction`, or the file changed.
     """
     with _named_errors(name), open_plain(path) as file:
         before = _state(file)
@@ -81,7 +80,7 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loa
 
 @contextlib.contextmanager
 def _named_errors(name: str) -> Iterator[None]:
-    """Errors of a prediction's file as one line that begins with its name."""
+    """Turn errors of a prediction's file into one line that begins with its name."""
     try:
         yield
     except PredictionError as error:
@@ -108,14 +107,14 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[P
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:
-    """Values that change when a file is written: its size and times."""
+    """Return values that change when a file is written: its size and times."""
     state = os.fstat(file.fileno())
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
 def blake3_of(content: IO[bytes] | bytes) -> str:
-    """`blake3:` and the hash of bytes, or of a file from its position on."""
-    # SHA-256 of a 33 MB prediction takes longer than all the rest of its scoring.
+    """Return `blake3:` and the hash of bytes, or of a file from its position on."""
+    # SHA-256 of a 33 MB prediction would take longer than the rest of its scoring.
     from blake3 import blake3
 
     digest = blake3()
@@ -128,10 +127,10 @@ def blake3_of(content: IO[bytes] | bytes) -> str:
 
 
 def checked(array: NDArray[np.generic], name: str) -> Prediction:
-    """A prediction in memory, as `load_prediction` would give it; the array is not changed.
+    """Check a prediction in memory, and return it as `load_prediction` would; the array is not changed.
 
     Raises:
-        PredictionError: it is unacceptable; one line that begins with `name`.
+        PredictionError: the array is unacceptable; one line that begins with `name`.
     """
     try:
         _check_claims(NpyHeader(array.dtype, array.shape, False, 0))
@@ -142,7 +141,7 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 def _grid(file: IO[bytes], suffix: str) -> Prediction:
-    """The prediction of an npy or npz file."""
+    """Read the prediction of an npy or npz file."""
     size = _checked_size(file, MAX_BYTES)
     if suffix == ".npy":
         return _checked(read_npy(file, size, _check_claims))
@@ -161,7 +160,7 @@ def _grid(file: IO[bytes], suffix: str) -> Prediction:
 
 
 def _decoded(archive: zipfile.ZipFile) -> Prediction:
-    """A packed prediction (see `packed_prediction`)."""
+    """Read a packed prediction (see `packed_prediction`)."""
     levels = _checked(_read(archive, LEVELS + NPY, _check_levels))
     codes = _native(_read(archive, CODES + NPY, _check_codes)).view(np.uint8)
     if codes.max() >= len(levels):
@@ -191,7 +190,7 @@ def _check_codes(header: NpyHeader) -> None:
 
 
 def _checked_size(file: IO[bytes], most: int) -> int:
-    """The size of a file that is neither empty nor too large."""
+    """Return the size of a file; refuse an empty or too large one."""
     size = size_of(file)
     if size > most:
         raise PredictionError(f"{size} bytes; {most} is the most accepted", what="too-large")
@@ -215,18 +214,18 @@ def _check_claims(header: NpyHeader) -> None:
 
 
 def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
-    """Whether an array is a cube of bits, packed along its last axis."""
+    """Return whether an array is a cube of bits, packed along its last axis."""
     bits = dtype == np.uint8 and len(shape) == 3 and 8 <= shape[0] <= MAX_CELLS
     return bits and shape[0] == shape[1] == 8 * shape[2]
 
 
 def _checked(array: NDArray[np.generic]) -> Prediction:
-    """The array in native bytes and C order, once every value is known to be in [0, 1]."""
+    """Return the array in native bytes and C order; refuse values outside [0, 1]."""
     if _is_packed(array.shape, array.dtype):
         return np.unpackbits(array.view(np.uint8), axis=-1).view(np.bool_)
     array = _native(array)
     if array.dtype == np.float16:
-        if array.view(np.uint16).max() > HALF_ONE:  # rare: negative zeros, or something wrong
+        if array.view(np.uint16).max() > HALF_ONE:  # rare: a negative zero or a bad value
             bits = array.view(np.uint16)
             _refuse_first(array, (bits > HALF_ONE) & (bits != HALF_MINUS_ZERO))
         return array.view(np.float16)
@@ -246,7 +245,7 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
 
 
 def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """A cube in native bytes and C order, in place: the largest that is accepted fills half a gigabyte."""
+    """Bring a cube into native bytes and C order, in place: the largest takes half a gigabyte."""
     if not array.dtype.isnative:
         array = array.byteswap(inplace=True).view(array.dtype.newbyteorder("="))
     if not array.flags.c_contiguous:

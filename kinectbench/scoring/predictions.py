@@ -1,4 +1,4 @@
-"""A folder of submitted predictions: the file of each target, and faults."""
+"""A folder of submitted predictions: the file of each target, and problems."""
 
 import contextlib
 import os
@@ -23,11 +23,11 @@ from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
-# Unsupported mesh formats: such a file in the place of a prediction was meant as one.
+# Mesh formats that are not supported; such a file in a prediction's place was meant as one.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
-# What is looked for in a method's folder, in words.
+# The files that a method's folder should hold, in words.
 EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
-# Files of a folder of predictions that are looked at; no release has as many pairs.
+# Most files of a folder of predictions that are listed; no release has as many pairs.
 MOST_FILES = 1_000_000
 
 
@@ -40,7 +40,7 @@ class FoundPredictions:
         missing: targets without a file.
         problems: targets whose file is ambiguous or unsafe, and why.
         stray: files that answer no target, relative to the folder, sorted.
-        method: their method.json; None if there is none.
+        method: the folder's method.json; None if there is none.
     """
 
     files: dict[Target, Path]
@@ -51,11 +51,11 @@ class FoundPredictions:
 
 
 def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
-    """Match `<recording>/<view>` with one of the suffixes to the targets.
+    """Find the file of each target: `<recording>/<view>` with one of the suffixes.
 
     Args:
         folder: one method's predictions.
-        targets: names are safe (see `parse_targets`).
+        targets: the targets; their names are safe (see `parse_targets`).
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -67,7 +67,7 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
 
 
 def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None) -> FoundPredictions:
-    """`find_predictions` for an existing folder."""
+    """Do the work of `find_predictions` for an existing folder."""
     root = folder.resolve()
     files: dict[Target, Path] = {}
     missing: list[Target] = []
@@ -99,7 +99,7 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
 
 
 def _other_mesh(folder: Path, target: Target) -> str | None:
-    """Why the mesh file of a target is not read, as it is of another kind; None if it is read."""
+    """Return why the mesh file of a target is not supported; None if there is no such file."""
     for suffix in OTHER_MESHES:
         name = target.name + suffix
         if (folder / name).is_file():
@@ -109,11 +109,11 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 
 
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
-    """Files that match nothing expected, relative to the folder, sorted; without hidden ones.
+    """Return files that are not expected, relative to the folder, sorted; hidden files are left out.
 
     Raises:
-        PredictionError: there are more than `MOST_FILES`.
-        OSError: a folder cannot be looked into.
+        PredictionError: the folder has more than `MOST_FILES` files.
+        OSError: a folder cannot be listed.
     """
     strays, waiting, seen = list[str](), [(folder, "")], 0
     while waiting:
@@ -148,11 +148,12 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
-    """A line for each of the first files that match no target, and one for all others.
+    """Return a line for each of the first files that match no target, and one line for the rest.
 
     Args:
-        stray: their names, relative to the method's folder.
-        missing: targets without a file; a name that differs from one's in letter case alone was meant for it.
+        stray: names of these files, relative to the method's folder.
+        missing: targets without a file; a stray file whose name differs only in letter case was meant for
+            one.
     """
     meant = {
         f"{target.name}{suffix}".lower(): target.name + suffix for target in missing for suffix in SUFFIXES
@@ -167,7 +168,7 @@ def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
 
 
 def missing_line(target: Target) -> str:
-    """A line about a missing file."""
+    """Return a line about a missing file."""
     return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
 
 
@@ -178,8 +179,8 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         The folder of each method by name, sorted; a single method is called by its folder's name.
 
     Raises:
-        PredictionError: the folder is missing, holds neither, is a release, or a method is a link out of it
-            or has no name that can be that of a folder of results.
+        PredictionError: the folder is missing, holds neither, or is a release; or a method is a link out of
+            the folder, or its name cannot be a folder of results.
     """
     check_folder(folder)
     recordings = frozenset(target.recording for target in targets)
@@ -204,12 +205,12 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
-    """A line for each folder beside the methods' that holds no prediction; hidden ones are no methods.
+    """Return a line for each folder beside the methods' that holds no prediction; hidden folders are ignored.
 
     Args:
-        folder: what `split_methods` looked at.
-        methods: what it found there.
-        targets: what could be answered.
+        folder: the folder that was given to `split_methods`.
+        methods: the methods that `split_methods` returned.
+        targets: the targets that predictions may answer.
     """
     if folder in methods.values():
         return []
@@ -225,10 +226,10 @@ def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[T
 
 
 def declared_folders(folder: Path) -> list[Path]:
-    """A folder of predictions itself if it has a method.json, else those in it that have one, sorted.
+    """Return the folder itself if it has a method.json, else its subfolders that have one, sorted.
 
     Raises:
-        PredictionError: it cannot be looked into.
+        PredictionError: the folder cannot be listed.
     """
     if (folder / MethodFile.FILE).is_file():
         return [folder]
@@ -251,7 +252,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _answers(folder: Path, recordings: frozenset[str]) -> bool:
-    """Whether a folder has a subfolder of a recording's name with anything like a prediction in it."""
+    """Return whether a folder has a recording's subfolder with something like a prediction in it."""
     with os.scandir(folder) as entries:
         named = [entry.path for entry in entries if entry.name in recordings and entry.is_dir()]
     for path in named:
@@ -265,7 +266,7 @@ def check_method(name: str) -> None:
     """Refuse invalid method names: they become folder names and table cells.
 
     Raises:
-        PredictionError: it is not made of letters, digits and a few signs, or is that of a file of ours.
+        PredictionError: the name has characters other than letters, digits and a few signs, or is reserved.
     """
     if problem := name_problem(name, also="+"):
         raise PredictionError(
@@ -275,16 +276,16 @@ def check_method(name: str) -> None:
 
 
 def check(release: Release, folder: Path, progress: Progress | None = None) -> list[str]:
-    """Check one method's predictions for the test split, and for validation if it answers any of it.
+    """Check one method's predictions of the test split, and of the validation split if it predicts any.
 
     Args:
-        release: of the predictions.
+        release: the release that was predicted.
         folder: one method's predictions.
         progress: called with (files done, files in all).
 
     Returns:
-        One line per problem: of the folder as a whole first, then in the order of the targets, stray files
-        last; empty if all is well.
+        One line per problem: problems of the whole folder first, then in the order of the targets, stray
+        files last; empty without problems.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -311,7 +312,7 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
 def _looked_at(
     release: Release, predictions: FoundPredictions, readable: Sequence[Target]
 ) -> Iterator[tuple[Prediction, Bools]]:
-    """Some grids, spread over all of them, each with the partial of its view."""
+    """Yield some predictions, spread evenly over all, each with the partial of its view."""
     for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
         names = ("partial_256", "voxel_size_m")
         partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
@@ -319,7 +320,7 @@ def _looked_at(
 
 
 def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
-    """The fault of one file, or None."""
+    """Return the fault of one file, or None."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:

@@ -10,7 +10,7 @@ from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_keys
 from kinectbench.release.release import Release, Target
 
-# Of the codes by which voxels are counted (see kernels.py).
+# Bits of the codes by which voxels are counted (see kernels.py).
 KNOWN, SEEN = 2, 4
 CODES = range(8)
 SOLID = "full"
@@ -18,12 +18,12 @@ SOLID = "full"
 
 @dataclass(frozen=True)
 class Protocol:
-    """A mask over the voxels of a pair; others are not counted.
+    """A protocol: which voxels of a pair are counted, and against which truth.
 
     Attributes:
-        known: only voxels whose truth is known.
-        hidden: only voxels that the input view did not see.
-        distrusts: the grid of the pair file whose cells do not count as known; None: no grid.
+        known: count only voxels whose truth is known.
+        hidden: count only voxels that the input view did not see.
+        distrusts: a grid of the pair file whose cells do not count as known; None: no such grid.
         truth: the grid of the pair file that predictions are compared with.
     """
 
@@ -34,12 +34,12 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes of the voxels that it would count if all were known."""
+        """The codes of the voxels that the protocol would count if all were known."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property
     def codes(self) -> tuple[int, ...]:
-        """The codes of the voxels that it counts."""
+        """The codes of the voxels that the protocol counts."""
         return tuple(code for code in self.looked_at if code & KNOWN or not self.known)
 
 
@@ -52,14 +52,14 @@ PROTOCOLS = {
     "shell": Protocol(known=False, truth="shell"),
 }
 PRIMARY = "known"
-# Without a request those of the solid truth are scored.
+# By default the protocols with the solid truth are scored.
 USUAL = tuple(name for name, of in PROTOCOLS.items() if of.truth == SOLID)
-# The paper's: they count every voxel, and every pair weighs the same.
+# Protocols as in the paper: every voxel counts, and every pair weighs the same.
 EVERY_VOXEL = tuple(name for name, of in PROTOCOLS.items() if not of.known)
 
 
 def further_grids(protocols: Sequence[str]) -> tuple[str, ...]:
-    """Grids of a pair file that some protocols need in addition to the common ones."""
+    """Return the grids of a pair file that some protocols need in addition to the common grids."""
     grids = [grid for name in protocols for grid in (PROTOCOLS[name].distrusts, PROTOCOLS[name].truth)]
     return tuple(dict.fromkeys(grid for grid in grids if grid not in (None, SOLID)))
 
@@ -68,7 +68,7 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
     """Refuse unknown protocols; an empty list stands for the usual ones that the pairs allow.
 
     Raises:
-        SettingsError: one that is not.
+        SettingsError: a protocol is not known.
     """
     names = (*PROTOCOLS, *IN_SPACE)
     unknown = [name for name in protocols or () if name not in names]
@@ -77,12 +77,12 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """The protocols of a release: those requested, else the usual ones that its pairs allow.
+    """Return the requested protocols, else the usual ones that the pairs of a release allow.
 
-    The pairs of a recording are made at once, so the first of each tells which grids they have.
+    All pairs of a recording have the same grids, so the first pair of each is read.
 
     Raises:
-        SettingsError: one is not known, or the pairs lack the grid that it needs.
+        SettingsError: a protocol is not known, or the pairs lack a grid that it needs.
         ReleaseError: a pair file is missing or changed.
     """
     check_protocols(asked)
@@ -109,7 +109,7 @@ def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ..
 
 
 def _keys(release: Release, target: Target) -> tuple[str, ...]:
-    """The keys of a published pair file; none if damaged, which counting reports."""
+    """Return the keys of a published pair file; none if it is damaged, which counting reports."""
     try:
         return pair_keys(release.pair_content(target))
     except UNREADABLE:

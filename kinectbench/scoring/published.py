@@ -1,8 +1,8 @@
-"""The paper's own tables: of its real recordings, of its synthetic test sets, and its numbers of parameters.
+"""The paper's own tables: of its real recordings and synthetic test sets; and its numbers of parameters.
 
 Source: Yang, Rosa, Markham, Trigoni, Wen: Dense 3D Object Reconstruction from a Single Depth View
-(3D-RecGAN++), IEEE TPAMI: all results at 256^3 voxels, each by the number of its table; precision and recall
-are those of its Table 11.
+(3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels; each table has the paper's number. Precision and
+recall are from Table 11.
 """
 
 import re
@@ -15,7 +15,7 @@ PUBLISHED_IN = (
 )
 LABEL = "published, not comparable"
 CATEGORIES = ("bench", "chair", "couch", "table")
-# Those that its networks never learnt from (its Sec. 4.5).
+# Categories that the paper's networks were not trained on (its Sec. 4.5).
 UNSEEN = ("car", "faucet", "firearm", "guitar", "monitor", "plane")
 Figures = tuple[float, ...]
 
@@ -29,7 +29,7 @@ class PublishedScore:
         iou: intersection over union.
         ce: cross-entropy, nats a voxel.
         precision: None where the paper has none.
-        recall: likewise.
+        recall: None where the paper has none.
     """
 
     method: str
@@ -44,10 +44,10 @@ class PublishedTable:
     """One table of the paper.
 
     Attributes:
-        title: its number, and what its test set is.
-        views: how many viewing angles the names of its test folders say; None: real recordings.
+        title: the table's number and test set.
+        views: number of viewing angles in the names of the test folders; None: real recordings.
         rows: the methods, best first.
-        categories: of the test pairs.
+        categories: the categories of the test pairs.
     """
 
     title: str
@@ -56,8 +56,8 @@ class PublishedTable:
     categories: tuple[str, ...] = CATEGORIES
 
 
-# Below the title of each table a line for each method: its IoU in each category, then its cross-entropy, and
-# where the paper has them precision and recall.
+# After the title of each table, a line for each method: IoU in each category, then cross-entropy, then
+# precision and recall if the paper has them.
 _TABLES = """\
 Table 10 (real recordings)
     3D-RecGAN++           .177 .208 .540 .156  .061 .153 .314 .177
@@ -110,7 +110,7 @@ Table 9 (test_125, learnt from one category)
 
 
 def _tables() -> Iterator[PublishedTable]:
-    """The tables of the text, in its order."""
+    """Yield the tables in `_TABLES`, in the same order."""
     for block in re.split(r"\n(?=T)", _TABLES.strip()):
         title, *lines = block.split("\n")
         categories = UNSEEN if "never learnt from" in title else CATEGORIES
@@ -126,7 +126,7 @@ def _tables() -> Iterator[PublishedTable]:
 
 REAL, *_synthetic = _tables()
 SYNTHETIC, PUBLISHED = tuple(_synthetic), REAL.rows
-# Table 12, millions.
+# Table 12, millions of parameters.
 PARAMETERS = {"3D-EPN": 52.4, "Varley et al.": 430.3, "Han et al.": 7.5, "3D-RecGAN++": 167.1}
 PARAMETERS_LINE = "The paper's numbers of parameters, millions (Table 12): " + ", ".join(
     f"{name} {count}" for name, count in PARAMETERS.items()
@@ -137,12 +137,12 @@ _IMPORTED = re.compile(r".+-(125|216)")
 def published_beside(
     recordings: Iterable[str], categories: Iterable[str] = CATEGORIES
 ) -> tuple[PublishedTable, ...]:
-    """The paper's tables to show beside scores: synthetic ones for imported data, else the real one.
+    """Return the paper's tables to show beside scores: synthetic ones for imported data, else the real one.
 
     Args:
-        recordings: of the test split. Those that `import` makes of the authors' files end in the number of
-            views in the names of their folders.
-        categories: of the test split; a synthetic table without any of them is left out.
+        recordings: names of the test split's recordings. Recordings that `import` makes of the authors' files
+            end in the number of views.
+        categories: categories of the test split; a synthetic table without any of them is left out.
     """
     views = {int(match[1]) if (match := _IMPORTED.fullmatch(name)) else None for name in recordings}
     if len(views) != 1 or None in views:

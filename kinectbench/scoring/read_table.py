@@ -1,6 +1,6 @@
-"""Read score tables as rows; everything else is computed again and compared with the file.
+"""Read score tables as rows; all other values are computed again and compared with the file.
 
-A file can be wrong as a whole: whether its rows are those of any predictions only `recheck` can tell.
+All rows of a file can be made up: only `recheck` can tell whether they are of real predictions.
 """
 
 import math
@@ -19,28 +19,28 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 
-# Sums in another order differ by 1e-15 of themselves; the least change that is shown is 1e-3.
+# Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is shown is 1e-3.
 TOLERANCE = 1e-9
-# Another version of numpy may draw other samples: 10 000 resamples place an end to within 2.6 % of the
-# interval's width (measured with 100 000 draws of another seed).
+# Share of an interval's width by which a bootstrapped end may differ, as another version of numpy may draw
+# other samples: 10 000 resamples place an end to within 2.6 % (measured with 100 000 draws of another seed).
 OF_BOOTSTRAP = 0.05
 NOTHING: tuple[object, ...] = (None, [], (), {})
-# Other versions may word notes and marks otherwise: they are computed again, not compared.
+# Keys that are compared. Notes and marks, which other versions may word differently, are only computed again.
 FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
 
 
 def read_table(path: Path) -> ScoreTable:
-    """Read a score table; values that follow from rows are recomputed, `verified` is kept if it holds.
+    """Read a score table; recompute values that follow from its rows, and keep `verified` only if it holds.
 
     Raises:
-        StorageError: it is missing or damaged, its rows contradict each other, or what it states beside them
-            (averages, intervals, curves, extremes) does not follow from them. One line.
+        StorageError: the file is missing or damaged, its rows contradict each other, or its other values
+            (averages, intervals, curves, extremes) do not follow from its rows. One line.
     """
     return recomputed(ScoreTable.read_file(path), str(path))
 
 
 def recomputed(table: ScoreTable, where: str) -> ScoreTable:
-    """The table computed from another one's rows; errors as of `read_table`, with `where` first."""
+    """Return a table computed from a table's rows; errors as in `read_table`, beginning with `where`."""
     problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
@@ -62,7 +62,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Averages]]) -> Iterator[str]:
-    """Curves of an older table that contradict the score at its threshold."""
+    """Report curves of an older table that contradict the score at its threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
             used = table.thresholds.get(category)
@@ -74,20 +74,20 @@ def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Ave
 
 
 def _differences(table: ScoreTable, computed: Mapping[str, object]) -> Iterator[str]:
-    """Statements of the file that do not follow from its rows; missing ones are no difference."""
+    """Report values of the file that do not follow from its rows; a missing value is no difference."""
     for name in FIGURES:
         if name in table.model_fields_set:
             yield from differing(getattr(table, name), computed[name], name)
 
 
 def differing(stated: object, computed: object, key: str, whole: bool = False) -> Iterator[str]:
-    """The keys at which a stated value differs from the computed one beyond rounding, in a sentence each.
+    """Yield a sentence for each key whose stated value differs from the computed one beyond rounding.
 
     Args:
         stated: numbers, text, lists, mappings, models or dataclasses of these.
-        computed: likewise.
-        key: where they stand, "" at the top.
-        whole: whether what is not stated (None) differs from what is computed, too.
+        computed: the same kinds of values.
+        key: the key of both values in the file, "" at the top.
+        whole: whether a missing statement (None) also counts as a difference.
     """
     stated, computed = _plain(stated), _plain(computed)
     if stated is None and not whole:
@@ -110,7 +110,7 @@ def differing(stated: object, computed: object, key: str, whole: bool = False) -
 def _bootstrapped(
     stated: Mapping[str, Sequence[float] | None], computed: Mapping[str, Sequence[float] | None], key: str
 ) -> Iterator[str]:
-    """Random intervals, whose ends may differ by a small part of their width."""
+    """Compare random intervals, whose ends may differ by a small part of their width."""
     for name, ends in stated.items():
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE
@@ -123,7 +123,7 @@ def _below(key: str, name: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """A model or dataclass as a mapping; other values unchanged."""
+    """Return a model or dataclass as a mapping, other values unchanged."""
     if isinstance(value, StoredPart):
         return value.json_value()
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
@@ -134,14 +134,14 @@ def _is_list(value: object) -> TypeGuard[Sequence[object]]:
 
 
 def _close(one: object, other: object) -> bool:
-    """Whether two values are equal up to rounding."""
+    """Return whether two values are equal up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     return bool(one == other)
 
 
 def _short(value: object) -> str:
-    """A value in a few characters, without control characters."""
+    """Return a value in a few characters, without control characters."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return "nothing" if value is None else printable(repr(value), 60)

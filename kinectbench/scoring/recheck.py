@@ -22,7 +22,7 @@ from kinectbench.scoring.request import check_missing
 from kinectbench.scoring.score import score
 from kinectbench.scoring.thresholds import FROM_FILE
 
-# Keys that are not compared, or compared in a special way.
+# Keys of a table that are not compared, or are compared in a special way.
 NOT_COMPARED = {"method", "package_version", "rows", "warnings", "hashes", "settings", "baseline", "verified"}
 
 
@@ -35,16 +35,16 @@ def recheck(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Score predictions as a table states, and compare the result with the table.
+    """Score predictions with the settings of a table, and compare the result with the table.
 
-    If all is the same, `verified` is written into the table, bound to its rows and settings and to the
-    predictions' hashes; if not, the table is left as it is.
+    If all values agree, `verified` is written into the table; it is valid only with the table's rows,
+    settings and hashes of predictions. Otherwise the table is not changed.
 
     Args:
-        release: the truth.
-        path: the scores.json.
-        predictions: one method's folder.
-        thresholds_file: the file that the thresholds are from, if they are from one.
+        release: the release that was scored.
+        path: the table's scores.json.
+        predictions: one method's folder of predictions.
+        thresholds_file: the file that the thresholds were read from, if any.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -52,10 +52,9 @@ def recheck(
         One line for each difference; none if the table is verified.
 
     Raises:
-        SettingsError: the table is of another truth or version, or its thresholds are from a file that is
-            not given.
+        SettingsError: the table is of another truth or version, or its file of thresholds is not given.
         StorageError: the table is damaged or contradicts itself, or cannot be written.
-        PredictionError, ReleaseError: as those of `score`.
+        PredictionError, ReleaseError: as in `score`.
     """
     stated = read_table(path)
     folder = _folder(release, stated, path, predictions)
@@ -80,7 +79,7 @@ def recheck(
 
 
 def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path) -> Path:
-    """The folder of the one method that is rechecked; refuse a table that cannot be."""
+    """Return the folder of the method that is rechecked; refuse a table that cannot be rechecked."""
     if stated.benchmark_sha256 != release.benchmark_sha256:
         raise SettingsError(
             f"{path}: scored against benchmark {stated.benchmark_sha256[:12]}, this is "
@@ -104,7 +103,7 @@ def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path)
 
 
 def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) -> None:
-    """Refuse another file of thresholds than the one that the table was made with."""
+    """Refuse a file of thresholds other than the one that the table was made with."""
     source = stated.threshold_source
     if given is None and source.startswith(FROM_FILE):
         raise SettingsError(f"{path}: its thresholds are from a file ({source[:17]}); give it: --thresholds")
@@ -118,7 +117,7 @@ def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) ->
 
 
 def _upsampling(stated: ScoreTable, path: Path) -> str:
-    """The convention that a table's words name."""
+    """Return the upsampling that a table's settings describe."""
     words = (stated.settings.upsampling or HALF_PIXEL).replace(",", "").split()
     names = [name for name in CONVENTIONS if name in words]
     if len(names) != 1:
@@ -129,7 +128,7 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
 
 
 def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[str]:
-    """A different method name, and warnings that no longer occur."""
+    """Report a different method name, and warnings that no longer occur."""
     method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
@@ -140,7 +139,7 @@ def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[s
 
 
 def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
-    """Statements of a table that its predictions do not confirm, rows first."""
+    """Report statements of a table that its predictions do not confirm, rows first."""
     rows = {(row.pair, row.heading): row for row in stated.rows}
     again = {(row.pair, row.heading): row for row in computed.rows}
     for pair, protocol in sorted(rows.keys() | again.keys()):
@@ -161,7 +160,7 @@ def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
 
 
 def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[str]:
-    """Differences in thresholds, base rates, failures, settings and other statements of a table."""
+    """Report differences in thresholds, base rates, failures, settings and other statements of a table."""
     settings = stated.get("settings", {})
     for key in sorted((stated.keys() | computed.keys()) - NOT_COMPARED):
         yield from differing(stated.get(key), computed.get(key), key, whole=True)
@@ -170,7 +169,7 @@ def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> 
 
 
 def _verified(stated: ScoreTable, computed: ScoreTable) -> ScoreTable:
-    """The table with the mark; it gets the hashes of predictions that it did not have."""
+    """Return the table marked as verified, with the hashes of predictions that it lacked."""
     table = stated.model_copy(update={"hashes": computed.hashes, "verified": None})
     mark = Verified(
         date=datetime.now(UTC).date().isoformat(),

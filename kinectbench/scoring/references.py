@@ -1,4 +1,4 @@
-"""References of scores: base rates of categories, and names of baselines."""
+"""References for scores: base rates of categories, and names of baselines."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,23 +11,24 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
 from kinectbench.scoring.workers import run_tasks
 
-# Truth that a method may have learnt from comes first; test truth makes an oracle.
+# The splits that base rates are taken from, in this order: truth for training first; the test split's truth
+# makes the base rate an oracle.
 SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
-# A process takes as long to start (2.5 s) as one reads so many pairs (13 ms each, measured).
+# Pairs that make another process worth its start: 2.5 s, against 13 ms a pair (measured).
 PAIRS_A_PROCESS = 200
 
 
 def base_rates(
     release: Release, jobs: int = 1, counted: Mapping[Target, Tally] | None = None
 ) -> dict[str, BaseRate]:
-    """The base rate of every category, from the first of validation, train and test that has it.
+    """Return the base rate of every category, from the first of validation, train and test that has it.
 
-    A category whose truth is held back everywhere has none.
+    A category whose truth is held back everywhere has no base rate.
 
     Args:
-        release: its truth is read.
-        jobs: number of processes at most; few pairs are read in this one.
-        counted: tallies of pairs whose truth need not be read again.
+        release: the release whose truth is read.
+        jobs: number of processes at most; few pairs are read in the calling process.
+        counted: tallies of already counted pairs, whose truth is not read again.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -56,12 +57,13 @@ def base_rates(
 
 
 def _occupied_share(task: tuple[Path, str]) -> float:
-    """Share of a pair's voxels that is occupied."""
+    """Return the share of a pair's voxels that is occupied."""
     (full,) = read_parts(*task, ("full",))
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
 
 
-# `kinectbench baseline` makes predictions of these names, and a table of such a name is marked as a baseline.
+# Names of baselines. `kinectbench baseline` makes predictions of these names, and a table of such a name is
+# marked as a baseline.
 BASELINE_NAMES = (
     *("empty", "base-rate", "partial", "hull", "carved-hull", "mirror", "silhouette"),
     *("mean-shape", "nearest"),

@@ -1,4 +1,4 @@
-"""What is asked of `score`, and what of it contradicts itself or what a method declares."""
+"""The options of `score`, and checks that they agree with each other and with what methods declare."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from kinectbench.scoring.thresholds import read_thresholds
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `score` that a folder of predictions may contradict; their meaning is as there.
+    """Those options of `score` that predictions may contradict; see `score` for their meaning.
 
     Attributes:
-        jobs: how many processes here count, or which other machines.
-        in_parts: whether one part of the pairs is to be counted (`count_methods`).
+        jobs: number of processes on this machine, or which other machines count.
+        in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
     protocols: Sequence[str] | None = None
@@ -42,14 +42,14 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
     """Refuse errors that can be found without the release.
 
     Args:
-        request: what is asked.
-        predictions: a method's folder, or one of several methods; None where baselines are scored.
+        request: the options.
+        predictions: a method's folder, or a folder of methods; None if baselines are scored.
 
     Returns:
-        What is to be done with a missing prediction.
+        How a missing prediction is treated.
 
     Raises:
-        SettingsError: an option is wrong, or contradicts another or what a method.json declares.
+        SettingsError: an option is wrong, or contradicts another option or a method.json.
         PredictionError: the folder is missing, or a method.json is refused.
     """
     rule = check_missing(request.missing)
@@ -70,15 +70,15 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
 
 
 def check_declared(request: Request, folder: Path) -> None:
-    """Refuse what contradicts the declaration of one method.
+    """Refuse options that contradict what one method declares.
 
     Args:
-        request: what is asked.
-        folder: of its predictions; without a method.json they are in the cells of a pair.
+        request: the options.
+        folder: the method's predictions; without a method.json they are in the pairs' grid.
 
     Raises:
-        SettingsError: an option is of the other kind of predictions.
-        PredictionError: its method.json is refused (`read_method`).
+        SettingsError: an option applies only to the other kind of predictions.
+        PredictionError: the method.json is refused (`read_method`).
     """
     check_words(request.protocols, request.upsampling, request.close)
     declared = read_in_camera(folder)
@@ -104,10 +104,10 @@ def _refuse_elsewhere(request: Request, what: str) -> None:
 
 
 def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | None = None) -> None:
-    """Refuse names of protocols, of upsampling and of ways to close meshes that are not known.
+    """Refuse unknown names of protocols, of upsampling and of ways to close meshes.
 
     Raises:
-        SettingsError: one that is not, or what it needs is not installed.
+        SettingsError: a name is not known, or a package that it needs is not installed.
     """
     check_protocols(protocols)
     if upsampling not in CONVENTIONS:
@@ -119,10 +119,10 @@ def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | N
 
 
 def check_missing(missing: str) -> Missing:
-    """The treatment of a missing prediction.
+    """Return how a missing prediction is treated.
 
     Raises:
-        SettingsError: neither "error" nor "empty".
+        SettingsError: the word is neither "error" nor "empty".
     """
     if missing not in get_args(Missing):
         raise SettingsError(f"--missing {missing}: choose error or empty")

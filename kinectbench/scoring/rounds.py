@@ -1,4 +1,4 @@
-"""Count a method's pairs: validation first, as it gives the thresholds."""
+"""Count a method's pairs: validation pairs first, as the thresholds are chosen on them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -27,10 +27,10 @@ class Plan:
     """The pairs of a method to count.
 
     Attributes:
-        found: its files.
-        files: the file of every pair that is to be counted; None: an empty grid.
-        failures: why other pairs cannot be.
-        fixed: thresholds that were given; None: they come from the validation split.
+        found: the method's files.
+        files: the file of every pair to count; None: an empty grid.
+        failures: why the other pairs cannot be counted.
+        fixed: given thresholds; None: they are chosen on the validation split.
     """
 
     found: FoundPredictions
@@ -40,17 +40,17 @@ class Plan:
 
     @property
     def own(self) -> float | None:
-        """The method's own threshold from its method.json; None if it has none."""
+        """Return the method's own threshold from its method.json; None if it has none."""
         method = self.found.method
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
-        """The files that a part counts: its recordings', and the validation pairs that their surfaces need.
+        """Return the files that one part counts: its recordings', and validation pairs that give thresholds.
 
         Args:
             shard: the part.
-            surface: whether surface metrics are counted, at the threshold that all validation pairs of a
-                category give, or those of all categories where it has none.
+            surface: whether surface metrics are computed. Their threshold is chosen on all validation pairs
+                of a category, or of all categories if it has none.
         """
         mine = {target for target in self.files if shard.holds(target.recording)}
         needed = {target.category for target in mine if target.split == "test" and surface}
@@ -67,8 +67,8 @@ class Plan:
 def plan(release: Release, predictions: Path, thresholds_file: Path | None, missing: Missing) -> Plan:
     """Find a method's files, and plan their counting.
 
-    A method that predicts nothing of the validation split has chosen to do without it; one that predicts a
-    part of it has left out the rest.
+    A method without any validation prediction is scored without the validation split. If it has some, the
+    rest counts as missing.
 
     Raises:
         PredictionError, ReleaseError, SettingsError: see `score`.
@@ -95,15 +95,15 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """The test split, whose truth is required, and that of the validation split if needed.
+    """Return the pairs of the test split, and of the validation split if needed; their truth must be open.
 
     Args:
-        release: the truth.
-        validation: whether that split is needed.
-        solid: whether an open mesh, which has no inside, does not suffice.
+        release: the release that is scored.
+        validation: whether the validation split is needed.
+        solid: whether the truth must be solid; an open mesh has no inside.
 
     Raises:
-        ReleaseError: no test pair, or its truth is held back.
+        ReleaseError: there is no test pair, or its truth is held back.
     """
     test = release.split("test")
     if not test:
@@ -116,13 +116,13 @@ def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) ->
 
 @dataclass(frozen=True)
 class Rounds:
-    """Rules of counting pairs.
+    """Counts pairs, round by round.
 
     Attributes:
-        release: the truth.
-        counting: the same for all pairs.
+        release: the release that is scored.
+        counting: how pairs are counted, the same for all.
         journal: keeps counts until all are complete.
-        jobs: processes of this machine, or where else pairs are counted.
+        jobs: number of processes on this machine, or where else pairs are counted.
         progress: called with (pairs done, pairs in all).
     """
 
@@ -136,12 +136,12 @@ class Rounds:
     def count(
         self, files: Mapping[Target, Path | None], fixed: Thresholds | None, own: float | None = None
     ) -> tuple[dict[Target, PairResult | str], Thresholds]:
-        """Count pairs; the result of each or why it has none, and the thresholds of the surface metrics.
+        """Count pairs; return each pair's result, or why it has none, and the thresholds.
 
         Args:
-            files: of every pair; None: an empty grid.
-            fixed: thresholds that were given; None: they are searched.
-            own: the method's own (see `searched_thresholds`).
+            files: the file of every pair; None: an empty grid.
+            fixed: given thresholds; None: they are searched.
+            own: the method's own threshold (see `searched_thresholds`).
         """
         total = len(files)
         validation = self._round(_of_split(files, "validation"), None, total)
@@ -152,7 +152,7 @@ class Rounds:
     def _round(
         self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
     ) -> dict[Target, PairResult | str]:
-        """Count some pairs; surface metrics only with thresholds."""
+        """Count the pairs of one round; surface metrics only with thresholds."""
         jobs = [
             PairJob(
                 target,
@@ -185,7 +185,7 @@ class Rounds:
 
 
 class _Silent:
-    """Counts pairs silently: progress counts pairs of finished recordings."""
+    """A console that prints nothing: progress counts the pairs of finished recordings instead."""
 
     def heard(self, message: object) -> None: ...
     def warn(self, message: str, task: object = None) -> None: ...
@@ -209,7 +209,7 @@ def _by_recording(
 
 
 def _elsewhere(job: PairJob) -> PairJob:
-    """The job in a form for processes with other working folders."""
+    """Return the job with absolute paths, for processes with other working folders."""
     return replace(job, truth=job.truth.absolute(), file=None if job.file is None else job.file.absolute())
 
 

@@ -53,9 +53,9 @@ def score(
     """Score the test split; predictions of the validation split only choose the thresholds.
 
     Args:
-        release: of the predictions.
+        release: the release that was predicted.
         predictions: one method's folder, `<recording>/<view>.npy` or `.npz`; untrusted.
-        method: its name.
+        method: the method's name.
         protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`; it wins over the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
@@ -63,11 +63,11 @@ def score(
         surface: whether surface metrics are computed; they take most of the time.
         jobs: number of processes, or where else pairs are counted; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
-        resume_in: a folder that keeps counts until all are complete; None keeps nothing.
-        close: how open meshes and points in the camera frame are made solid, of `CLOSINGS`; None: not at all.
+        resume_in: a folder where counts are kept until all are complete; None keeps nothing.
+        close: one of `CLOSINGS`: how open meshes and points in the camera frame are closed; None: not at all.
 
     Returns:
-        The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
+        The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -103,7 +103,7 @@ def _with_what_is_said(
     asked: Plan,
     release: Release,
 ) -> ScoreTable:
-    """The table with values of method.json and the folder; arguments as in `score`."""
+    """Return the table with values from method.json and the folder; arguments as in `score`."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),
@@ -117,7 +117,7 @@ def _with_what_is_said(
 
 
 def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], table: ScoreTable) -> list[str]:
-    """A line about scored files that are not from the run that method.json names."""
+    """Return a line about scored files that are not from the run that method.json names."""
     digests = {
         target.name + file.suffix: of.prediction
         for target, file in files.items()
@@ -141,7 +141,7 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
 def counting_of(
     release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
 ) -> Counting:
-    """The rules by which a release's pairs are counted; arguments and errors as of `score`."""
+    """Return how a release's pairs are counted; arguments and errors as in `score`."""
     return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
@@ -161,16 +161,16 @@ def score_methods(
     progress: Progress | None = None,
     close: str | None = None,
 ) -> list[ScoreTable]:
-    """Score every method in a folder and write `out/scores.json`, or `out/<method>/scores.json` of several.
+    """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` for several.
 
     Args:
-        release: the truth.
+        release: the release that was predicted.
         predictions: one method's folder (its subfolders are recordings), or a folder of methods.
         out: folder for the results.
-        method: name of a single method; default: its folder's.
+        method: name of a single method; default: the folder's name.
         protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`.
-        save_thresholds: freeze the thresholds in this file, if any was found on validation.
+        save_thresholds: a file for the thresholds, if any was chosen on the validation split.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
         surface: see `score`.
@@ -179,8 +179,8 @@ def score_methods(
         close: see `score`.
 
     Raises:
-        SettingsError: an option contradicts another, what a method declares, or that there are several.
-        PredictionError: no predictions there, or none that can be scored; earlier scores are kept.
+        SettingsError: an option contradicts another option, a method.json, or the number of methods.
+        PredictionError: no prediction can be scored; earlier scores are kept.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
@@ -208,15 +208,15 @@ def score_methods(
 
 
 def _write(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> None:
-    """Write the table of a folder of predictions; without scorable ones, earlier scores are kept.
+    """Write the table of a folder of predictions; if none can be scored, keep earlier scores.
 
     Raises:
-        PredictionError: that, if it is the only method.
+        PredictionError: none can be scored, and it is the only method.
     """
     if table.rows:
         table.write(out)
         return
-    if not alone:  # its failures are named with the tables of the others
+    if not alone:  # the caller reports its failures with the other methods' tables
         return
     kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
     reason = table.failures[0].reason if table.failures else "no view"
@@ -240,13 +240,13 @@ def count_methods(
     jobs: int | Executor = 1,
     progress: Progress | None = None,
 ) -> int:
-    """Count one part of the pairs for `score_methods`, which reads the counts beside its table.
+    """Count one part of the pairs; a later `score_methods` reads the counts in `out`.
 
-    Parts can be counted at the same time, on machines that share a disk; each keeps what it counted in a
-    file of its own. Arguments and errors are as of `score_methods`.
+    Parts can be counted at the same time, on machines that share a disk; each part writes a file of its own.
+    Arguments and errors are those of `score_methods`.
 
     Returns:
-        How many pairs of this part have no result, as their prediction is missing or cannot be scored.
+        The number of this part's pairs without a result: the prediction is missing or cannot be scored.
     """
     request = Request(protocols, thresholds_file, None, missing, upsampling, None, jobs, in_parts=True)
     rule = check_request(request, predictions)
@@ -265,7 +265,7 @@ def count_methods(
 
 
 def _methods(release: Release, predictions: Path, method: str | None, request: Request) -> dict[str, Path]:
-    """The folder of each method, by name; refuses what contradicts one of them, before any is counted."""
+    """Return the folder of each method by name; refuse options that contradict a method, before counting."""
     methods, saved = split_methods(predictions, release.targets), request.save_thresholds
     for option, value in (("--method names", method), ("--save-thresholds is of", saved)):
         if value is not None and len(methods) > 1:
@@ -282,17 +282,17 @@ def _methods(release: Release, predictions: Path, method: str | None, request: R
 
 
 def _answers_validation(release: Release, folder: Path) -> bool:
-    """Whether a method predicts anything of the validation split."""
+    """Return whether a method predicts any pair of the validation split."""
     return bool(find_predictions(folder, release.split("validation")).files)
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
-    """Write the thresholds of all categories to a file, if any; some at least were found on validation."""
+    """Write the thresholds of all categories to a file, if one is given and any was chosen on validation."""
     if path is None:
         return
     if table.threshold_source not in SEARCHED:
         raise SettingsError(f"--save-thresholds {path}: {NOT_FROM_VALIDATION}")
-    # Without objects the file states that they are unknown, as for the method's own thresholds.
+    # Without `objects` the file says that they are unknown, as for the method's own thresholds.
     objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(
         thresholds=table.thresholds,

@@ -35,17 +35,16 @@ NPZ, JSON, NPY = "npz", "json", ".npy"
 def decode_sample(
     sample: Mapping[str, Any], *, keys: Sequence[str] | None = None, packed: bool = False
 ) -> Item:
-    """An item as `load(…)[i]` gives it, of a sample of `kinectbench export --layout webdataset`.
+    """Turn a sample of `kinectbench export --layout webdataset` into an item, as `load(…)[i]` returns it.
 
-    Made for `webdataset.WebDataset(urls).map(kinectbench.decode_sample)`; with `functools.partial` for keys.
-    Samples of earlier versions, with a `.npy` file for each grid, are read, too; they hold `partial`, `full`,
-    `known` and `seen`, but none of the other grids.
+    Use it as `webdataset.WebDataset(urls).map(kinectbench.decode_sample)`; give keys by `functools.partial`.
+    Samples of earlier versions, with a `.npy` file for each grid, are read, too; they hold only `partial`,
+    `full`, `known` and `seen`.
 
     Args:
-        sample: the bytes of its files by their endings, `npz` and `json`, as webdataset gives them before
-            any decoding.
-        keys: as for `load`, without images.
-        packed: as for `load`.
+        sample: the bytes of its files by suffix, `npz` and `json`, as webdataset gives them before decoding.
+        keys: as in `load`, without images.
+        packed: as in `load`.
 
     Raises:
         SettingsError: unknown key.
@@ -65,10 +64,10 @@ def decode_sample(
 
 
 def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequence[str]) -> Arrays:
-    """The arrays for some keys; those of the truth if it is available.
+    """Return the arrays that some keys need; arrays of the truth only if the sample has it.
 
     Raises:
-        UNREADABLE: damaged, or one of them is missing.
+        UNREADABLE: the sample is damaged, or an array is missing.
     """
     given = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
     names = [n for n in wanted_parts(keys, hidden="full" not in given) if n in given or n not in OPTIONAL]
@@ -78,7 +77,7 @@ def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequenc
 
 
 def _earlier(sample: Mapping[str, bytes], row: Mapping[str, object], name: str) -> FileArray:
-    """A value of a sample of earlier versions."""
+    """Read a value from a sample of earlier versions."""
     if name in PACKED_SHAPES:
         content = sample[name + NPY]
         if len(content) > MAX_BYTES:

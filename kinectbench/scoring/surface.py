@@ -1,9 +1,9 @@
 """Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
 
-A set's surface is its cells with an empty 6-neighbour (outside the grid is empty). Distances are exact, and
-between cell centres: from the cells that the protocol counts to the nearest cell of the other surface that
-it takes for known (under `paper` to any). So under `occluded` a hidden cell may have its nearest where the
-view saw.
+The surface of a set of cells is its cells with an empty 6-neighbour; cells outside the grid are empty. A
+distance is exact, between cell centres: from a surface cell that the protocol counts to the nearest known
+cell of the other surface (under `paper`: known or not). So under `occluded`, a hidden cell may be nearest to
+a cell that the view saw.
 """
 
 import math
@@ -34,9 +34,9 @@ class Distances:
     """Distances between the surface cells of two nonempty shapes.
 
     Attributes:
-        mm: (k,) the distances that there are between cells.
-        to_truth: (k,) how many cells of the prediction's surface have each.
-        to_prediction: (k,) how many cells of the truth's surface have each.
+        mm: (k,) all distances that occur between cells, millimetres.
+        to_truth: (k,) number of cells of the prediction's surface at each distance from the truth's.
+        to_prediction: (k,) number of cells of the truth's surface at each distance from the prediction's.
     """
 
     mm: Float64
@@ -44,20 +44,20 @@ class Distances:
     to_prediction: Int64
 
     def chamfer_mm(self) -> float:
-        """Mean of the two mean distances."""
-        # Not a product of vectors, whose sum depends on how many cores share it.
+        """Return the mean of the two mean distances, millimetres."""
+        # No dot product: its sum depends on the number of cores.
         ways = (self.to_truth, self.to_prediction)
         return sum(float((self.mm * cells).sum()) / int(cells.sum()) for cells in ways) / 2
 
     def f_score(self, tolerance_mm: float) -> float:
-        """Harmonic mean of the shares of both surfaces within a tolerance; 0 if nothing is."""
+        """Return the harmonic mean of the shares of both surfaces within a tolerance; 0 if no cell is."""
         near = self.mm <= tolerance_mm
         precision = int(self.to_truth[near].sum()) / int(self.to_truth.sum())
         recall = int(self.to_prediction[near].sum()) / int(self.to_prediction.sum())
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def dice(self, tolerance_mm: float) -> float:
-        """Share of the cells of both surfaces together within a tolerance."""
+        """Return the share of the cells of both surfaces together within a tolerance."""
         cells = self.to_truth + self.to_prediction
         return int(cells[self.mm <= tolerance_mm].sum()) / int(cells.sum())
 
@@ -65,7 +65,7 @@ class Distances:
 def surface_metrics(
     predicted: Packed, truth: PackedTruth, protocols: Sequence[str]
 ) -> dict[str, SurfaceMetrics]:
-    """The surface metrics under each protocol.
+    """Return the surface metrics under each protocol.
 
     Args:
         predicted: (256, 256, 32) uint8, packed: predicted occupancy.
@@ -73,13 +73,14 @@ def surface_metrics(
         protocols: names of `PROTOCOLS`.
 
     Returns:
-        By protocol. Of two empty surfaces all is perfect; of one, every share is 0 and the Chamfer distance
-        is the grid's diagonal.
+        Metrics by protocol. If both surfaces are empty, all metrics are perfect. If one is empty, every share
+        is 0 and the Chamfer distance is the grid's diagonal.
     """
     from kinectbench.scoring.surface_kernels import solid_surface, spreads
 
     ours, theirs = solid_surface(predicted), solid_surface(truth.full)
-    # Several protocols cut both surfaces to the same cells. That of `shell` is the surface of the solid.
+    # Several protocols cut both surfaces to the same cells. Under `shell`, too, the truth's surface is that
+    # of the solid.
     cut = {name: (PROTOCOLS[name].known, PROTOCOLS[name].distrusts) for name in protocols}
     keys = list(dict.fromkeys(cut.values()))
     everything = np.full_like(truth.known, 255)
@@ -94,7 +95,7 @@ def surface_metrics(
 
 
 def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMetrics:
-    """The metrics of the prediction's surface cells and of the truth's; `truth` is for its lengths."""
+    """Return the metrics of both surfaces' distances; `truth` gives the scale."""
     if not len(forward) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000
@@ -117,7 +118,7 @@ def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMe
 
 
 def size_cells(full: Packed) -> float:
-    """The diagonal of the box of a packed shape, in cells; 0 if it is empty."""
+    """Return the diagonal of a packed shape's box, in cells; 0 if the shape is empty."""
     bits = np.unpackbits(np.bitwise_or.reduce(full, axis=(0, 1)))
     sides = [
         np.flatnonzero(full.any(axis=(1, 2))),

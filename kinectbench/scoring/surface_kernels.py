@@ -1,7 +1,6 @@
-"""Voxel surfaces: their cells, the nearest of another, how normals agree. Import late: numba is slow to load.
+"""Voxel surfaces: cells, nearest cells, agreement of normals. Import late: numba is slow to load.
 
-A shape has a hundred thousand surface cells, a prediction of noise eight million: what is kept of each is
-small.
+A shape has a hundred thousand surface cells, a prediction of noise eight million: so little is kept per cell.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +15,7 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Packed
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
-# Cells that are matched at a time, at some 50 bytes each: a shape has fewer, noise takes 32 such parts.
+# Number of cells matched at a time, at some 50 bytes each: a shape has fewer, noise takes 32 such parts.
 _PART_CELLS = 1 << 18
 
 
@@ -25,8 +24,8 @@ class Cells:
     """A set of cells, sorted by block.
 
     Attributes:
-        index: (n,) int32, the cells; a block's are together, in C order.
-        start: (b + 1,) int32, where each block that is not empty begins.
+        index: (n,) int32, the cells, grouped by block, in C order within a block.
+        start: (b + 1,) int32, where each nonempty block begins in `index`.
         box: (b, 6) int32, the smallest and the largest x, y, z of each block's cells.
     """
 
@@ -38,7 +37,7 @@ class Cells:
         return len(self.index)
 
     def chosen(self, which: Bools) -> "Cells":
-        """The cells of a mask (n,); the boxes of all cells stay."""
+        """Return the cells of a mask (n,); the boxes still bound all cells."""
         before = np.concatenate([[0], np.cumsum(which)]).astype(np.int32)
         return Cells(self.index[which], before[self.start], self.box)
 
@@ -48,9 +47,9 @@ class SolidSurface:
     """Surface cells of a solid.
 
     Attributes:
-        packed: (256, 256, 32) uint8, the cells.
-        cells: the same, as a list.
-        moments: (n, 3) int16 of each of `cells.index`, against the outward normal; see `moments`.
+        packed: (256, 256, 32) uint8, the surface cells.
+        cells: the same cells as a list.
+        moments: (n, 3) int16, opposite to the outward normal at each of `cells.index`; see `moments`.
     """
 
     packed: Packed
@@ -58,14 +57,14 @@ class SolidSurface:
     moments: NDArray[np.int16]
 
     def within(self, mask: Packed) -> "SolidSurface":
-        """The part of it that lies in a packed mask; itself if all of it does."""
+        """Return the part of the surface within a packed mask; the surface itself if all of it is."""
         packed = self.packed & mask
         if np.array_equal(packed, self.packed):
             return self
         return SolidSurface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
     def parts(self) -> Iterator["SolidSurface"]:
-        """Pieces of whole blocks, of about `_PART_CELLS` cells."""
+        """Yield pieces of whole blocks, of about `_PART_CELLS` cells."""
         start, block = self.cells.start, 0
         while block < len(self.cells.box):
             first = start[block]
@@ -82,8 +81,8 @@ class Spread:
     """Distances of a surface's cells to another surface, and agreement of the normals.
 
     Attributes:
-        cells: (k,) int64, how many cells have each squared distance in cells, up to the largest.
-        agreement: the sum of their |n . n'|, by `agreement`.
+        cells: (k,) int64, number of cells at each squared distance (in cells), up to the largest.
+        agreement: the sum of |n . n'| over these cells; see `normal_agreement`.
     """
 
     cells: Int64 = field(default_factory=lambda: np.zeros(1, np.int64))
@@ -93,7 +92,7 @@ class Spread:
         return int(self.cells.sum())
 
     def add(self, squared: Int32, cosines: Float64) -> None:
-        """Count some more cells: their squared distances and |n . n'|, (n,) each."""
+        """Add cells by their squared distances and |n . n'|, (n,) each."""
         cells = np.bincount(squared, minlength=len(self.cells))
         cells[: len(self.cells)] += self.cells
         self.cells = cells
@@ -103,20 +102,20 @@ class Spread:
 def spreads(
     queries: SolidSurface, targets: SolidSurface, masks: Sequence[Packed], hidden: Packed
 ) -> list[tuple[Spread, Spread]]:
-    """Distances of one surface to another, counted by parts of the grid.
+    """Return the distances of one surface to another, counted within parts of the grid.
 
-    The nearest cell in all of the other surface is the nearest of a part, too, if it lies there: only for the
-    other cells one is searched again.
+    If the nearest cell of the whole other surface lies in a part, it is the nearest in that part, too. Only
+    the remaining cells are searched again.
 
     Args:
         queries: the surface whose cells are counted.
         targets: the other surface.
         masks: packed parts of the grid, to which both surfaces are cut.
-        hidden: packed; the second of the results holds only the queries in it.
+        hidden: packed; each second result counts only the queries in it.
 
     Returns:
-        For each mask: the spread of the queries in it, and of those in `hidden`. If there are no targets all
-        distances and cosines are 0.
+        For each mask: the spread of the queries in the mask, and of those also in `hidden`. Without targets
+        all distances and cosines are 0.
     """
     results = [(Spread(), Spread()) for _ in masks]
     cut = [targets.within(mask) for mask in masks]
@@ -135,14 +134,14 @@ def spreads(
 
 
 def solid_surface(solid: Packed) -> SolidSurface:
-    """The surface of a packed solid, (256, 256, 32) uint8: its cells with an empty 6-neighbour."""
+    """Return the surface of a packed solid, (256, 256, 32) uint8: its cells with an empty 6-neighbour."""
     packed = packed_shell(solid)
     cells = cells_of(packed)
     return SolidSurface(packed, cells, moments(solid, cells.index))
 
 
 def _matched(queries: SolidSurface, targets: SolidSurface) -> tuple[Int32, Int32, Float64]:
-    """Squared distance, position in `targets` and |n . n'| of the nearest to each query; zeros if none is."""
+    """Return each query's nearest target: squared distance, position and |n . n'|; zeros without any."""
     n = len(queries.cells)
     if not n or not len(targets.cells):
         return np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n)
@@ -151,7 +150,7 @@ def _matched(queries: SolidSurface, targets: SolidSurface) -> tuple[Int32, Int32
 
 
 def is_set(packed: Packed, index: Int32) -> Bools:
-    """Whether cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
+    """Return whether cells, (n,) int32 x << 16 | y << 8 | z, are set in a packed grid."""
     bits: Bools = _is_set(np.ascontiguousarray(packed).reshape(-1), index)
     return bits
 
@@ -165,20 +164,20 @@ def _is_set(packed, index):  # type: ignore[no-untyped-def]
 
 
 def cells_of(packed: Packed) -> Cells:
-    """The set cells of a packed grid, (256, 256, 32) uint8, most significant bit first."""
+    """Return the set cells of a packed grid, (256, 256, 32) uint8, most significant bit first."""
     return Cells(*_sorted_cells(np.ascontiguousarray(packed)))
 
 
 def nearest_cells(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
-    """The nearest target of every query; of several the first in C order.
+    """Return the nearest target of every query; of equally near ones the first in C order.
 
     Args:
         queries: any number of cells.
         targets: at least one cell.
 
     Returns:
-        (n,) int32 squared distance in cells, and (n,) int32 which of `targets.index` it is, for each of
-        `queries.index`.
+        For each of `queries.index`: (n,) int32 squared distance in cells, and (n,) int32 position in
+        `targets.index`.
     """
     boxes = targets.box.T.copy()
     indices = _nearest(queries.index, queries.start, queries.box, targets.index, targets.start, boxes)
@@ -187,7 +186,7 @@ def nearest_cells(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _sorted_cells(packed):  # type: ignore[no-untyped-def]
-    """`index`, `start` and `box` of the set cells."""
+    """Return `index`, `start` and `box` of the set cells."""
     counts = np.zeros(_SIDE**3 + 1, np.int64)
     for x in range(packed.shape[0]):
         for y in range(packed.shape[1]):
@@ -225,7 +224,7 @@ def _sorted_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(query, query_start, query_box, target, target_start, target_box):  # type: ignore[no-untyped-def]
-    """(2, n): squared distance and position of the nearest target of every query; `target_box` is (6, b)."""
+    """Return (2, n), squared distance and position of each query's nearest target; `target_box` is (6, b)."""
     nearest = np.empty((2, len(query)), np.int32)
     least, most = np.empty(target_box.shape[1], np.int32), np.empty(target_box.shape[1], np.int32)
     box_rows, last = target_box.T.copy(), np.int64(0)
@@ -235,7 +234,7 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
         candidates = candidates[np.argsort(least[candidates])].astype(np.uint32)
         for n in range(query_start[block], query_start[block + 1]):
             x, y, z = query[n] >> 16, query[n] >> 8 & 255, query[n] & 255
-            # the last cell's answer is a good bound on this one's
+            # The last cell's answer is a good bound for the next cell.
             best, best_cell = _squared(x, y, z, target[last]), last
             for at in range(len(candidates)):
                 other = candidates[np.uint32(at)]
@@ -260,9 +259,9 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
-    """Bounds of the squared distance from a box's cells to those of each of `boxes` (6, b).
+    """Write bounds of the squared distance from a box's cells to the cells of each of `boxes` (6, b).
 
-    No pair is nearer than `least`; every cell of the box has one of the other within `most`.
+    No two cells are nearer than `least`; every cell of the box has a cell of the other box within `most`.
     """
     least[:], most[:] = 0, 0
     for axis in range(3):
@@ -277,7 +276,7 @@ def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
-    """Squared distance from a cell to box n."""
+    """Return the squared distance from a cell to box n."""
     zero = np.int32(0)
     a = max(boxes[n, 0] - x, x - boxes[n, 3], zero)
     b = max(boxes[n, 1] - y, y - boxes[n, 4], zero)
@@ -287,7 +286,7 @@ def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _squared(x, y, z, cell):  # type: ignore[no-untyped-def]
-    """Squared distance between two cells."""
+    """Return the squared distance between two cells."""
     a, b, c = x - (cell >> 16), y - (cell >> 8 & 255), z - (cell & 255)
     return np.int32(a * a + b * b + c * c)
 
@@ -303,10 +302,10 @@ _MOMENT = (_BITS * np.arange(-RADIUS_CELLS, RADIUS_CELLS + 1, dtype=np.int32)).s
 
 
 def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
-    """First moments of the solid around surface cells: (n, 3) int16, opposite to the outward normal.
+    """Return first moments of the solid around surface cells: (n, 3) int16, opposite to the outward normal.
 
-    The sum of the offsets of occupied cells in the 7^3 cells around (outside the grid is empty): zero only
-    in pieces that are symmetric in them, such as a single cell or a plate one cell thick.
+    A moment is the sum of the offsets of occupied cells among the 7^3 cells around (outside the grid is
+    empty). It is zero only if these are symmetric, such as a single cell or a plate one cell thick.
 
     Args:
         solid: (256, 256, 32) uint8, packed, most significant bit first.
@@ -317,9 +316,9 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
-    """(n,) float64: |n . n'| of moments (n, 3) and the rows `rows` of others.
+    """Return (n,) float64: |n . n'| of moments `first` (n, 3) and rows `rows` of moments `second`.
 
-    1 where neither has a normal (both moments are zero), 0 where one has none.
+    It is 1 where neither cell has a normal (both moments are zero), 0 where only one has.
     """
     cosines = np.empty(len(first))
     for n in range(len(first)):
@@ -336,7 +335,7 @@ def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _moments(solid, cells):  # type: ignore[no-untyped-def]
-    """(n, 3) int16: the sum of the offsets of the occupied cells around each cell, at most 49 * 6."""
+    """Return (n, 3) int16: the sum of the offsets of the occupied cells around each cell, at most 49 * 6."""
     moments = np.zeros((len(cells), 3), np.int16)
     side, last = solid.shape[0], solid.shape[2] - 1
     for n in range(len(cells)):

@@ -1,4 +1,4 @@
-"""Countable but probably wrong predictions."""
+"""Predictions that can be counted but are probably wrong."""
 
 from collections.abc import Iterator, Mapping
 
@@ -8,21 +8,22 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import Thresholds
 
-# Of a mesh's volume: as much of its shape a cube made from the view alone may cut off (pairs, framing: view).
+# Share of a mesh's volume: a cube placed by the view alone may cut off as much of the true shape (pairs,
+# framing: view).
 MOST_OUTSIDE = 0.05
-# Less than this share of a mesh is not worth a line.
+# A smaller share of a mesh outside the grid is not reported.
 LEAST_OUTSIDE = 0.001
 
 
 def suspicious_lines(
     method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
 ) -> Iterator[str]:
-    """A line for each kind of probably wrong prediction, with their number.
+    """Yield a line for each kind of probably wrong prediction, with the number of such predictions.
 
     Args:
-        method: a baseline may predict nothing, or the same everywhere.
-        results: of every pair that was counted; of one without a prediction `cells` is 0.
-        thresholds: of every category of the test split.
+        method: the method's name; a baseline may predict nothing, or the same everywhere.
+        results: the result of every counted pair; without a prediction its `cells` is 0.
+        thresholds: threshold of every category of the test split.
     """
     outside = {t.name: of.outside_share for t, of in results.items() if of.outside_share >= LEAST_OUTSIDE}
     if outside:

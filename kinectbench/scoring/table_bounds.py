@@ -1,6 +1,6 @@
 """Check a score table's values against the bounds of its schema.
 
-A share above 1 or a cell count below 0 is no score; the reader of an untrusted table refuses it.
+The reader of an untrusted table refuses a share above 1 or a cell count below 0.
 """
 
 import re
@@ -16,13 +16,13 @@ from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.untrusted import printable
 
-ROUNDING = 1e-9  # a share that was summed may be above 1 by 1e-15
+ROUNDING = 1e-9  # a sum of shares may be above 1 by 1e-15
 
 
 def out_of_bounds(table: ScoreTable) -> Iterator[str]:
-    """Values outside the schema's minimum, maximum, pattern or words, a sentence each.
+    """Yield a sentence for each value outside the schema's minimum, maximum, pattern or words.
 
-    Values that follow from the rows are not checked: they are computed again.
+    Values that follow from the rows are not checked: the reader computes them again.
     """
     for name in ScoreTable.model_fields:
         if name not in DERIVED:
@@ -30,7 +30,7 @@ def out_of_bounds(table: ScoreTable) -> Iterator[str]:
 
 
 def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[str]:
-    """Faults of one field's value and its parts."""
+    """Yield the faults of one field's value and its parts."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
     elif isinstance(value, StoredPart) or (is_dataclass(value) and not isinstance(value, type)):
@@ -45,7 +45,7 @@ def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[
 
 
 def _outside(value: object, extra: Mapping[str, Any]) -> str:
-    """Why a value is outside the bounds of its field, in a few words; "" if it is inside."""
+    """Return why a value is outside the bounds of its field, in a few words; "" if it is inside."""
     if isinstance(value, list | tuple):
         items = extra.get("items", {})
         return next((why for one in (min(value), max(value)) if (why := _outside(one, items))), "")
@@ -65,12 +65,12 @@ def _outside(value: object, extra: Mapping[str, Any]) -> str:
 
 @cache
 def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, object]], ...]:
-    """The fields of a class, with their bounds."""
+    """Return the fields of a class with their bounds."""
     names = kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind)
     return tuple((name, _extra(kind, name)) for name in names)
 
 
 def _extra(kind: type, name: str) -> Mapping[str, object]:
-    """The bounds that a field adds to the schema."""
+    """Return the bounds of a field in the schema."""
     info: FieldInfo = (kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

@@ -16,7 +16,7 @@ from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, proto
 from kinectbench.scoring.metrics import ious
 
 FIXED = 0.5
-# Where a threshold is from; of a file its SHA-256 follows. "pooled": searched on the validation pairs of all
+# Sources of a threshold; for a file its SHA-256 follows. "pooled": searched on the validation pairs of all
 # other categories together.
 VALIDATION_SOURCE = "validation"
 POOLED_SOURCE = "pooled"
@@ -24,7 +24,8 @@ METHOD_SOURCE = "method"
 FIXED_SOURCE = "fixed"
 FROM_FILE = "file:"
 STEPS_IN_WORDS = "0.1, 0.15, ... 0.9"
-# Those that validation pairs were counted for; and all but files, the first that occurs is the table's.
+# Sources for which validation pairs were counted; and all sources but files: the first that occurs is the
+# table's.
 SEARCHED = (VALIDATION_SOURCE, POOLED_SOURCE)
 SOURCES = (*SEARCHED, METHOD_SOURCE, FIXED_SOURCE)
 
@@ -34,12 +35,12 @@ class Thresholds:
     """The thresholds of one method.
 
     Attributes:
-        of: threshold by category, each k / 20 with k from 2 to 18.
-        source: "file:<sha256 of the file>", or the first of `SOURCES` that a category's is.
+        of: {category: threshold}, each k / 20 with k from 2 to 18.
+        source: "file:<sha256 of the file>", or the first of `SOURCES` that any category has.
         warnings: one line each.
-        sources: of each category.
-        objects: those that the thresholds were found on; None if unknown: a file does not name them,
-            or some are the method's own.
+        sources: {category: source of its threshold}.
+        objects: objects whose pairs chose the thresholds; None if unknown, because a file does not name them
+            or a threshold is the method's own.
     """
 
     of: Mapping[str, float]
@@ -50,12 +51,12 @@ class Thresholds:
 
 
 def best_threshold(tallies: Sequence[Tally]) -> float:
-    """Threshold of highest mean pair IoU over all voxels (protocol `paper`), the lowest of equal ones.
+    """Return the threshold with the highest mean IoU over pairs and all voxels (protocol `paper`).
 
     Args:
-        tallies: the validation pairs of one category, at least one.
+        tallies: tallies of the validation pairs of one category, at least one.
 
-    Source: the paper; the rule for equal values is ours.
+    Source: the paper; of equally good thresholds the lowest is taken (our rule).
     """
     mean_iou = np.mean([ious(protocol_counts(tally, "paper")) for tally in tallies], axis=0)
     return THRESHOLDS[int(np.argmax(mean_iou))]
@@ -66,13 +67,13 @@ def searched_thresholds(
 ) -> Thresholds:
     """Search each category's threshold on its validation pairs.
 
-    Of a category that has none it is the method's own; without that the one of the validation pairs of all
-    other categories together; without those 0.5.
+    A category without validation pairs gets the method's own threshold; else the threshold of the validation
+    pairs of all other categories together; else 0.5.
 
     Args:
-        targets: of the release; the categories of its test split are scored.
-        tallies: of the validation targets that were predicted.
-        own: the method's own, one of the seventeen; None if it has none.
+        targets: targets of the release; the categories of its test split get a threshold.
+        tallies: tallies of the predicted validation targets.
+        own: the method's own threshold, one of the seventeen; None if it has none.
     """
     categories = sorted({target.category for target in targets if target.split == "test"})
     by_category: dict[str, list[Target]] = {category: [] for category in categories}
@@ -98,7 +99,7 @@ def searched_thresholds(
 
 
 def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
-    """The threshold of categories without a validation pair, and its source."""
+    """Return the threshold of categories without a validation pair, and its source."""
     if own is not None:
         return own, METHOD_SOURCE
     if tallies:
@@ -113,7 +114,7 @@ def _said_of(
     targets: Sequence[Target],
     tallies: Mapping[Target, Tally],
 ) -> str:
-    """The line about categories whose threshold is not from their own validation pairs."""
+    """Return the line about categories whose threshold is not from their own validation pairs."""
     how = {
         METHOD_SOURCE: f"is the method's own, {value:g}",
         POOLED_SOURCE: f"is {value:g}, which all validation predictions give together",
@@ -127,11 +128,11 @@ def _said_of(
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
-    """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` it was found on.
+    """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` they come from.
 
     Raises:
-        SettingsError: missing or unreadable, a category is missing, a threshold is not one of the seventeen,
-            or it was found on an object of the test split.
+        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not one of
+            the seventeen, or it was chosen on an object of the test split.
     """
     try:
         content = read_plain(path, ThresholdsFile.MAX_BYTES)
@@ -175,18 +176,18 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
 
 
 def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
-    """`read_thresholds` for the pairs of a test split; the same errors."""
+    """Read a threshold file (`read_thresholds`) for the pairs of a test split; the same errors."""
     categories = sorted({target.category for target in test})
     return read_thresholds(path, categories, frozenset(target.object for target in test))
 
 
 def _plain(name: str) -> str:
-    """A name without case and surrounding blanks."""
+    """Return a name without case and surrounding blanks."""
     return name.strip().casefold()
 
 
 def _step(value: float, where: str) -> float:
-    """The threshold k / 20 of a number."""
+    """Return the threshold k / 20 that equals a number."""
     step = nearest_step(value)
     if step is None:
         raise SettingsError(
@@ -196,5 +197,5 @@ def _step(value: float, where: str) -> float:
 
 
 def nearest_step(value: float) -> float | None:
-    """The threshold k / 20 of a number; None if it is none of the seventeen."""
+    """Return the threshold k / 20 that equals a number; None if none of the seventeen does."""
     return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)

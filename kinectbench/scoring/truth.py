@@ -1,4 +1,4 @@
-"""The truth of a pair as scoring reads it: some of the pair file's grids, still packed."""
+"""Read the truth of a pair for scoring: some grids of the pair file, still packed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,12 +19,12 @@ class PackedTruth:
     """Packed truth (see pair_file.py): each (256, 256, 32) uint8, C order.
 
     Attributes:
-        full: the solid shape.
-        known: where the truth is trusted.
+        full: the solid true shape.
+        known: cells where the truth is trusted.
         seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
-        others: by name the grids that some protocols do not trust, or compare with.
+        others: {name: further grid} that some protocols distrust or compare with.
     """
 
     full: Packed
@@ -35,16 +35,16 @@ class PackedTruth:
     others: Mapping[str, Packed] = field(default_factory=dict)
 
     def flat(self) -> tuple[Packed, Packed, Packed]:
-        """`full`, `known` and `seen` as (v / 8,) bytes."""
+        """Return `full`, `known` and `seen` as (v / 8,) bytes."""
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def under(self, protocol: Protocol) -> "PackedTruth":
-        """What a protocol compares with and takes for known; itself if that is the same."""
+        """Return the truth as a protocol takes it: shape and known cells; itself if both are the same."""
         of = self.distrusting(protocol.distrusts)
         return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 
     def distrusting(self, name: str | None) -> "PackedTruth":
-        """A copy whose `known` lacks another grid's cells; itself if that grid is empty."""
+        """Return a copy whose `known` lacks another grid's cells; itself if that grid is empty."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])
@@ -55,8 +55,8 @@ def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Pa
 
     Args:
         path: the pair file.
-        sha256: what its bytes must hash to.
-        others: further grids that are read (`further_grids`).
+        sha256: the expected hash of the file.
+        others: names of further grids to read (`further_grids`).
 
     Raises:
         ReleaseError: the file is missing, or not the published one.
@@ -68,7 +68,7 @@ def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Pa
 
 
 def read_voxel_size(path: Path, sha256: str) -> float:
-    """Edge of a cell of the 256-grid of a published pair, metres.
+    """Read the edge of a cell of the 256-grid of a published pair, metres.
 
     Raises:
         ReleaseError: the file is missing, or not the published one.
@@ -77,7 +77,7 @@ def read_voxel_size(path: Path, sha256: str) -> float:
 
 
 def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[FileArray]:
-    """Read some packed grids or lengths of a published pair file, in the order of `names`, and no others.
+    """Read only the named packed grids or lengths of a published pair file, in the order of `names`.
 
     Lengths are 0-d, float64, in metres.
 

@@ -1,7 +1,7 @@
 """Statistics of few objects: confidence intervals of means, tests of differences, Holm's correction.
 
-Views of one object are not independent, objects are. A mean is that of the objects' means, or, under the
-protocol `paper`, that of all pairs: then an object weighs as much as it has pairs.
+Views of one object are not independent; objects are. A mean is the mean of the objects' means, or, under the
+protocol `paper`, the mean of all pairs: then an object's weight is its number of pairs.
 """
 
 import numpy as np
@@ -13,18 +13,18 @@ MIN_OBJECTS = 3
 RESAMPLES = 10_000
 SEED = 0
 RESAMPLES_AT_ONCE = 1000
-# Of figures that are drawn together: 32 MB, and as fast as more.
+# Number of values drawn together: 32 MB; more would not be faster.
 DRAWN_AT_ONCE = 1 << 22
-# Objects that are resampled; 2000 of twelve metrics take 1.5 s (measured).
+# Most objects that are resampled; 2000 with twelve metrics take 1.5 s (measured).
 MOST_RESAMPLED = 2000
 
 
 def student_interval(values: Float64, weights: Float64) -> Float64 | None:
-    """Student's t interval of a weighted mean over the objects of one category.
+    """Return Student's t interval of a weighted mean over the objects of one category.
 
-    With weights w, mean m = sum w x / sum w and k objects its variance is
-    k / (k - 1) * sum (w (x - m))^2 / (sum w)^2: that of a ratio (Cochran, Sampling Techniques, 1977,
-    eq. 6.13), with equal weights the usual s^2 / k. Degrees of freedom: k - 1.
+    With weights w, mean m = sum w x / sum w and k objects, the variance of the mean is k / (k - 1) * sum (w
+    (x - m))^2 / (sum w)^2: the variance of a ratio (Cochran, Sampling Techniques, 1977, eq. 6.13); with equal
+    weights it is the usual s^2 / k. Degrees of freedom: k - 1.
 
     Args:
         values: (k, m) float64, a row per object, a column per metric.
@@ -43,7 +43,7 @@ def student_interval(values: Float64, weights: Float64) -> Float64 | None:
 
 
 def _mean_and_deviation(values: Float64, weights: Float64) -> tuple[Float64, Float64]:
-    """Weighted mean of each column, and its standard deviation: see `student_interval`."""
+    """Return the weighted mean of each column, and the mean's standard deviation: see `student_interval`."""
     count = len(values)
     mean = weights @ values / weights.sum()
     residuals = weights[:, None] * (values - mean)
@@ -51,17 +51,17 @@ def _mean_and_deviation(values: Float64, weights: Float64) -> tuple[Float64, Flo
 
 
 def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
-    """Percentile bootstrap interval of the mean over categories, resampling objects within each category.
+    """Return the percentile bootstrap interval of the mean over categories; objects are resampled in each.
 
     Args:
-        groups: of each category `values` (k, m) and `weights` (k,) as in `student_interval`.
+        groups: for each category `values` (k, m) and `weights` (k,) as in `student_interval`.
 
     Returns:
         (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
-        two says little about how objects differ. The same for the same values: the seed is fixed.
+        two says little about how objects differ. The seed is fixed, so equal values give equal intervals.
 
-    Of more than 2000 objects in all, only categories that have no more than their share of 2000 are
-    resampled. The means of the others are drawn from the normal distribution that they have with so many.
+    With more than 2000 objects in all, only categories with at most their share of 2000 are resampled. The
+    means of larger categories are drawn from a normal distribution, which suits so many objects.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are added here.
     """
@@ -77,7 +77,8 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
         if len(values) > most:
             mean, deviation = _mean_and_deviation(values, weights)
             shift += mean / len(groups)
-            # Means of resamples vary less than means of objects, by the factor that is undone here.
+            # The variance of resampled means is too small by (k - 1) / k; the normal distribution gets the
+            # same factor.
             variance += (deviation / len(groups)) ** 2 * (len(values) - 1) / len(values)
         else:
             _add_resampled(means, rng, values, weights, len(groups))
@@ -90,7 +91,7 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
 def _add_resampled(
     means: Float64, rng: np.random.Generator, values: Float64, weights: Float64, groups: int
 ) -> None:
-    """Add the resampled means of one category, weighted by the number of categories."""
+    """Add the resampled means of one category, divided by the number of categories."""
     rows = min(RESAMPLES_AT_ONCE, max(1, DRAWN_AT_ONCE // values.size))
     for start in range(0, RESAMPLES, rows):
         batch = means[start : start + rows]
@@ -102,28 +103,28 @@ def _add_resampled(
 
 MAX_EXACT = 30
 SAMPLES, LEAST_SAMPLES = 1_000_000, 10_000
-# Signs drawn in all, in 1.5 s: a million times those of 500 objects (measured).
+# Most signs drawn in all, in 1.5 s: a million assignments for 500 objects (measured).
 MOST_SIGNS = 500_000_000
-# Drawn together: 128 MB.
+# Drawn at a time: 128 MB.
 ROWS_AT_ONCE, SIGNS_AT_ONCE = 8_000, 16_000_000
-# Sums that differ by less, relative to their size, are equal.
+# Sums that differ by less, relative to the sum of absolute differences, are equal.
 EQUAL = 1e-12
 
 
 def sign_flip_ps(differences: Float64) -> list[float]:
-    """Two-sided p-values of the hypotheses that every difference of a row is symmetric about zero.
+    """Return two-sided p-values of sign-flip tests: each row's differences are symmetric about zero.
 
-    The share of all 2^n assignments of signs whose sum is at least as far from zero as the one observed;
-    exact up to 30 differences (the sums of both halves are sorted and counted against each other), beyond
-    that of `samples` assignments drawn with a fixed seed, the same for every row.
+    The p-value is the share of all 2^n assignments of signs whose sum is at least as far from zero as the
+    observed one. It is exact up to 30 differences: the sums of both halves are sorted and counted against
+    each other. Beyond 30, `samples` assignments are drawn with a fixed seed, the same for every row.
 
     Args:
-        differences: (m, n) float64, n > 0: m tests; weights, if any, multiplied in.
+        differences: (m, n) float64, n > 0, for m tests; already multiplied by weights, if any.
 
     Source: Fisher, The Design of Experiments (1935), sect. 21.
     """
     scales = np.abs(differences).sum(axis=1)
-    # equal sums in another order count as equal
+    # Equal sums in another order count as equal.
     observed = np.abs(differences.sum(axis=1)) - EQUAL * scales
     if differences.shape[1] > MAX_EXACT:
         p_values = _sampled(differences, observed)
@@ -133,10 +134,10 @@ def sign_flip_ps(differences: Float64) -> list[float]:
 
 
 def _exact(differences: Float64, observed: float) -> float:
-    """The share of all assignments of signs whose sum is not strictly between -observed and observed.
+    """Return the share of all assignments of signs whose sum is not strictly between -observed and observed.
 
-    Those between are counted and taken from all, so that none counts in both tails, however small
-    `observed` is.
+    The sums in between are counted and subtracted from all, so that no sum counts in both tails, even if
+    `observed` is tiny.
     """
     half = len(differences) // 2
     first, second = _sums(differences[:half]), _sums(differences[half:])
@@ -146,19 +147,19 @@ def _exact(differences: Float64, observed: float) -> float:
 
 
 def _sums(differences: Float64) -> Float64:
-    """The sums of all assignments of signs, rising: (2^n,)."""
+    """Return the sums of all assignments of signs, ascending: (2^n,)."""
     sums = np.zeros(1)
     for value in differences:
         sums = np.concatenate([sums - value, sums + value])
-        sums.sort(kind="stable")  # merges the two
+        sums.sort(kind="stable")  # merges both sorted halves
     return sums
 
 
 def _sampled(differences: Float64, observed: Float64) -> list[float]:
-    """P-values by drawn signs: each draw serves every test, by one product of matrices."""
+    """Return p-values by drawn signs: each draw serves every test, by one matrix product."""
     rng = np.random.default_rng(SEED)
     count = differences.shape[1]
-    # A sum with signs s in {-1, 1} is twice that with (s + 1) / 2, less the sum of all.
+    # sum(s x) with signs s in {-1, 1} is 2 sum((s + 1) / 2 x) - sum(x).
     doubled, total = 2 * differences.T, differences.sum(axis=1)
     far = np.zeros(len(differences), np.int64)
     most = min(ROWS_AT_ONCE, max(1, SIGNS_AT_ONCE // count))
@@ -171,17 +172,17 @@ def _sampled(differences: Float64, observed: Float64) -> list[float]:
 
 
 def samples(count: int) -> int:
-    """The number of sign assignments drawn for so many differences: a million, fewer beyond 500."""
+    """Return the number of sign assignments drawn for so many differences: a million, fewer beyond 500."""
     return max(LEAST_SAMPLES, min(SAMPLES, MOST_SIGNS // count))
 
 
 def smallest_p(count: int) -> float:
-    """The smallest p-value that `count` differences can give: all of one sign, 2^(1 - n)."""
+    """Return the smallest p-value that n = `count` differences can give: 2^(1 - n), if all have one sign."""
     return min(1.0, 2.0 ** (1 - count))
 
 
 def holm(p_values: list[float]) -> list[float]:
-    """P-values corrected for their number (Holm, Scand. J. Statist. 6, 1979), in the same order."""
+    """Return p-values corrected for their number (Holm, Scand. J. Statist. 6, 1979), in the same order."""
     rising = np.argsort(p_values, kind="stable")
     corrected = np.minimum(1.0, np.arange(len(p_values), 0, -1) * np.array(p_values)[rising])
     adjusted = np.empty(len(p_values))

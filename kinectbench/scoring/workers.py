@@ -1,4 +1,4 @@
-"""Run independent tasks in one process or several; results come in the order of the tasks either way."""
+"""Run independent tasks in one process or several; results are in the order of the tasks either way."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -8,8 +8,8 @@ from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.types import Progress
 from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 
-# Fewer tasks than this for each process are not worth another: it costs 2 s of CPU to start, a pair with all
-# baselines 2.4 s. Two pairs took 10.4 CPU s in two processes, 6.0 in one, and no less time.
+# Tasks that make another process worth its start: it costs 2 s of CPU, a pair with all baselines 2.4 s. Two
+# pairs took 10.4 CPU s in two processes, 6.0 in one, and no less time.
 TASKS_A_PROCESS = 2
 
 Task = TypeVar("Task")
@@ -28,12 +28,13 @@ def run_tasks(
     Args:
         function: must not depend on the order of the tasks.
         tasks: picklable values.
-        jobs: number of processes at most; 1 runs in this one, as do fewer than `2 * TASKS_A_PROCESS` tasks.
+        jobs: number of processes at most; with 1, or with fewer than `2 * TASKS_A_PROCESS` tasks, all run in
+            the calling process.
         progress: called with (tasks done, tasks in all).
-        keep: called in this process with each task and its result, in the order of the tasks.
+        keep: called in the calling process with each task and its result, in the order of the tasks.
 
     Raises:
-        KinectBenchError: an error of a task, or a process was killed, as by lack of memory.
+        KinectBenchError: a task raised it, or a process was killed, for lack of memory for example.
     """
     results: list[Result] = []
 

@@ -1,4 +1,4 @@
-"""The build of one recording and its relation to the truth: matching frames and worlds."""
+"""The build of one recording, and how its frames and its world correspond to the truth's."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,16 +33,16 @@ class Build:
 
     Attributes:
         stamps_ns: (n,) int64, stamps of the sequence's frames.
-        camera: intrinsics of their depth.
-        depth_m: of a frame, the depth as recorded: (height, width) float32, metres, 0 = none.
-        trajectory: a pose for each of them.
-        given: the trajectory that came with the recording, as it was stored; or None.
+        camera: intrinsics of the frames' depth.
+        depth_m: returns the recorded depth of a frame: (height, width) float32, metres, 0 = none.
+        trajectory: a pose for each frame.
+        given: the trajectory that came with the recording, as stored; or None.
         scene: the fused mesh of the whole scene, in the trajectory's world.
         model: the object, in the trajectory's world.
         views: the sampled views.
-        valid_depth: of a view, the pixels (height, width) that measured something.
+        valid_depth: returns the pixels (height, width) of a view with a measurement.
         pair_names: names of the views that became pairs.
-        pair: one pair, by its view's name.
+        pair: returns the pair of a view, by its name.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -59,19 +59,19 @@ class Build:
 
     @property
     def limits(self) -> SensorLimits | None:
-        """The sensor limits that defined air when the object was built; None if unknown."""
+        """The sensor limits by which air was defined when the object was built; None if unknown."""
         method = None if self.model is None else self.model.quality.method
         return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 
 
 def read_build(folder: Path) -> Build:
-    """Open `build/<recording>/`; images and pairs are read when asked for.
+    """Open `build/<recording>/`; images and pairs are read when needed.
 
-    A stage that is not current (see `current_stages`) counts as not built: it may be left over from a run
-    with other settings, or be another version's.
+    A stage that is not current (see `current_stages`) counts as not built: it may be from a run with other
+    settings, or of another version.
 
     Raises:
-        StorageError: nothing was built there, or it is out of date, or an artefact is damaged.
+        StorageError: the folder has no build, or an outdated one, or an artefact is damaged.
     """
     current = current_stages(folder)
     if "ingest" not in current:
@@ -89,7 +89,7 @@ def read_build(folder: Path) -> Build:
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
-        """Pixels with depth, (height, width) bool."""
+        """Return the pixels with depth, (height, width) bool."""
         path = folder / "views" / f"{view.name}.depth.png"
         try:
             return read_gray(path) > 0
@@ -116,11 +116,11 @@ class BuildRegistration:
     """A build registered to its truth.
 
     Attributes:
-        true_frame: (n,) int64, for each frame of the build's sequence the frame of the truth, -1 for none.
-        shown: (n,) bool, the true camera of that frame is known: it has a frame of the truth, and shows
-            no other scene.
-        T_truth_built: (4, 4), from the build's world to the truth's; the identity if not aligned.
-        aligned: whether it was found from the trajectories.
+        true_frame: (n,) int64, index in the truth of each frame of the build's sequence, -1 for none.
+        shown: (n,) bool, whether the true camera of that frame is known: the truth has the frame, and it does
+            not show another scene.
+        T_truth_built: (4, 4), the build's world to the truth's; the identity if not aligned.
+        aligned: whether `T_truth_built` was computed from the trajectories.
     """
 
     true_frame: NDArray[np.int64]
@@ -130,23 +130,23 @@ class BuildRegistration:
 
     @property
     def T_built_truth(self) -> NDArray[np.float64]:
-        """(4, 4), from the truth's world to the build's."""
+        """(4, 4), the truth's world to the build's."""
         return invert_rigid(self.T_truth_built)
 
 
 def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegistration:
-    """Match frames by stamp, and the worlds by the trajectories.
+    """Match frames by stamp, and align the worlds by the trajectories.
 
-    A recording without a given trajectory has the world of its first camera; one with a given trajectory
-    has the world of the truth, up to that trajectory's errors. Both are aligned as for ATE.
+    Without a given trajectory, the world of a build is that of its first camera; with one, it is the truth's
+    world, up to the trajectory's errors. Both are aligned as for ATE.
 
     Args:
-        build: as far as it was built.
-        truth: of the same recording.
-        align: False leaves the worlds as they are.
+        build: the build; later stages may be missing.
+        truth: the truth of the same recording.
+        align: whether to align the worlds.
 
     Raises:
-        RecordingError: no frame of the build is one of the truth.
+        RecordingError: the build and the truth have no frame in common.
     """
     true_frame = true_frames(build.stamps_ns, truth.stamps_ns)
     matched = true_frame >= 0
@@ -173,14 +173,14 @@ def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegis
 
 
 def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each frame of a sequence its frame in the truth, -1 for none: (n,) int64.
+    """Return for each frame of a sequence its index in the truth, -1 for none: (n,) int64.
 
-    By stamp; a sequence whose recording has no stamps counts its frames in seconds, so its stamps are
-    the frames' numbers.
+    Frames are matched by stamp. A recording without stamps counts its frames in seconds, so there a stamp is
+    the frame's index.
 
     Args:
-        stamps_ns: (n,) of the sequence.
-        truth_ns: (m,) of the truth.
+        stamps_ns: (n,) stamps of the sequence.
+        truth_ns: (m,) stamps of the truth.
     """
     result = np.full(len(stamps_ns), -1, dtype=np.int64)
     numbers, remainder_ns = np.divmod(stamps_ns, NS_PER_S)

@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: path, surface errors, meshes coloured by error, slices of the solid; as PNG."""
+"""Pictures of an evaluation as PNG: path, surface errors, meshes coloured by error, slices of the solid."""
 
 from collections.abc import Callable
 
@@ -28,14 +28,14 @@ Colors = Callable[[Float64], Float64]
 
 SIZE_PX = 320
 SUPERSAMPLING = 2
-# Two looks from a person's height and one from below: degrees.
+# Two viewpoints from a person's height and one from below: azimuth and elevation, degrees.
 LOOKS_DEG = ((-50.0, 24.0), (130.0, 24.0), (-50.0, -35.0))
 BUILT, TRUE = "#b4572b", "#2b6cb4"
-# Errors beyond this have the colour of the last one; the same in every picture, so that they compare.
+# Larger errors have the last colour; the scale is the same in every picture, so that pictures compare.
 SCALE_M = 0.020
 REACH_M = 0.030
 BINS = 120
-# Empty, true and built, missing, too much; RGB.
+# Colours (RGB) of cells: empty, correctly built, missing, excess.
 SLICE_COLORS = np.array([(253, 252, 249), (176, 172, 164), (43, 108, 180), (200, 70, 40)], np.float64)
 UNKNOWN_COLOR = np.array([246, 214, 120], np.float64)
 
@@ -46,11 +46,11 @@ def render_errors(
     """Draw a mesh, each point coloured by its distance from another surface.
 
     Args:
-        mesh: to draw, frame `object`.
-        other: closed if signed, same frame.
-        viewpoint: where from, frame `object`.
-        signed: colour signed distances, positive outside `other`; else absolute ones.
-        colors: of these distances.
+        mesh: the mesh to draw, frame `object`.
+        other: the other surface, same frame; closed if `signed`.
+        viewpoint: the viewpoint, frame `object`.
+        signed: whether to colour signed distances (positive outside `other`) or absolute ones.
+        colors: the colours of these distances.
 
     Returns:
         (SIZE_PX, SIZE_PX, 3) uint8 RGB.
@@ -70,12 +70,12 @@ def render_errors(
 def path_chart(
     positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
 ) -> bytes:
-    """The cameras from above: true path in grey, built positions coloured by their error.
+    """Draw the cameras from above: true path in grey, built positions coloured by their error.
 
     Args:
-        positions_true: (n, 3) frame `object`, of every frame, in order; NaN where the truth has none.
+        positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
         positions_built: (m, 3) aligned positions, frame `object`.
-        errors_m: (m,) their distances from the true ones.
+        errors_m: (m,) distances of built positions from true ones.
         outline: (k, 2) points of the object from above.
 
     Returns:
@@ -97,7 +97,7 @@ def path_chart(
 
 
 def error_picture(errors: SurfaceErrors) -> bytes:
-    """Signed errors of the built surface, and precision and recall against the distance: a PNG file."""
+    """Plot signed errors of the built surface, and precision and recall against distance: a PNG file."""
     figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
     signed_mm = np.clip(errors.built_m, -REACH_M, REACH_M) * 1000
@@ -120,7 +120,7 @@ def error_picture(errors: SurfaceErrors) -> bytes:
 
 
 def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
-    """The built mesh coloured by signed error, above the true mesh coloured by distance: a PNG file.
+    """Draw the built mesh coloured by signed error, above the true mesh coloured by distance: a PNG file.
 
     Args:
         built_object: closed mesh, frame `object`.
@@ -168,10 +168,10 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
 
 
 def slice_picture(solids: EvaluatedSolids) -> bytes:
-    """Three slices through the true solid's centre of mass: true, built, unknown; a PNG file.
+    """Draw three slices through the true solid's centre of mass: true, built, unknown; a PNG file.
 
     Args:
-        solids: on the canonical cube, axes x, y, z of frame `object`.
+        solids: grids on the canonical cube, with the axes of frame `object`.
     """
     from matplotlib.patches import Patch
 
@@ -182,7 +182,7 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
         true, built, known = (
             np.take(g, middle[axis], axis) for g in (solids.true, solids.built, solids.known)
         )
-        # Rows of the picture go up along the second remaining axis.
+        # In the picture, rows go up along the second remaining axis.
         picture = np.swapaxes(slice_colors(true, built, known), 0, 1)
         axes.imshow(picture.astype(np.uint8), origin="lower", interpolation="nearest")
         axes.set_title(f"{titles[axis]} = cell {middle[axis]}", fontsize=9)
@@ -195,10 +195,10 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
 
 
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
-    """Colours (n, m, 3), 0 to 255, of a slice's cells (n, m): correct, missing, excess; unknown tinted."""
+    """Return colours (n, m, 3), 0 to 255, of a slice's cells (n, m): correct, missing, excess, unknown."""
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
-    # Errors keep their colour, unknown or not: tinted they would look correct.
+    # Errors keep their colour even if unknown: tinted, they would look correct.
     plain = known | (true != built)
     tinted: Float64 = np.where(plain[..., None], colors, 0.45 * colors + 0.55 * UNKNOWN_COLOR)
     return tinted

@@ -1,4 +1,4 @@
-"""Everything that a build is measured by, its trajectory and floor first, and its file evaluation.json."""
+"""All figures of a build against the truth (here trajectory and floor), and the file evaluation.json."""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -31,18 +31,18 @@ from kinectbench.stages.segment.find.floor import Floor
 
 @dataclass(frozen=True)
 class TrajectoryFigures:
-    """The share of a recording that was tracked, and its accuracy. Frames count as in the build.
+    """The share of a recording that was tracked, and its accuracy. Frame indices are those of the build.
 
     Attributes:
         frames: frames in the sequence.
         tracked: frames with a pose.
         tracked_share: `tracked / frames`.
         lost: frames for which no pose was found.
-        rejected: frames whose pose was found and left out, because their depth disagrees with it.
-        foreign_tracked: frames that show another scene and have a pose all the same.
-        error: of the poses of the frames whose truth is known; None if there are fewer than three.
-        given_clock: by how much the clock of the trajectory that came with the recording is late against the
-            true poses, where that can be determined and matters; or None.
+        rejected: frames whose pose was found but left out, because their depth disagrees with it.
+        foreign_tracked: frames that show another scene but have a pose.
+        error: errors of the poses with known truth; None if there are fewer than three.
+        given_clock: how late the given trajectory's clock is against the true poses, if that can be
+            determined and matters; else None.
     """
 
     frames: int
@@ -62,15 +62,15 @@ def trajectory_figures(
     stamps_ns: NDArray[np.int64],
     given: GivenTrajectory | None = None,
 ) -> TrajectoryFigures:
-    """Compare the poses of all matched frames (see `tracking.compare`), and count the others.
+    """Compare the poses of all matched frames (see `tracking.compare`), and count the rest.
 
-    The alignment of ATE is the least-squares one of the positions, whatever the registration says.
+    ATE aligns the positions by least squares, independently of `registration`.
 
     Args:
-        trajectory: as it was built.
-        truth: the simulator's.
-        registration: of the build to the truth.
-        stamps_ns: (n,) int64, of the build's frames.
+        trajectory: the built trajectory.
+        truth: the simulator's truth.
+        registration: registration of the build to the truth.
+        stamps_ns: (n,) int64, stamps of the build's frames.
         given: the trajectory that came with the recording, or None.
     """
     posed = has_pose(trajectory.T_world_camera)
@@ -108,8 +108,8 @@ class FloorFigures:
     """The distance of the built floor from the true one.
 
     Attributes:
-        angle_rad: between the two planes.
-        height_m: of the built plane above the true floor at the object's foot; < 0 below it.
+        angle_rad: angle between the two planes.
+        height_m: height of the built plane above the true floor at the object's foot; < 0 below it.
     """
 
     angle_rad: float
@@ -117,27 +117,28 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
-    """Compare the built floor with the true one: angle, and height below the object.
+    """Compare the built floor with the true one: angle, and height at the object's foot.
 
     Args:
-        floor: built, in the world of the build.
-        truth: the simulated scene.
-        registration: of the build's world to the truth's.
+        floor: the built floor, in the build's world.
+        truth: the truth of the simulated scene.
+        registration: registration of the build's world to the truth's.
     """
     T = registration.T_truth_built
     normal = T[:3, :3] @ floor.plane_world[:3]
-    # n . (R^T (x - t)) + d = 0 in the truth's world
+    # In the truth's world the plane is n . (R^T (x - t)) + d = 0.
     offset = floor.plane_world[3] - normal @ T[:3, 3]
     up, foot = truth.T_world_object[:3, 2], truth.T_world_object[:3, 3]
     cosine, sine = float(normal @ up), float(np.linalg.norm(np.cross(normal, up)))
-    # foot + h up lies on the built plane
+    # The point foot + h up lies on the built plane.
     return FloorFigures(float(np.arctan2(sine, cosine)), float(-(normal @ foot + offset) / cosine))
 
 
-# 2: figures are to the seeable solid; those to the exact one, which had their names, begin with `exact`.
+# Version 2: figures refer to the seeable solid; figures that refer to the exact solid, and had these names
+# before, begin with `exact`.
 FORMAT_VERSION = 2
 DIGITS = 6
-# Of matrices and lists of errors, metres.
+# Decimals of matrices and of lists of errors, metres.
 ARRAY_DECIMALS = 9
 
 
@@ -146,10 +147,10 @@ class AlignmentFigures:
     """The registration of the build's world to the truth's.
 
     Attributes:
-        aligned: by the trajectories; False: the worlds were left as they are.
+        aligned: whether the worlds were aligned by the trajectories.
         moved_m: length of the shift of the world's origin.
-        turned_rad: angle of the turn.
-        T_truth_built: (4, 4).
+        turned_rad: angle of the rotation.
+        T_truth_built: (4, 4), the build's world to the truth's.
     """
 
     aligned: bool
@@ -164,17 +165,18 @@ class Evaluation:
 
     Attributes:
         subject: the truth's name of the object.
-        alignment: how the worlds were laid onto each other.
-        trajectory: of stage `track`.
-        scene: of stage `fuse`: the fused scene around the object, above the floor; None if nothing is there.
-        floor: of stage `segment`.
-        surface: of the object's closed mesh.
-        measured: of the faces of that mesh that were measured, around the object and above the floor; None if
-            there are none. `visible` is what some frame measured of the true surface.
-        solid: of the same mesh and the labels.
-        refined: of these, before and after a rigid motion of the mesh onto the true one.
-        masks: of stage `sample-views`.
-        pairs: of stage `pairs`.
+        alignment: how the worlds were aligned.
+        trajectory: figures of stage `track`.
+        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it is empty
+            there.
+        floor: the floor of stage `segment`.
+        surface: figures of the object's closed mesh.
+        measured: figures of that mesh's measured faces, around the object and above the floor; None if there
+            are none. Here `visible` means the true surface that some frame measured.
+        solid: figures of the same mesh and of the labels.
+        refined: figures before and after a rigid motion of the mesh onto the true one.
+        masks: figures of stage `sample-views`.
+        pairs: figures of stage `pairs`.
     """
 
     subject: str
@@ -200,9 +202,9 @@ def evaluate(
     """Measure a build against the truth of the same recording.
 
     Args:
-        build: as far as it was built.
-        truth: the simulator's.
-        align: lay the build's world onto the truth's by the trajectories; False leaves it as it is.
+        build: the build; later stages may be missing.
+        truth: the simulator's truth.
+        align: whether to align the build's world with the truth's by the trajectories.
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -249,7 +251,7 @@ def evaluate(
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, object]:
-    """The content of evaluation.json: all figures in SI units and radians, to six digits."""
+    """Return the content of evaluation.json: all figures in SI units and radians, to six digits."""
     head = {"format_version": FORMAT_VERSION, "package_version": __version__}
     return {**head, **_plain(evaluation)}
 
@@ -266,7 +268,7 @@ def _alignment(registration: BuildRegistration) -> AlignmentFigures:
 
 
 def _plain(value: object) -> Any:
-    """Dataclasses, tuples and arrays as JSON values; numbers are rounded."""
+    """Return dataclasses, tuples and arrays as JSON values; numbers are rounded."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""The labels and probabilities of the object's voxels, compared with the truth."""
+"""Compare the labels and probabilities of the object's voxels with the truth."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -15,10 +15,10 @@ from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import TrueCells, Truth
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# What is farther than this from the true surface and wrong is no matter of noise; and so near lies what the
-# sensor's measurements of a surface decide.
+# A wrong voxel farther than this from the true surface is a gross error, not noise. The same distance limits
+# which voxels a measured surface determines.
 GROSS_M = NEAR_M = 0.010
-# The probability is asked so near to the surface, and wherever the label is unknown; in so many bins.
+# Calibration uses voxels this near to the surface, and all unknown ones, in so many bins.
 CALIBRATED_M, BINS = 0.030, 10
 
 
@@ -27,15 +27,15 @@ class Voxels:
     """The object's voxels on the fine grid, with the truth; all arrays have the grid's shape.
 
     Attributes:
-        grid: in the truth's world.
-        solid: bool, occupied.
+        grid: the grid, in the truth's world.
+        solid: bool, the voxel is occupied in the build.
         known: bool, the label is not `unknown`.
-        probability: float32, that the voxel is occupied.
-        true: bool, its centre lies in the seeable solid (`core.voxels.seeable`).
-        judged: bool, it counts: it lies in no slit.
-        distance_m: float32, of its centre from that solid's surface; infinite where that is more than 30 mm.
-        exact: bool, its centre lies in the exact solid.
-        exact_distance_m: float32, of its centre from the true mesh.
+        probability: float32, the build's probability that the voxel is occupied.
+        true: bool, the voxel's centre lies in the seeable solid (`core.voxels.seeable`).
+        judged: bool, the voxel is evaluated: it does not lie in a slit.
+        distance_m: float32, distance of the centre from the seeable solid's surface; infinite beyond 30 mm.
+        exact: bool, the centre lies in the exact solid.
+        exact_distance_m: float32, distance of the centre from the true mesh.
     """
 
     grid: Grid
@@ -50,7 +50,7 @@ class Voxels:
 
     @property
     def against_exact(self) -> "Voxels":
-        """The same compared with the exact solid, every voxel judged."""
+        """Return the same voxels compared with the exact solid, every voxel evaluated."""
         everywhere = np.ones_like(self.judged)
         return replace(self, true=self.exact, distance_m=self.exact_distance_m, judged=everywhere)
 
@@ -60,9 +60,9 @@ class GrossErrors:
     """Wrong known voxels more than 10 mm from the true surface, as shares of the true volume.
 
     Attributes:
-        known_gross_share: all of them.
-        solid_called_air: those inside the true solid.
-        air_called_solid: those outside.
+        known_gross_share: all such voxels.
+        solid_called_air: those inside the true solid, labelled air.
+        air_called_solid: those outside it, labelled solid.
     """
 
     known_gross_share: float
@@ -72,11 +72,11 @@ class GrossErrors:
 
 @dataclass(frozen=True)
 class NearUnknown:
-    """Share of voxels labelled unknown within 10 mm of true surface that was measured.
+    """Share of unknown voxels among those within 10 mm of measured true surface.
 
     Attributes:
-        solid: of those inside the true solid; None if there are none.
-        air: of those outside.
+        solid: the share inside the true solid; None without such voxels.
+        air: the share outside the true solid; None without such voxels.
     """
 
     solid: float | None
@@ -95,13 +95,13 @@ class CalibrationBin:
 def voxels_beside(
     model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> Voxels:
-    """The object's fine grid in the truth's world, with point-to-triangle distances near the surface.
+    """Return the object's fine grid in the truth's world, with point-to-triangle distances near the surface.
 
     Args:
         model: the built object, in its own world.
         truth: the true solid.
         registration: transform between the worlds.
-        surface: samples of the true surface, which say where distances are worth computing.
+        surface: samples of the true surface; distances are computed only near them.
     """
     shape = model.shape
     grid = replace(shape.grid, T_world_grid=registration.T_truth_built @ shape.grid.T_world_grid)
@@ -126,7 +126,7 @@ def voxels_beside(
 
 
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
-    """Distance to the seeable solid's surface: to half a voxel near parts that only the definition adds."""
+    """Return distances to the seeable solid's surface; to half a voxel near added parts."""
     from scipy import ndimage
 
     by_definition = cells.solid & ~cells.exact
@@ -138,16 +138,16 @@ def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Fl
     )
     counted = np.where(cells.solid, solid_m, air_m)
     counted = np.where(counted <= CALIBRATED_M, counted, np.inf)
-    # Farther from it than the surface is, the nearest surface is the exact one.
+    # Farther from the added parts than from the surface, the nearest surface is the exact one.
     return np.where(added_m > CALIBRATED_M, exact_m, counted).astype(np.float32)
 
 
 def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
-    """Cells of a grid, among them all whose centre is at most `reach_m` from one of the points (n, 3)."""
+    """Return cells of a grid, including all with the centre within `reach_m` of one of the points (n, 3)."""
     from scipy import ndimage
 
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
-    # Points beyond the grid may still be near a cell of it.
+    # Points outside the grid may still be near one of its cells.
     reach = int(np.ceil(reach_m / grid.voxel_size_m)) + 1
     shape = np.array(grid.shape)
     cells = cells[np.all((cells >= -reach) & (cells < shape + reach), axis=1)] + reach
@@ -158,17 +158,17 @@ def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
 
 
 def centres(grid: Grid, cells: Bools) -> Float64:
-    """Centres (n, 3) of the chosen cells of a grid in its world, metres, in C order."""
+    """Return the centres (n, 3) of chosen cells of a grid in its world, metres, in C order."""
     return transform_points(grid.T_world_grid, (np.argwhere(cells) + 0.5) * grid.voxel_size_m)
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Volumes of known voxels that are wrong by more than 10 mm, relative to the true volume.
+    """Return the volumes of known voxels that are wrong by more than 10 mm, relative to the true volume.
 
     Args:
-        voxels: the object's.
-        true_volume_m3: of the true solid.
-        beyond_m3: of the true solid beyond the voxels, that is known to be air and as far from the surface.
+        voxels: the object's voxels.
+        true_volume_m3: volume of the true solid.
+        beyond_m3: volume of the true solid beyond the voxels that is labelled air, as far from the surface.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
@@ -179,12 +179,12 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
 
 
 def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) -> float:
-    """Volume of lost cells of a cube beyond the object's voxels, more than 10 mm from the true surface.
+    """Return the volume of a cube's lost cells beyond the object's voxels, over 10 mm from the true surface.
 
     Args:
-        cube: around the true object, truth's world.
-        lost: cells of it in the true solid that are known to be air.
-        voxels: the object's.
+        cube: a cube around the true object, truth's world.
+        lost: cells of the cube in the true solid that are labelled air.
+        voxels: the object's voxels.
         truth: the exact solid.
     """
     points = centres(cube, lost)
@@ -197,7 +197,7 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """The unknown share near measured surface, by the nearest surface sample."""
+    """Return the unknown share near measured surface; a voxel belongs to its nearest surface sample."""
     from scipy.spatial import cKDTree
 
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged
@@ -212,9 +212,9 @@ def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnkno
 
 
 def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
-    """Ten bins of equal count, by probability, of the voxels that are unknown or within 30 mm of the surface.
+    """Return ten bins of equal count, by probability, of voxels unknown or within 30 mm of the surface.
 
-    Of voxels of one probability that the border of two bins divides, each bin gets the same share inside.
+    If voxels of equal probability are divided between two bins, both bins get the same share inside.
     """
     asked = voxels.judged & (~voxels.known | np.isfinite(voxels.distance_m))
     probability, inside = voxels.probability[asked].astype(np.float64), voxels.true[asked]
@@ -222,17 +222,17 @@ def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
 
 
 def equal_bins(probability: Float64, inside: NDArray[np.bool_]) -> tuple[CalibrationBin, ...]:
-    """At most ten bins of equal count, ascending; fewer if there are fewer voxels.
+    """Return at most ten bins of equal count, ascending; fewer if there are fewer voxels.
 
     Args:
-        probability: (n,).
-        inside: (n,) bool.
+        probability: (n,) probabilities.
+        inside: (n,) bool, the voxel is inside the true solid.
     """
     values, group, counts = np.unique(probability, return_inverse=True, return_counts=True)
     if not len(values):
         return ()
     share = np.bincount(group, inside, len(values)) / counts
-    # Sorted, each voxel has its value's mean: what order they would have among themselves does not matter.
+    # In sorted order each voxel gets the mean of its probability's voxels, so their order does not matter.
     ends = np.cumsum(counts)
     borders = np.unique(np.round(np.linspace(0, ends[-1], BINS + 1)).astype(np.int64))
     result = []
@@ -244,7 +244,7 @@ def equal_bins(probability: Float64, inside: NDArray[np.bool_]) -> tuple[Calibra
 
 
 def calibration_error(bins: tuple[CalibrationBin, ...]) -> float | None:
-    """Mean distance between probability and share inside over the bins; None without any."""
+    """Return the mean distance between probability and share inside over the bins; None without bins."""
     if not bins:
         return None
     return float(np.mean([abs(each.mean_probability - each.inside_share) for each in bins]))

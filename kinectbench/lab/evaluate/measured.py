@@ -1,4 +1,4 @@
-"""The measured part of the true surface, and the built surface's error there, by direction."""
+"""The measured part of the true surface, and the built surface's error there by face direction."""
 
 from dataclasses import dataclass
 
@@ -14,22 +14,22 @@ from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.render import LIFT_M
 from kinectbench.lab.simulate.truth import SurfaceTruth, Truth
 
-# One sample on each 4 mm x 4 mm, less than a voxel; on a large couch one on 5 mm x 5 mm.
+# One sample for each 4 mm x 4 mm, less than a voxel; on a large couch one for each 5 mm x 5 mm.
 SPACING_M, MAX_SAMPLES = 0.004, 250_000
 SEED = 0
-# What every camera looks at flatter than 80 degrees gives hardly any depth, and a noisy one.
+# Surface that every camera sees at more than 80 degrees of incidence gives hardly any depth, and noisy depth.
 LEAST_COSINE = np.cos(np.radians(80.0))
-# Depth is that of the sample if it is this near to it: 10 mm, and three standard deviations of a Kinect v1
-# (14 mm at 3 m by Nguyen et al. 2012) with its distortion (0.4 %) beyond that.
+# Depth is that of a sample if it is this near to it: 10 mm, and three standard deviations of a Kinect v1 (14
+# mm at 3 m by Nguyen et al. 2012) with its distortion (0.4 %) beyond that.
 AGREES_M, AGREES_SHARE = 0.010, 0.015
-# Frames are asked in an order in which any few of them lie all around: what most see is done with early.
+# Frames are tested in an order whose first few are spread all around, so that most samples are settled early.
 GOLDEN = (np.sqrt(5.0) - 1) / 2
-# Normals in the floor frame: upper faces, undersides, and sides in between.
+# Limits of a normal's z in the floor frame: upper faces, undersides (negative), and upright sides.
 LEAST_UP, MOST_SIDEWAYS = 0.7, 0.5
-# Near an edge the nearest surface may be that of the other face; and what is farther off is missing or too
-# much, not a bias.
+# Near an edge the nearest surface may belong to the other face. Surface that is farther off is missing or
+# excess, not a bias.
 EDGE_M, EDGE_RAD, REACH_M = 0.015, np.radians(30.0), 0.015
-# Fewer samples give no mean: of 8 cm^2, on one object a single one decided.
+# Fewer samples give no mean: they are 8 cm^2, and on one object a single sample decided.
 LEAST_SAMPLES = 50
 
 
@@ -40,7 +40,7 @@ class MeasuredSurface:
     Attributes:
         points_world: (m, 3), metres, truth's world.
         normals_world: (m, 3), unit, outward.
-        measured: (m,) bool, some frame returned depth of it.
+        measured: (m,) bool, some frame measured the sample's depth.
     """
 
     points_world: Float64
@@ -49,17 +49,17 @@ class MeasuredSurface:
 
     @property
     def surface(self) -> SurfaceTruth:
-        """The same samples as a truth's, of which that was seen that some frame measured."""
+        """Return the samples as a truth's, in which the measured samples count as seen."""
         return SurfaceTruth(self.points_world, self.normals_world, self.measured.astype(np.uint16))
 
 
 def measured_surface(build: Build, truth: Truth, registration: BuildRegistration) -> MeasuredSurface:
     """Sample the true surface, and test in every recorded frame whether it measured the samples.
 
-    A frame measured a sample if the sample lies in its image, the true camera looks at it by less than 80
-    degrees and nothing of the object hides it, and the depth recorded in its pixel is within
-    10 mm + 1.5 % of its distance: so black, too distant or occluded surface is not measured.
-    All frames count that show the object, with or without a pose in the build.
+    A frame measured a sample if the sample lies in its image, the incidence at the true camera is less than
+    80 degrees, the object does not hide it, and the depth recorded in its pixel is within 10 mm + 1.5 % of
+    its distance. So black, too distant or occluded surface is not measured. All frames that show the object
+    count, with or without a pose in the build.
 
     Raises:
         StorageError: a frame's depth is missing or damaged.
@@ -82,19 +82,19 @@ def measured_surface(build: Build, truth: Truth, registration: BuildRegistration
 
 
 def _spread(frames: Int64) -> Int64:
-    """Frames (n,) in an order whose first few are evenly spread."""
+    """Return frames (n,) in an order whose first few are evenly spread."""
     return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
 
 
 def returned(
     points_world: Float64, normals_world: Float64, camera: Camera, T_world_camera: Float64, depth_m: Float32
 ) -> Bools:
-    """Points (n, 3) whose own depth a frame measured, ignoring occlusion by the object: (n,) bool.
+    """Return which points (n, 3) have their depth measured by a frame, ignoring occlusion: (n,) bool.
 
     Args:
-        points_world: metres.
+        points_world: (n, 3), metres.
         normals_world: (n, 3), unit, outward.
-        camera: of the depth image.
+        camera: camera of the depth image.
         T_world_camera: (4, 4).
         depth_m: (height, width), 0 = none.
     """
@@ -114,15 +114,15 @@ def returned(
 
 
 class _Obstacle:
-    """The object as an occluder of itself."""
+    """The object as an occluder of its own surface."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        # The library computes in float32, which is finest near the origin.
+        # The library computes in float32, which is most precise near the origin.
         self._center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         self._scene, self._tensor = raycaster(TriangleMesh(mesh.vertices - self._center, mesh.faces))
 
     def hides(self, points_world: Float64, camera_world: Float64) -> Bools:
-        """Points (n, 3), just above the surface, that it hides from a position (3,): (n,) bool."""
+        """Return which points (n, 3), just off the surface, the object hides from a position: (n,) bool."""
         starts = points_world - self._center
         rays = np.concatenate([starts, camera_world - self._center - starts], axis=1).astype(np.float32)
         return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
@@ -130,14 +130,14 @@ class _Obstacle:
 
 @dataclass(frozen=True)
 class FaceBias:
-    """Mean signed distance of the built surface from the measured true one, metres.
+    """Mean signed distance of the built surface from the measured true surface, metres, by direction.
 
-    Positive: too far out. None where fewer than 50 samples were measured away from edges: 8 cm^2.
+    Positive means too far out. None if fewer than 50 samples (8 cm^2) were measured away from edges.
 
     Attributes:
-        up: of faces that look up: their normal's z in the object's frame is over 0.7.
-        side: of upright ones: at most 0.5 either way.
-        down: of undersides: under -0.7.
+        up: on faces that look up: their normal's z in the object's frame is over 0.7.
+        side: on upright faces: z at most 0.5 either way.
+        down: on undersides: z under -0.7.
     """
 
     up: float | None
@@ -146,18 +146,18 @@ class FaceBias:
 
 
 def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> FaceBias:
-    """Signed error of a built mesh at measured samples at least 15 mm away from sharp edges.
+    """Return the signed error of a built mesh at measured samples at least 15 mm away from sharp edges.
 
-    Samples from which the built surface is farther than 15 mm count for nothing: there something is missing
-    or too much, which other figures say.
+    Samples more than 15 mm from the built surface are ignored: there something is missing or excess, which
+    other figures measure.
 
     Args:
         mesh_world: the built closed mesh, truth's world.
-        truth: the exact one.
-        surface: samples of it.
+        truth: the exact truth.
+        surface: samples of the true surface.
     """
     chosen = on_faces(truth, surface)
-    # The true surface is inside of a built one that is too far out.
+    # If the built surface is too far out, the true surface lies inside it.
     outward_m = -ReferenceSurface(mesh_world).signed_distance_m(surface.points_world[chosen])
     near = np.abs(outward_m) <= REACH_M
     height = surface.normals_world[chosen] @ truth.T_world_object[:3, 2]
@@ -173,7 +173,7 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
 
 
 def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
-    """Samples (m,) that were measured and lie at least 15 mm away from the exact mesh's sharp edges."""
+    """Return which samples (m,) were measured and lie at least 15 mm from the exact mesh's sharp edges."""
     from scipy.spatial import cKDTree
 
     chosen = surface.measured.copy()
@@ -185,7 +185,7 @@ def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
 
 
 def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Points (n, 3) at most 4 mm apart along the edges where two faces meet at more than 30 degrees."""
+    """Return points (n, 3), at most 4 mm apart, along edges whose faces meet at more than 30 degrees."""
     import trimesh
 
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)

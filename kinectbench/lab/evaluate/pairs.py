@@ -1,4 +1,4 @@
-"""The masks of the views and the pairs against the truth, each pair on its own grid."""
+"""Compare the views' masks and the pairs with the truth, each pair on its own grid."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,10 +21,10 @@ class MaskRow:
     """One view's mask.
 
     Attributes:
-        view: its name.
+        view: the view's name.
         frame: index in the sequence.
         valid_iou: IoU with the true silhouette over pixels with valid depth.
-        iou: the same over all pixels; a mask holds pixels with depth only.
+        iou: IoU over all pixels; a mask has only pixels with depth.
     """
 
     view: str
@@ -39,12 +39,12 @@ class MaskFigures:
 
     Attributes:
         mean_valid_iou: mean over the views, over pixels with valid depth; None without views.
-        worst_valid_iou: the least of them.
-        worst_view: the view that has it.
+        worst_valid_iou: the lowest IoU over pixels with valid depth.
+        worst_view: the view with the lowest.
         mean_iou: mean over the views, over all pixels.
-        worst_iou: the least of them.
-        without_truth: views of frames that the truth does not have, or that show another scene.
-        rows: one a view.
+        worst_iou: the lowest IoU over all pixels.
+        without_truth: views whose frame is not in the truth, or shows another scene.
+        rows: one for each view.
     """
 
     mean_valid_iou: float | None
@@ -97,11 +97,11 @@ class EvaluatedPair:
     """One pair against the truth; values in [0, 1].
 
     Attributes:
-        view: its name.
+        view: the view's name.
         frame: index in the sequence.
-        iou: of `full` and the seeable solid, over all judged cells.
-        known_iou: the same over `known` cells; None if none of the true solid is known.
-        exact_iou: of `full` and the exact solid, over all cells.
+        iou: IoU of `full` and the seeable solid, over all judged cells.
+        known_iou: the same IoU over `known` cells; None if no cell of the true solid is known.
+        exact_iou: IoU of `full` and the exact solid, over all cells.
         true_unknown_share: share of the true solid that is not `known`.
         containment: share of the partial's cells (64^3) that lie in the true solid, dilated once.
     """
@@ -117,7 +117,7 @@ class EvaluatedPair:
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and worst of a figure over the pairs, and the view that has the worst."""
+    """Mean and worst value of a figure over the pairs, and the view with the worst."""
 
     mean: float
     worst: float
@@ -129,13 +129,13 @@ class PairFigures:
     """All pairs against the truth.
 
     Attributes:
-        iou: of `full` and the seeable solid, over all judged cells; None without pairs.
-        known_iou: the same over `known` cells.
-        exact_iou: of `full` and the exact solid, over all cells.
+        iou: IoU of `full` and the seeable solid, over all judged cells; None without pairs.
+        known_iou: the same IoU over `known` cells.
+        exact_iou: IoU of `full` and the exact solid, over all cells.
         true_unknown_share: share of the true solid that is not `known`; the worst is the largest.
-        containment: of the partial views in the true solid.
-        without_truth: pairs of frames that the truth does not have, or that show another scene.
-        rows: one a pair.
+        containment: containment of the partial views in the true solid.
+        without_truth: pairs whose frame is not in the truth, or shows another scene.
+        rows: one for each pair.
     """
 
     iou: Summary | None
@@ -152,13 +152,13 @@ def pair_figures(
 ) -> PairFigures:
     """Compare every pair with the true solid at the true camera of its frame.
 
-    The depth of a view was taken by the true camera, so the truth lies exactly to `partial`, whatever
-    the pose that was found; how well `full` was turned into the view counts in its IoU.
+    The depth of a view was taken by the true camera. So the truth is in exact register with `partial`,
+    whatever pose was found; errors in transforming `full` into the view lower its IoU.
 
     Args:
-        build: with views and pairs.
+        build: a build with views and pairs.
         truth: the exact solid and cameras.
-        registration: which frame is which.
+        registration: tells which frame of the truth each frame is.
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -189,19 +189,19 @@ def pair_figures(
 def evaluated_pair(
     view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: NDArray[np.float64]
 ) -> EvaluatedPair:
-    """The figures of one pair.
+    """Return the figures of one pair.
 
     Args:
-        view: its name.
+        view: the view's name.
         frame: index in the sequence.
-        pair: as it was made.
+        pair: the pair.
         truth: the exact solid.
         T_world_camera: (4, 4), the true camera in the truth's world.
     """
     cells = truth.cells(grid_in_truth(pair, T_world_camera))
     true, judged = cells.solid & cells.judged, cells.judged
     full, known = unpack(pair.full), unpack(pair.known)
-    # As verify does: before the partial rule thins the cells out.
+    # Like `verify`: these are the cells before the partial rule thinned them out.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     return EvaluatedPair(
         view=view,
@@ -215,7 +215,7 @@ def evaluated_pair(
 
 
 def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
-    """A pair's 256-grid in the truth's world, by the true camera (4, 4)."""
+    """Return a pair's 256-grid in the truth's world, placed by the true camera (4, 4)."""
     T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
     return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)
 

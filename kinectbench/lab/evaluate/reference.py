@@ -1,4 +1,4 @@
-"""A built truth beside a reference mesh: the figures of reference.json, and the meshes' files."""
+"""Compare a built truth with a reference mesh: the figures of reference.json, and the meshes' files."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -29,27 +29,27 @@ from kinectbench.stages.segment.object_model import MESH, ObjectModel, read_obje
 from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
-# In a folder of a thing: where YCB's archives of Google's scanner have its mesh.
+# Path of the mesh in an object's folder, as in YCB's archives of Google's scanner.
 YCB_MESH = "google_16k/nontextured.ply"
-# Of the reference, what lies so near to a measured sample was seen; what lies in free space was, too.
+# A part of the reference was seen if it lies this near to a measured sample, or in free space.
 NEAR_M = 0.02
-# Faces within 45 degrees of the vertical look up or down.
+# Faces within 45 degrees of the vertical count as looking up or down.
 STEEP = np.sqrt(0.5)
-# Of the figures that are written: micrometres, and millionths of a ratio.
+# Decimals of the written figures: micrometres, and millionths of a ratio.
 DECIMALS = 6
 
 
 def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
-    """The mesh of each recording in a folder: `<id>.ply`, `.obj` or `.glb`, or by the name of its object.
+    """Find each recording's mesh in a folder: `<id>.ply`, `.obj` or `.glb`, or by the name of its object.
 
-    So is YCB's own layout, `<object>/google_16k/nontextured.ply`.
+    YCB's own layout, `<object>/google_16k/nontextured.ply`, is found, too.
 
     Args:
-        folder: of the meshes.
-        names: id of a recording -> the name of its object.
+        folder: the folder of meshes.
+        names: {id of a recording: name of its object}.
 
     Raises:
-        RecordingError: there is no such folder, or none of the meshes.
+        RecordingError: the folder does not exist, or has none of the meshes.
     """
     if not folder.is_dir():
         raise RecordingError(f"{folder}: no such folder; name that of the meshes", what="not-found")
@@ -68,13 +68,13 @@ def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
 
 
 def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, ReferenceFile]:
-    """Compare the built object of a recording with a reference mesh, and put it into reference.json.
+    """Compare the built object of a recording with a reference mesh, and add the result to reference.json.
 
-    What other meshes gave beside the same object stays there. A file that cannot be read is replaced.
+    Results of other meshes for the same object are kept. An unreadable reference.json is replaced.
 
     Args:
-        folder: `build/<recording>/`, up to the object.
-        path: of the mesh.
+        folder: `build/<recording>/`, built at least up to the object.
+        path: the mesh's file.
 
     Raises:
         RecordingError: the mesh cannot be used.
@@ -104,27 +104,28 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
 
 
 def named_mesh(path: Path) -> str:
-    """What a mesh is called: its relative path; of an absolute one the last folder and the name.
+    """Return the name of a mesh: its relative path, or the last folder and file name of an absolute path.
 
-    Simulated meshes are all called object.ply. Where a machine keeps its files is nobody's business.
+    The folder is needed because all simulated meshes are called object.ply. The rest of an absolute path is
+    private.
     """
     return Path(*path.parts[-2:]).as_posix() if path.is_absolute() else path.as_posix()
 
 
 def _truths(folder: Path) -> Iterator[str]:
-    """Hashes of the files that hold the truth of an object: its own mesh, and the mesh that was put in."""
+    """Yield hashes of the files with an object's truth: its own mesh, and the mesh that it was built from."""
     yield sha256_file(folder / MESH)
     if (truth := QualityFile.read(folder).truth) is not None:
         yield truth.sha256
 
 
 def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
-    """The figures of a reference beside an object; files are named by the caller.
+    """Return the figures of a reference for an object; the caller adds the names of files.
 
     Args:
         model: the object.
-        fit: the reference, as `register_reference` has it.
-        closed: whether its mesh is.
+        fit: the reference, registered by `register_reference`.
+        closed: whether the reference's mesh is closed.
     """
     head = ComparedMesh(reference="", sha256="", refused=fit.refused, closed=closed)
     if fit.pose is None:
@@ -170,9 +171,10 @@ def _triple(vector: Float64) -> tuple[float, float, float]:
 def f_scores(
     model: ObjectModel, fit: RegisteredReference, T: Float64, thresholds_m: tuple[float, ...]
 ) -> list[float]:
-    """F-scores of what both saw, by exact distances to triangles.
+    """Return F-scores of the surface that both saw, by exact distances to triangles.
 
-    Of the object that is what was measured; of the reference what lies in free space, or near to that.
+    Of the object, that is the measured surface. Of the reference, it is the surface in free space or near
+    measured surface.
     """
     ours, theirs = fit.ours, fit.theirs
     there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
@@ -188,7 +190,7 @@ def f_scores(
 
 
 def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
-    """Whether points (n, 3) lie in voxels of the object's grid that are free."""
+    """Return which points (n, 3) lie in free voxels of the object's grid."""
     grid = model.shape.grid
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
     inside = np.asarray(((cells >= 0) & (cells < grid.shape)).all(axis=1))
@@ -197,7 +199,7 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
 
 
 def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
-    """Signed distances of the measured surface along its own normals, by where they look."""
+    """Return signed distances of the measured surface along its own normals, by face direction."""
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]
     back = transform_points(invert_rigid(T), points)
@@ -219,9 +221,9 @@ def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -
 
 
 def solids_iou(model: ObjectModel, mesh: TriangleMesh) -> tuple[float | None, float | None]:
-    """IoU of the object and a closed mesh in its world, over 256^3 cells around both, and over known ones.
+    """Return the IoU of the object and a closed mesh in its world, over 256^3 cells, and over known cells.
 
-    None where too many faces lie across each other, or nothing is known.
+    An IoU is None if too many faces intersect, or no cell is known.
     """
     ours = model.shape.mesh
     grid = object_cube(

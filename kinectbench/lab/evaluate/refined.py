@@ -1,8 +1,8 @@
 """The same build after registration to the truth by its measured surface, not only by cameras.
 
-Cameras and object of a tracked recording may lie a millimetre or two apart from where they belong: a depth
-that is off by a smooth error moves one against the other. A prediction that is judged in the camera's frame
-does not see such a shift. What is left after it is the error of the shape.
+In a tracked recording, a smooth depth error may shift the object by a millimetre or two against the cameras.
+Predictions that are scored in the camera frame are not affected by such a shift. The error that is left after
+registration is the error of the shape.
 """
 
 from dataclasses import dataclass, replace
@@ -27,9 +27,10 @@ from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# So many samples fix a motion to a hundredth of a millimetre; after five steps it changes by less than that.
+# This number of samples fixes a motion to a hundredth of a millimetre; after five steps it changes by less.
 SAMPLES, STEPS = 20_000, 6
-# Motions that no surface fixes, such as the turn of a round bin, stay at zero: share of the stiffest one.
+# Motions that no surface fixes, such as the turn of a round bin, stay at zero: their eigenvalue is less than
+# this share of the largest.
 STIFFNESS = 1e-4
 
 
@@ -37,18 +38,17 @@ STIFFNESS = 1e-4
 class RefinedFigures:
     """The built closed mesh before and after the best rigid motion to the true one.
 
-    Distances are those of measured samples of the true surface from the built one, where that is within
-    15 mm.
+    Distances are from measured samples of the true surface to the built one, if within 15 mm.
 
     Attributes:
-        lifted_m: by how much the motion lifts the object's middle.
-        moved_m: by how much it moves it in all.
-        turned_rad: by how much it turns it.
+        lifted_m: upward shift of the object's middle by the motion.
+        moved_m: total shift of the object's middle.
+        turned_rad: angle of the motion's rotation.
         measured_distance_m: mean distance before the motion; None if nothing was measured.
-        refined_distance_m: after it.
-        face_bias_m: after it.
-        iou: of the whole solid on 256^3 after it.
-        known_iou: the same over known cells; None if none of the true cells is known.
+        refined_distance_m: mean distance after the motion.
+        face_bias_m: face bias after the motion.
+        iou: IoU of the whole solid on 256^3 after the motion.
+        known_iou: the same IoU over known cells; None if no true cell is known.
     """
 
     lifted_m: float
@@ -70,7 +70,7 @@ def refined_figures(
         model: the built object, in its own world.
         truth: the true solid.
         registration: transform between the worlds, by the cameras.
-        surface: samples of the true surface, and which of them were measured.
+        surface: samples of the true surface, with a mask of measured ones.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
     T = refining_motion(mesh, truth, surface)
@@ -92,23 +92,23 @@ def refined_figures(
 
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
-    """Mean distance of measured samples within 15 mm of a mesh (truth's world); or None."""
+    """Return the mean distance of measured samples within 15 mm of a mesh (truth's world); None if none."""
     distance_m = ReferenceSurface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None
 
 
 def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> Float64:
-    """The motion (4, 4) that registers a closed mesh to the measured faces of the true one.
+    """Return the motion (4, 4) that registers a closed mesh to the measured faces of the true one.
 
-    Least squares from point to plane (Chen and Medioni 1992) by Gauss and Newton, of the samples that are
-    at most 15 mm from the mesh, and 15 mm from sharp edges where enough are left: edges come out round. The
-    identity if there are none.
+    Point-to-plane least squares (Chen and Medioni 1992) by Gauss-Newton, over samples at most 15 mm from the
+    mesh. Samples within 15 mm of sharp edges are left out if enough remain, because built edges are round.
+    Without samples, the motion is the identity.
 
     Args:
-        mesh_world: truth's world, metres.
+        mesh_world: the closed mesh, truth's world, metres.
         truth: the exact solid.
-        surface: samples of its surface.
+        surface: samples of the true surface.
     """
     faces = on_faces(truth, surface)
     chosen = np.flatnonzero(faces if faces.sum() >= LEAST_SAMPLES else surface.measured)
@@ -118,7 +118,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     if not len(chosen):
         return np.eye(4)
     middle = points.mean(axis=0)
-    # In units of the object's size a turn and a shift weigh the same.
+    # In units of the object's size, rotation and shift have equal weight.
     size_m = max(float(np.abs(points - middle).max()), 1e-3)
     about = rigid(np.eye(3), middle)
 

@@ -38,12 +38,12 @@ PAGE = "index.html"
 
 @dataclass(frozen=True)
 class FoundRecording:
-    """A recording to be evaluated.
+    """A recording to evaluate.
 
     Attributes:
         build: `build/<recording>/`.
         truth: the folder of its truth.
-        job: brings the build up to date; None if only a build folder is known.
+        job: the job that brings the build up to date; None if only a build folder is known.
     """
 
     build: Path
@@ -55,16 +55,17 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     """Find a recording and its truth, before anything is built.
 
     Args:
-        recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path, which
-            is built as the benchmark lists it, else with the default settings into `build/` of this folder.
-        truth: its truth; by default the folder beside the recording.
+        recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path. A path
+            is built as the benchmark lists it, else with default settings into `build/` of the working
+            folder.
+        truth: the truth's folder; default: the folder beside the recording.
         config: a benchmark.yaml, which need not exist.
-        overrides: settings that win, as `--set` takes them.
+        overrides: settings that replace the file's, as `--set` takes them.
 
     Raises:
-        SettingsError: nothing of the kind, wrong settings, no truth is known, or a build of the benchmark
-            would be replaced.
-        RecordingError: no truth lies there.
+        SettingsError: there is no such recording, the settings are wrong, the truth is not known, or a build
+            of the benchmark would be replaced.
+        RecordingError: the folder holds no truth.
     """
     build = _find(recording, truth, config, overrides)
     if not (build.truth / "truth.json").is_file():
@@ -99,7 +100,7 @@ def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[
 
 
 def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
-    """The truth beside the recording that a build folder was made of, by the benchmark."""
+    """Return the truth beside the recording that a build folder was made from, by the benchmark."""
     for job in jobs:
         if job.build.resolve() == build.resolve():
             return truth_folder(job.source)
@@ -109,7 +110,7 @@ def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
 
 
 def _job_of(path: Path, overrides: Sequence[str]) -> Job:
-    """A recording by itself, with default settings."""
+    """Return a job for a single recording with default settings."""
     plain = re.sub(r"[^A-Za-z0-9._-]", "_", path.resolve().name.removesuffix(".bag"))
     name = (plain.lstrip("._-") or "recording")[:80]
     recording = {"id": name, "path": str(path), "category": "object"}
@@ -118,12 +119,12 @@ def _job_of(path: Path, overrides: Sequence[str]) -> Job:
 
 
 def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) -> str:
-    """Lay out the page: HTML text, the same for the same input.
+    """Return the page as HTML text; the same input gives the same text.
 
     Args:
-        name: of the recording.
+        name: the recording's name.
         evaluation: all figures.
-        pictures: PNG files by the keys of `CAPTIONS`, as far as there are any.
+        pictures: {key of `CAPTIONS`: PNG file}; some may be missing.
     """
     shown = {
         "name": name,
@@ -142,10 +143,10 @@ def evaluate_recording(
 
     Args:
         build: `build/<recording>/`; any later stage may be missing.
-        truth: folder of the simulator's truth.
-        out: folder to write: evaluation.json, index.html and the pictures it shows; an earlier evaluation
-            there is replaced, in whole or not at all.
-        align: lay the build's world onto the truth's by the trajectories.
+        truth: the folder of the simulator's truth.
+        out: the folder for evaluation.json, index.html and its pictures; an earlier evaluation is replaced,
+            as a whole or not at all.
+        align: whether to align the build's world with the truth's by the trajectories.
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -172,7 +173,7 @@ def evaluate_recording(
 
 
 def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
-    """The pictures of an evaluation as far as their stages were built: name -> PNG file."""
+    """Return {name: PNG file} for the pictures whose stages were built."""
     registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)

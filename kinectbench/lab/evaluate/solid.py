@@ -1,7 +1,7 @@
-"""The built solid and its labels against the true solid, on one upright cube around the true object.
+"""Compare the built solid and its labels with the true solid, on an upright cube around the true object.
 
-The true solid is the seeable one (`core.voxels.seeable`): space that no camera could see counts as
-solid, of the truth as of the build. Figures named `exact` are against the exact one.
+The true solid is the seeable one (`core.voxels.seeable`): space that no camera could see counts as solid, in
+the truth as in the build. Figures named `exact` refer to the exact solid.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -33,18 +33,18 @@ from kinectbench.stages.segment.object_model import ObjectModel
 
 
 def grid_iou(a: Bools, b: Bools) -> float:
-    """Intersection over union of two arrays of one shape; 1 if both are empty."""
+    """Return the intersection over union of two arrays of one shape; 1 if both are empty."""
     union = int(np.count_nonzero(a | b))
     return int(np.count_nonzero(a & b)) / union if union else 1.0
 
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
-    """IoU over the known cells; None if no true cell is known."""
+    """Return the IoU over known cells; None if no true cell is known."""
     return grid_iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
 def share(part: Bools, of: Bools) -> float:
-    """Share of the cells of `of` that lie in `part`, in [0, 1]; 0 if there are none."""
+    """Return the share of the cells of `of` that lie in `part`, in [0, 1]; 0 if `of` is empty."""
     cells = int(np.count_nonzero(of))
     return int(np.count_nonzero(part & of)) / cells if cells else 0.0
 
@@ -55,10 +55,10 @@ class EvaluatedSolids:
 
     Attributes:
         true: the cell's centre lies in the seeable solid.
-        built: it lies in the built closed mesh.
-        known: the nearest label is not `unknown`.
-        judged: it counts: it lies in no slit.
-        exact: it lies in the exact solid.
+        built: the cell's centre lies in the built closed mesh.
+        known: the label of the nearest voxel is not `unknown`.
+        judged: the cell is evaluated: it does not lie in a slit.
+        exact: the cell's centre lies in the exact solid.
     """
 
     true: Bools
@@ -69,18 +69,18 @@ class EvaluatedSolids:
 
     @property
     def against_exact(self) -> "EvaluatedSolids":
-        """The same compared with the exact solid, every cell judged."""
+        """Return the same cells compared with the exact solid, every cell evaluated."""
         return replace(self, true=self.exact, judged=np.ones_like(self.judged))
 
 
 @dataclass(frozen=True)
 class SolidOverlap:
-    """The figures of one grid, in [0, 1]; only judged cells count.
+    """The figures of one grid, in [0, 1], over judged cells only.
 
     Attributes:
-        cells: along an edge.
-        iou: of the built and the true solid, over all cells.
-        known_iou: the same over known cells; None if none of the true solid is known.
+        cells: number of cells along an edge.
+        iou: IoU of the built and the true solid, over all cells.
+        known_iou: the same IoU over known cells; None if no cell of the true solid is known.
         true_unknown_share: share of the true solid that is labelled unknown.
         empty_unknown_share: share of the cube's empty space that is labelled unknown.
     """
@@ -97,32 +97,33 @@ class SolidFigures:
     """The built solid against the true one.
 
     Attributes:
-        fine: on 256^3 cells.
-        coarse: on 64^3 cells of the same cube, each set where more than half of its 4^3 fine cells are.
-            Upright parts a few cells thick gain or lose a whole layer by a small shift: this IoU jumps.
-        exact_fine: as `fine`, against the exact solid.
-        exact_coarse: as `coarse`, against the exact solid.
-        line_width_m: of the lines of sight that define the seeable solid.
+        fine: figures on 256^3 cells.
+        coarse: figures on 64^3 cells of the same cube, each set if more than half of its 4^3 fine cells are.
+            This IoU jumps: thin upright parts gain or lose a whole layer by a small shift.
+        exact_fine: same as `fine`, against the exact solid.
+        exact_coarse: same as `coarse`, against the exact solid.
+        line_width_m: width of the lines of sight that define the seeable solid.
         closed_by_definition_share: volume that is solid only by definition, relative to the exact solid's.
         not_judged_share: volume in slits, relative to the exact solid's.
-        true_volume_m3: enclosed by the true mesh.
-        built_volume_m3: enclosed by the built mesh.
-        built_outside_share: share of the built solid outside the cube, where nothing else is counted,
-            looked for in a cube of twice the side.
-        known_gross_share: volume of the object's own voxels that are known, wrong, and more than 10 mm from
-            the seeable solid's surface, over the seeable volume.
-        exact_known_gross_share: the same of the exact solid.
-        solid_called_air: the part of it inside the true solid; beyond the object's voxels too.
-        air_called_solid: the part of it outside.
-        unknown_near_measured: of the voxels within 10 mm of measured surface, the share that is unknown.
-        calibration_error: mean distance of probability and share inside over the bins.
-        calibration_bins: ten of equal count, of the voxels that are unknown or within 30 mm of the surface.
-        face_bias_m: mean signed distance of the built mesh where the surface was measured, > 0: too far out.
-        estimated_iou: what quality.json says; None if it does not say.
-        estimated_iou_low: least IoU by quality.json.
-        estimated_iou_high: greatest.
-        iou_in_interval: whether the IoU of `fine` lies between these two; None without them.
-        estimated_known_iou: what quality.json says of the IoU over known voxels; None if it does not say.
+        true_volume_m3: volume enclosed by the true mesh.
+        built_volume_m3: volume enclosed by the built mesh.
+        built_outside_share: share of the built solid outside the cube, found in a cube of twice the side;
+            other figures ignore it.
+        known_gross_share: volume of the object's voxels that are known, wrong, and more than 10 mm from the
+            seeable solid's surface, relative to the seeable volume.
+        exact_known_gross_share: the same for the exact solid.
+        solid_called_air: the part of `known_gross_share` inside the true solid, also beyond the object's
+            voxels.
+        air_called_solid: the part of `known_gross_share` outside the true solid.
+        unknown_near_measured: share of unknown voxels within 10 mm of measured surface.
+        calibration_error: mean difference of probability and share inside over the bins.
+        calibration_bins: ten bins of equal count, of voxels that are unknown or within 30 mm of the surface.
+        face_bias_m: mean signed distance of the built mesh at measured surface, > 0: too far out.
+        estimated_iou: the estimate in quality.json; None if missing.
+        estimated_iou_low: lower end of its interval in quality.json.
+        estimated_iou_high: upper end of its interval.
+        iou_in_interval: whether the IoU of `fine` lies in this interval; None without one.
+        estimated_known_iou: the estimated IoU over known voxels in quality.json; None if missing.
         known_iou_in_interval: whether `known_iou` of `fine` lies in its interval; None without one.
     """
 
@@ -153,7 +154,7 @@ class SolidFigures:
 
 
 def canonical_cube(truth: Truth) -> Grid:
-    """The 256-cube in the truth's world: upright, in the true object's axes, centred on its box.
+    """Return the 256-cube in the truth's world: upright, in the true object's axes, centred on its box.
 
     Its side is the box's longest extent x 256/252, as in framing `object`.
     """
@@ -186,13 +187,13 @@ def solid_figures(
 ) -> SolidFigures:
     """Compare the solids on 256^3 and on 64^3 cells of the canonical cube, and the object's own voxels.
 
-    The coarse cells' own centres would not do: by its margin the box ends just at centres of them.
+    Centres of the coarse cells are not sampled: with the cube's margin, the box ends exactly at some of them.
 
     Args:
         model: the built object, in its own world.
         truth: the true solid.
         registration: transform between the worlds.
-        surface: samples of the true surface, and which of them were measured.
+        surface: samples of the true surface, with a mask of measured ones.
     """
     grid = canonical_cube(truth)
     fine = compare_on(grid, model, truth, registration)
@@ -239,20 +240,20 @@ def solid_figures(
 
 
 def _lies_in(interval: tuple[float | None, float | None], iou: float | None) -> bool | None:
-    """Whether an IoU lies in an interval; None if one of them is not known."""
+    """Return whether an IoU lies in an interval; None if the IoU or an end is not known."""
     low, high = interval
     return None if low is None or high is None or iou is None else bool(low <= iou <= high)
 
 
 def reduced_solids(solids: EvaluatedSolids) -> EvaluatedSolids:
-    """A quarter as many cells along each axis, set if more than half are."""
+    """Return grids with a quarter as many cells along each axis, set if more than half of the cells are."""
     return EvaluatedSolids(
         *(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids))
     )
 
 
 def overlap(solids: EvaluatedSolids) -> SolidOverlap:
-    """The figures of one grid."""
+    """Return the figures of one grid."""
     built, known, judged = solids.built & solids.judged, solids.known, solids.judged
     true = solids.true & judged
     return SolidOverlap(
@@ -265,7 +266,7 @@ def overlap(solids: EvaluatedSolids) -> SolidOverlap:
 
 
 def _in_built(grid: Grid, registration: BuildRegistration) -> Grid:
-    """The same grid, placed in the build's world."""
+    """Return the same grid, placed in the build's world."""
     return replace(grid, T_world_grid=registration.T_built_truth @ grid.T_world_grid)
 
 
@@ -275,7 +276,7 @@ def _built_cells(model: ObjectModel, grid: Grid) -> Bools:
 
 
 def _outside_share(grid: Grid, model: ObjectModel, registration: BuildRegistration) -> float:
-    """Share of the built solid outside a cube, by cells twice as large around it."""
+    """Return the share of the built solid outside a cube, by cells twice as large around it."""
     n, side_m = grid.shape[0], grid.shape[0] * grid.voxel_size_m
     corner = rigid(np.eye(3), np.full(3, -side_m / 2))
     around = Grid(grid.shape, 2 * grid.voxel_size_m, grid.T_world_grid @ corner)

@@ -1,4 +1,4 @@
-"""The built surface against the true one: accuracy, completeness, precision, recall and F."""
+"""Compare the built surface with the true one: accuracy, completeness, precision, recall and F."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from kinectbench.lab.simulate.truth import Truth
 THRESHOLDS_M = (0.005, 0.010)
 SAMPLES = 100_000
 SEED = 0
-# Judged is what lies in the object's box and this much around it, but not the floor that it stands on.
+# Surface is judged in the object's box and this margin around it, without the floor that it stands on.
 MARGIN_M, FLOOR_M = 0.03, 0.015
-# Rays that vote on which side of the true surface a point lies.
+# Number of rays that vote on which side of the true surface a point lies.
 SIGN_RAYS = 3
 
 
@@ -26,7 +26,7 @@ class SurfaceErrors:
 
     Attributes:
         built_m: (k,) signed distances of built points from the true surface, > 0 outside the solid.
-        built_visible: (k,) bool, the true sample nearest to the built point was seen by the camera.
+        built_visible: (k,) bool, the camera saw the true sample nearest to the built point.
         true_m: (m,) distances of the true samples from the built surface.
         true_visible: (m,) bool, the camera saw the true sample in at least one frame.
     """
@@ -52,8 +52,8 @@ class SurfaceScore:
 
     Attributes:
         threshold_m: the distance.
-        precision: share of the built surface that close to the true one.
-        recall: share of the true surface that close to the built one.
+        precision: share of the built surface within this distance of the true one.
+        recall: share of the true surface within this distance of the built one.
         f: harmonic mean of the two, 0 if both are 0.
     """
 
@@ -65,11 +65,11 @@ class SurfaceScore:
 
 @dataclass(frozen=True)
 class SurfaceComparison:
-    """A surface compared with another, or only the parts that the camera saw.
+    """Two surfaces compared, as a whole or only where the camera saw them.
 
     Attributes:
-        accuracy: of built points from the true surface; None without built points.
-        completeness: of true samples from the built surface; None without true samples.
+        accuracy: distances of built points from the true surface; None without built points.
+        completeness: distances of true samples from the built surface; None without true samples.
         scores: one for each threshold.
     """
 
@@ -83,9 +83,9 @@ class SurfaceFigures:
     """The built surface against the true one.
 
     Attributes:
-        whole: over all surface; the underside too, which rests on the floor and is never seen.
-        visible: the same over what the camera saw: true samples seen in at least one frame, and built
-            points whose nearest true sample was seen.
+        whole: over all surface, including the underside, which rests on the floor and is never seen.
+        visible: over surface that the camera saw: true samples seen in at least one frame, and built points
+            whose nearest true sample was seen.
         visible_share: share of the true surface that the camera saw.
         mean_signed_m: mean signed distance of the built surface: > 0 if it is too far out.
     """
@@ -99,20 +99,20 @@ class SurfaceFigures:
 class ReferenceSurface:
     """A mesh to which distances are measured, point to triangle (Open3D RaycastingScene).
 
-    Good to a micrometre; beside triangles that are long slivers, to 0.3 mm.
+    Distances are accurate to a micrometre; near long sliver triangles, to 0.3 mm.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        # The library computes in float32, which is finest near the origin.
+        # The library computes in float32, which is most precise near the origin.
         self._center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         self._scene, self._tensor = raycaster(TriangleMesh(mesh.vertices - self._center, mesh.faces))
 
     def distance_m(self, points: Float64) -> Float64:
-        """Distances (n,) of points (n, 3) from the nearest triangle."""
+        """Return the distances (n,) of points (n, 3) from the nearest triangle."""
         return np.asarray(self._scene.compute_distance(self._local(points)).numpy(), dtype=np.float64)
 
     def signed_distance_m(self, points: Float64) -> Float64:
-        """The same of a closed mesh, negative inside."""
+        """Return signed distances (n,) of points (n, 3) from a closed mesh, negative inside."""
         distances = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
         return np.asarray(distances.numpy(), dtype=np.float64)
 
@@ -123,13 +123,13 @@ class ReferenceSurface:
 def surface_errors(
     mesh: TriangleMesh, truth: Truth, samples: int = SAMPLES, judged: Callable[[Float64], Bools] | None = None
 ) -> SurfaceErrors:
-    """Measure a built mesh and the true one against each other.
+    """Measure the distances between a built mesh and the true one, both ways.
 
     Args:
-        mesh: the built surface, in the truth's world, metres; has faces.
-        truth: closed mesh, and samples of its surface.
-        samples: how many points are spread over the built mesh.
-        judged: which points (n, 3) of either surface count, as (n,) bool; None: all.
+        mesh: the built surface, in the truth's world, metres; it must have faces.
+        truth: the true closed mesh, with samples of its surface.
+        samples: number of points spread over the built mesh.
+        judged: returns which points (n, 3) of either surface count, (n,) bool; None: all.
     """
     from scipy.spatial import cKDTree
 
@@ -149,14 +149,14 @@ def surface_errors(
 
 
 def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
-    """Measure a surface and the true object against each other, above the floor and around the object.
+    """Measure the distances between a surface and the true object, around the object and above the floor.
 
-    Only surface in the true object's box, 30 mm larger, and more than 15 mm above the floor counts. None
-    if nothing of the mesh is there.
+    Only surface in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor counts. The
+    result is None if the mesh has no surface there.
 
     Args:
         mesh: a fused scene or a part of the built object, in the truth's world, metres.
-        truth: closed mesh, and samples of its surface.
+        truth: the true closed mesh, with samples of its surface.
     """
     T_object_world = invert_rigid(truth.T_world_object)
     true = transform_points(T_object_world, truth.mesh_world.vertices)
@@ -166,7 +166,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
         points = transform_points(T_object_world, points_world)
         return np.asarray(np.all((points > low) & (points < high), axis=1) & (points[:, 2] > FLOOR_M))
 
-    # Of a face that crosses the border, the part within counts.
+    # Of a face that crosses the border, only the part inside counts.
     corners = transform_points(T_object_world, mesh.vertices)[mesh.faces]
     faces = np.all((corners.max(axis=1) > low) & (corners.min(axis=1) < high), axis=1)
     if not faces.any():
@@ -176,7 +176,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
 
 
 def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRESHOLDS_M) -> SurfaceFigures:
-    """Accuracy, completeness, precision, recall and F.
+    """Return accuracy, completeness, precision, recall and F.
 
     Source: Knapitsch et al., "Tanks and Temples" (ACM TOG 2017), eqs. 2-4, for points spread evenly
     over both surfaces, with exact distances to the triangles; `visible` is defined here.

@@ -1,4 +1,4 @@
-"""The figures of an evaluation, in millimetres, degrees and per cent, for terminal and page."""
+"""The figures of an evaluation for terminal and page, in millimetres, degrees and per cent."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ NONE = "–"
 MAX_LISTED = 8
 
 
-# How a figure in metres, cubic metres or radians, or a share, is shown: its unit's factor and decimals.
+# {unit: (factor, decimals)} to show figures in metres, cubic metres or radians, and shares.
 UNITS: Mapping[str, tuple[float, int]] = {
     "": (1, 4),
     "%": (100, 1),
@@ -41,7 +41,7 @@ UNITS: Mapping[str, tuple[float, int]] = {
 
 @dataclass(frozen=True)
 class FigureRow:
-    """One line: figure, value as text, unit (may be empty)."""
+    """One line of the table: figure, value as text, unit (may be empty)."""
 
     figure: str
     value: str
@@ -57,7 +57,7 @@ class Section:
 
 
 def sections(evaluation: Evaluation) -> tuple[Section, ...]:
-    """All figures by stage, in the order of the build."""
+    """Return all figures by stage, in the order of the build."""
     e = evaluation
     parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
@@ -75,7 +75,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
 
 
 def evaluation_table(evaluation: Evaluation) -> "Table":
-    """The terminal table: figure, value, unit."""
+    """Return the terminal table: figure, value, unit."""
     from rich.table import Table
 
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")

@@ -1,4 +1,4 @@
-"""The colour camera's effect on a rendered frame: motion blur, exposure, softness and grain."""
+"""Effects of a colour camera on a rendered frame: motion blur, exposure, softness and grain."""
 
 import numba
 import numpy as np
@@ -9,24 +9,24 @@ from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.path import draw_waves
 from kinectbench.lab.simulate.render import Rendering
 
-# No published source: a small lens and the colour filter's interpolation soften a little; grain in levels
-# of 255, the same in a pixel's three colours.
+# Without a published source: a small lens and the interpolation of the colour filter soften a little; grain
+# is in levels of 255, the same in a pixel's three colours.
 SOFTNESS_PX = 0.6
 GRAIN_LEVELS = 1.5
 GAIN_HZ = np.array([0.1, 0.23, 0.4])
-# Streaks up to a pixel are no blur, longer ones than this are sampled at more than a pixel's distance.
+# Streaks up to a pixel are no blur; longer streaks than this are sampled at more than a pixel's distance.
 MOST_TAPS = 16
 SHIFT = 16
 FIXED = 1 << SHIFT
 
 
 def exposure_gains(time_s: Float64, drift: float, rng: np.random.Generator) -> Float64:
-    """Gain (n,) of an automatic exposure at times (n,): wanders over seconds.
+    """Return the gain (n,) of an automatic exposure at times (n,); it wanders over seconds.
 
     Args:
         time_s: seconds.
         drift: gains stay between 1 / (1 + drift) and 1 + drift.
-        rng: draws how it wanders.
+        rng: draws the course of the gain.
     """
     course = np.clip(draw_waves(GAIN_HZ, 1, rng).at(time_s)[:, 0], -1, 1)
     return np.asarray((1 + drift) ** course)
@@ -39,17 +39,17 @@ def expose(
     gain: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Colour (height, width, 3) uint8 of one exposure.
+    """Return colour (height, width, 3) uint8 of one exposure.
 
-    A pixel averages what passes through it: the rendered image along the pixel's own streak, which leads from
-    where its surface point was at the start to where it is at the end. So no ray is cast again; what is wrong
-    is that a near thing does not smear over the background beside it. Averages are of display values.
+    A pixel averages the rendered image along its streak, which leads from its surface point's pixel at the
+    start to its pixel at the end. So no ray is cast again. One effect is missing: a near object does not
+    smear over the background beside it. Averages are of display values.
 
     Args:
         rendering: exact, as seen in the middle of the exposure.
-        camera: that it was rendered with.
-        T_room_cameras: (4, 4) each: at the start, in the middle and at the end of the exposure.
-        gain: factor on brightness; what exceeds 255 saturates.
+        camera: the camera that it was rendered with.
+        T_room_cameras: poses (4, 4) at the start, in the middle and at the end of the exposure.
+        gain: factor on brightness; values above 255 saturate.
         rng: draws the grain.
     """
     import cv2
@@ -63,7 +63,7 @@ def expose(
 
 
 def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
-    """(3, 4) matrix from (u, v, 1, 1 / z) now to homogeneous pixels then."""
+    """Return the (3, 4) matrix from present (u, v, 1, 1 / z) to homogeneous pixels at the other time."""
     K = camera.K
     turned = K @ T_then_now[:3, :3] @ np.linalg.inv(K)
     return np.column_stack([turned, K @ T_then_now[:3, 3]])
@@ -80,7 +80,7 @@ def _smear(color_rgb, depth_m, homographies, grain, gain):  # type: ignore[no-un
         for u in range(width):
             along_u, along_v = streaks[u, 0], streaks[u, 1]
             taps = min(max(int(np.ceil(max(abs(along_u), abs(along_v)))), 1), MOST_TAPS)
-            # In 65536ths of a pixel from the first tap on, so that a tap costs two additions.
+            # Positions are in 65536ths of a pixel from the first tap on, so that a tap costs two additions.
             step_u = np.int64(FIXED * along_u / np.float32(taps))
             step_v = np.int64(FIXED * along_v / np.float32(taps))
             x = (u << SHIFT) + (FIXED >> 1) - (step_u * (taps - 1) >> 1)
@@ -106,7 +106,7 @@ def _level(value):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _streaks(before, after, v, depth_m, streaks):  # type: ignore[no-untyped-def]
-    """Motion of each pixel of row v during the exposure, (width, 2) pixels (du, dv), and its start."""
+    """Return motion (du, dv) of each pixel of row v during the exposure, (width, 2) pixels, and its start."""
     one, y = np.float32(1), np.float32(v)
     for u in range(len(depth_m)):
         x, near = np.float32(u), one / depth_m[u] if depth_m[u] > 0 else np.float32(0)

@@ -1,4 +1,4 @@
-"""A Kinect v1's errors on exact depth: noise, quantised disparity, shadow, lost and misplaced pixels.
+"""Simulate the errors of a Kinect v1 on exact depth: noise, disparity steps, shadow, lost pixels.
 
 Sources:
     Nguyen, Izadi, Lovell: Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking, 3DIMPVT
@@ -19,10 +19,10 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float32, Float64
 from kinectbench.lab.simulate.render import Rendering
 
-# Beyond 85 degrees nothing is measured; the limit keeps the formulas finite there.
+# Beyond 85 degrees nothing is measured; this limit keeps the formulas finite there.
 STEEPEST_COS = np.float32(0.0872)
 SHADOW_DEPTH = np.float32(0.02)
-# Of the images that the pixel-valued parameters below were measured on: 640x480.
+# Focal length of the 640x480 images on which the pixel-valued parameters below were measured.
 FOCAL_PX = 525.0
 DISTORTION_WAVES = 4
 DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
@@ -30,10 +30,10 @@ DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
-    """Pixels that the projector reaches, by a depth buffer along its own columns (exact up to rounding).
+    """Return the pixels that the projector reaches, by a depth buffer along its columns (exact).
 
-    The projector stands beside the camera in +x. So a point at column u of the camera lies at column
-    u - f b / z of the projector, in the same row; the shadow falls to the left of what casts it.
+    The projector is beside the camera in +x. So a point at column u of the camera lies at column
+    u - f b / z of the projector, in the same row; a shadow falls to the left of its object.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = nothing there.
@@ -51,7 +51,8 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
         for u in range(width):
             z = depth_m[v, u]
             near[u] = np.float32(1) / z if z > 0 else np.float32(0)
-            # Columns count from one image's width to the left; still farther left is nothing of interest.
+            # Projector columns are shifted by one image width; columns still farther left are outside the
+            # view.
             column[u] = max(np.float32(width + u) - np.float32(shift_px_m) * near[u], np.float32(0))
         for u in range(width):
             first = last = int(column[u] + np.float32(0.5))
@@ -68,14 +69,14 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-untyped-def]
-    """The source pixel of each measurement: its own, or across an edge a random neighbour.
+    """Return the source pixel of each measurement: its own, or at an edge a random neighbour.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
-        around_m: smallest and largest of them in 5x5 pixels, as far as a pixel is displaced.
-        right: normal variates at half the resolution; they move it to the right.
-        down: downwards.
-        cosine: (height, width) float32, of incidence.
+        around_m: smallest and largest depth in 5x5 pixels, as far as a pixel is displaced.
+        right: normal variates at half the resolution, for the displacement to the right.
+        down: normal variates for the displacement downwards.
+        cosine: (height, width) float32, cosine of incidence.
         noise: `KinectNoise`.
 
     Returns:
@@ -99,16 +100,16 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
-    """Depth as reported, (height, width) float32 metres, 0 = no measurement; see `kinect.measure`.
+    """Return reported depth, (height, width) float32 metres, 0 = no measurement; see `measured_depth`.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
-        around_m: smallest and largest of them in 3x3 pixels.
-        source: of `displace`.
+        around_m: smallest and largest depth in 3x3 pixels.
+        source: result of `displace`.
         surface: cosine of incidence and albedo, both (height, width) float32.
         device: `KinectNoise`, distortion of disparity in pixels (height, width) float32, and sunlight.
-        drawn: normal variates, float32: of depth, (height, width), and at half the resolution of the
-            strength that is needed.
+        drawn: normal variates, float32: for depth noise, (height, width), and for the required signal
+            strength, at half the resolution.
     """
     noise, distortion_px, sunlight = device
     axial, weak = drawn
@@ -140,16 +141,16 @@ def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
-    """Standard deviation of an edge's place in the image, pixels (Nguyen et al. 2012, eq. 1)."""
+    """Return the standard deviation of an edge's place in the image, pixels (Nguyen et al. 2012, eq. 1)."""
     angle = np.arccos(max(cosine, STEEPEST_COS))
     return 0.8 + 0.035 * angle / (np.pi / 2 - angle)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
-    """Standard deviation of depth, metres (Nguyen et al. 2012, eq. 3 and 4), before disparity is rounded.
+    """Return the standard deviation of depth, metres (Nguyen et al. 2012, eq. 3 and 4), before rounding.
 
-    The variance of rounding inverse depth to 1 / `scale` is taken off: `sense` adds it.
+    The variance of rounding inverse depth to 1 / `scale` is subtracted, because `sense` adds it.
     """
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     if cosine < np.float32(0.5):
@@ -160,10 +161,10 @@ def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _margin(z, cosine, albedo, noise, sunlight):  # type: ignore[no-untyped-def]
-    """Strength of the pattern, in standard deviations above the required one.
+    """Return the strength of the pattern, in standard deviations above the required strength.
 
-    Its light on the surface falls as cos / z², the camera gets the albedo's share of it. The sun's light,
-    which gets the same share, drowns it.
+    The pattern's light on the surface falls as cos / z², and the surface reflects the albedo's share of it.
+    Reflected sunlight drowns the pattern.
     """
     drowned = z * z * (np.float32(1) + np.float32(noise.sun) * sunlight * albedo)
     signal = max(albedo * cosine / drowned, np.float32(1e-9))
@@ -181,21 +182,22 @@ class KinectNoise(NamedTuple):
         focal_px: focal length of the infrared camera at its own resolution, pixels (Khoshelham & Elberink).
         baseline_m: from camera to projector, which stands in +x (Khoshelham & Elberink).
         steps_per_px: disparity steps per pixel (Khoshelham & Elberink).
-        smooth_share: share of the drawn variance that neighbouring pixels have in common. Chosen so that
+        smooth_share: share of the noise variance that neighbouring pixels have in common. Chosen so that
             errors on planes correlate as measured in 7-Scenes' red kitchen (docs/evidence/simulation.md).
-        smooth_px: standard deviation of the blur that makes them common; chosen likewise.
-        same_surface: relative difference of depth up to which pixels lie on one surface.
-        weakest_signal: albedo * cos(incidence) / z² in 1/m² of which half the pixels are lost (chosen here:
-            a grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
-        signal_softness: standard deviation of the logarithm of the signal that is needed.
-        sun: infrared light of full sun, relative to the pattern's at 1 m (chosen here: with it the grey
+        smooth_px: standard deviation of the blur that makes them common; chosen by the same measurement.
+        same_surface: largest relative difference of depth between pixels of one surface.
+        weakest_signal: albedo * cos(incidence) / z² in 1/m² at which half the pixels are lost (chosen here: a
+            grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
+        signal_softness: standard deviation of the logarithm of the required signal.
+        sun: infrared light of full sun, relative to the pattern's at 1 m (chosen here: in full sun the grey
             wall is lost beyond 2.4 m).
         graze_cos: cosine of incidence at which half the pixels are lost (chosen here: 80°).
         graze_softness: standard deviation of that cosine.
-        edge_margin: pixels at edges are lost where a normal variate exceeds this (chosen here: 31 %).
-        edge_mix: they mix near and far where it is at most this much below that (chosen here: 7 %).
+        edge_margin: pixels at edges are lost if a normal variate exceeds this (chosen here: 31 %).
+        edge_mix: pixels at edges mix near and far if the variate is at most this much below `edge_margin`
+            (chosen here: 7 %).
         hole_px: standard deviation of the blur that makes holes blobs.
-        any_margin: pixels anywhere are lost where it exceeds this (chosen here: 0.1 %).
+        any_margin: any pixel is lost if the variate exceeds this (chosen here: 0.1 %).
         blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """
 
@@ -225,8 +227,8 @@ class KinectUnit:
 
     Attributes:
         noise: parameters that all devices share.
-        distortion_px: (height, width) float32, error of its disparity in pixels.
-        sunlight: on the scene, 0 to 1.
+        distortion_px: (height, width) float32, error of the device's disparity in pixels.
+        sunlight: sunlight on the scene, 0 to 1.
     """
 
     noise: KinectNoise
@@ -238,19 +240,19 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
     """Draw a device's depth distortion: an error of disparity that varies smoothly over the image.
 
     Herrera et al. correct disparity pixel by pixel, Teichman et al. find smooth maps whose effect grows with
-    distance. Here it is a sum of cosines with up to two periods over the image, without a constant, the same
-    at every distance, so that depth is off by z² / (f b) times it. (Herrera et al. let it decay with
-    disparity besides; that is left out.) Its size is chosen here: at `distortion` 1 its root mean square
-    is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
+    distance. Here the error of disparity is a sum of cosines with up to two periods over the image, without a
+    constant, and the same at every distance, so that depth is off by z² / (f b) times it. (In Herrera et al.
+    it also decays with disparity; that is left out.) Its size is chosen here: at `distortion` 1 its root mean
+    square is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
 
     Args:
-        camera: whose depth is distorted.
+        camera: the camera whose depth is distorted.
         distortion: 1 for a typical device, 0 for none.
         sunlight: 0 to 1.
         rng: draws the map.
     """
     noise = KinectNoise()
-    # A smaller image is a Kinect's image reduced: what is smooth over pixels is so over fewer.
+    # A smaller image is a reduced Kinect image: blurs cover fewer of its pixels.
     scale = camera.fx / FOCAL_PX
     noise = noise._replace(smooth_px=noise.smooth_px * scale, hole_px=noise.hole_px * scale)
     typical_px = DISTORTION_SHARE * noise.focal_px * noise.baseline_m / DISTORTION_AT_M
@@ -262,9 +264,9 @@ def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Flo
     """Draw an error (height, width) that varies smoothly over the image, without a constant.
 
     Args:
-        camera: of the image.
-        spread: its root mean square, in its own unit.
-        rng: draws it.
+        camera: the image's camera.
+        spread: root mean square of the error, in any unit.
+        rng: draws the error.
     """
     waves = np.arange(DISTORTION_WAVES + 1)
     weights = rng.standard_normal((len(waves), len(waves)))
@@ -282,7 +284,7 @@ def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Flo
 def measured_depth(
     rendering: Rendering, camera: Camera, device: KinectUnit, rng: np.random.Generator
 ) -> Float32:
-    """A Kinect's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
+    """Return a Kinect's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
 
     In this order, for each pixel:
         1. Where the window of pixels that is matched straddles an edge, the surface that is measured is one
@@ -296,8 +298,8 @@ def measured_depth(
            taken off before the noise is drawn, and the sum has the published value.
 
     Args:
-        rendering: exact.
-        camera: that it was rendered with.
+        rendering: the exact rendering.
+        camera: the camera that it was rendered with.
         device: the Kinect.
         rng: draws all noise of this frame.
     """
@@ -309,7 +311,7 @@ def measured_depth(
     smooth = smooth_normal((height, width), noise.smooth_px, rng)
     white *= np.float32(np.sqrt(1 - noise.smooth_share))
     axial = white + np.float32(np.sqrt(noise.smooth_share)) * smooth
-    # Half the resolution will do for what decides where an edge or a hole lies.
+    # Half the resolution suffices for the fields that decide where an edge or a hole lies.
     half = ((height + 1) // 2, (width + 1) // 2)
     right, down = (smooth_normal(half, noise.smooth_px / 2, rng) for _ in range(2))
     weak = smooth_normal(half, noise.hole_px / 2, rng)
@@ -325,13 +327,13 @@ def measured_depth(
 
 
 def smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
-    """A field of normal variates of standard deviation 1, blurred."""
+    """Draw a blurred field of normal variates with standard deviation 1."""
     import cv2
 
     reach = int(np.ceil(3 * blur_px))
     kernel = cv2.getGaussianKernel(2 * reach + 1, blur_px)
-    # The sum of independent variates times weights has the weights' norm as standard deviation.
+    # A weighted sum of independent variates has the weights' norm as its standard deviation.
     kernel /= np.linalg.norm(kernel)
-    # A border of variates of its own, since a mirrored one would change the spread there.
+    # The border has variates of its own: mirrored ones would change the standard deviation there.
     field = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
     return np.asarray(cv2.sepFilter2D(field, -1, kernel, kernel)[reach:-reach, reach:-reach])

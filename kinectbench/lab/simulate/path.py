@@ -1,4 +1,4 @@
-"""Camera paths that look at the object: hand-carried around it, or unordered views."""
+"""Camera paths that look at the object: carried around it by hand, or unordered views."""
 
 from dataclasses import dataclass
 
@@ -9,21 +9,22 @@ from kinectbench.core.geometry import Camera, TriangleMesh, rigid
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.spec import PathSettings
 
-# A hand shakes below about 6 Hz, the faster the less; a walker's pace varies over seconds.
+# A hand shakes below about 6 Hz, with an amplitude that falls with frequency; a walker's pace varies over
+# seconds.
 SHAKE_HZ = np.geomspace(0.3, 6.0, 9)
 PACE_HZ = np.array([0.07, 0.13, 0.23])
 REACH_HZ = np.array([0.05, 0.11])
 PROGRESS_STEP_S = 0.005
 JOLT_HZ, JOLT_DECAY_S = 4.0, 0.12
 FIT_MARGIN = 1.06
-# Two sines of these frequencies, of standard deviation 1, reach 1.87 at most.
+# Two sines of these frequencies, with standard deviation 1, reach 1.87 at most.
 REACH_PEAK = 1.9
-# On a low pass the hand sinks and rises by as much; before it, it is lowered over this share of the way
-# (chosen here).
+# On a low pass the hand sinks and rises by the first value; it is lowered over the second share of the path
+# before (chosen here).
 LOW_SWING_M, LOWERED_SHARE = 0.05, 0.05
-# As steep as a view gets whose right is level: 86 degrees.
+# Largest elevation of a view whose right is level: 86 degrees.
 STEEPEST_RAD = 1.5
-# The camera's own axes, in the order it is turned about them: roll, pitch, yaw.
+# The camera's axes in the order of the rotations: roll, pitch, yaw.
 TURN_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 GOLDEN_SHARE = (np.sqrt(5) - 1) / 2
 
@@ -33,9 +34,9 @@ class Waves:
     """Smooth random curves: sums of sines with random phases, each of standard deviation 1.
 
     Attributes:
-        frequency_hz: (k,).
-        amplitude: (k,), for a standard deviation of 1.
-        phase_rad: (k, curves).
+        frequency_hz: (k,) frequencies.
+        amplitude: (k,) amplitudes, for a standard deviation of 1.
+        phase_rad: (k, curves) phases.
     """
 
     frequency_hz: Float64
@@ -43,7 +44,7 @@ class Waves:
     phase_rad: Float64
 
     def at(self, time_s: Float64) -> Float64:
-        """Values (n, curves) at times (n,) in seconds."""
+        """Return values (n, curves) at times (n,) in seconds."""
         angle = 2 * np.pi * self.frequency_hz[:, None] * time_s
         waves = np.sin(angle[:, :, None] + self.phase_rad[:, None, :])
         return np.asarray(np.einsum("k,knc->nc", self.amplitude, waves))
@@ -61,17 +62,17 @@ class CameraPath:
     """A camera's motion as a function of time, in frame `room`.
 
     Attributes:
-        settings: its shape.
+        settings: the settings of the path's shape.
         target_room: (3,) the point to look at, metres.
         distance_m: mean distance to the target.
-        start_rad: direction from the target to the camera at the start.
-        swing_phase_rad: where in its rise and fall the camera starts.
+        start_rad: azimuth from the target to the camera at the start.
+        swing_phase_rad: phase of the rise and fall at the start.
         knots_s: (k,) ascending times.
-        knots_share: (k,) share of the way that is done at these times, 0 to 1.
-        shake: six curves, of position and of orientation.
-        reach: one curve, of the distance.
-        jolt: (6,) direction of the knock, of position and of orientation, unit vectors.
-        stations_rad: (frames, 2) turn and rise of every frame in no order of time; None on a walk.
+        knots_share: (k,) share of the path covered at these times, 0 to 1.
+        shake: six curves, for position and orientation.
+        reach: one curve, for the distance.
+        jolt: (6,) direction of the knock: unit vectors for position and orientation.
+        stations_rad: (frames, 2) azimuth and elevation of unordered views; None on a walk.
     """
 
     settings: PathSettings
@@ -88,11 +89,11 @@ class CameraPath:
 
     @property
     def duration_s(self) -> float:
-        """Time of the last frame."""
+        """Time of the last frame, seconds."""
         return (self.settings.frames - 1) / self.settings.rate_hz
 
     def poses(self, time_s: Float64) -> Float64:
-        """`T_room_camera` (n, 4, 4) in optical axes at times (n,) in seconds; also beyond both ends."""
+        """Return `T_room_camera` (n, 4, 4), optical axes, at times (n,) in seconds; also beyond both ends."""
         chosen = self.settings
         turn, rise = self._stations(time_s)
         lowest = np.arcsin(np.clip((chosen.lowest_m - self.target_room[2]) / self.distance_m, -1, 1))
@@ -114,7 +115,7 @@ class CameraPath:
         return looks
 
     def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Turn and rise, radians, (n,) each: of the walk, or of the frame that is nearest in time."""
+        """Return azimuth and elevation, radians, (n,) each: of the walk, or of the frame nearest in time."""
         chosen = self.settings
         if self.stations_rad is not None:
             frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)
@@ -130,19 +131,19 @@ class CameraPath:
         return self.start_rad + chosen.arc_rad * share, rise
 
     def _turns(self, time_s: Float64) -> Float64:
-        """Rotation vectors (n, 3), camera axes, to the turned views and back.
+        """Return rotation vectors (n, 3), camera axes, of turns to the side and back.
 
-        About each axis to the one side, then to the other; each comes to rest at both ends.
+        The camera turns about each axis to one side, then to the other; each turn starts and ends at rest.
         """
         chosen = self.settings
-        # A (1 - cos(2 pi t / period)) / 2 is fastest at a quarter of its period: pi A / period.
+        # The angle A (1 - cos(2 pi t / period)) / 2 is fastest at a quarter of its period: pi A / period.
         number, since = np.divmod(time_s * chosen.turn_rad_per_s / (np.pi * chosen.turn_rad), 1)
         axis, side = np.mod(number // 2, 3).astype(np.int64), 1 - 2 * np.mod(number, 2)
         angle_rad = side * chosen.turn_rad * (1 - np.cos(2 * np.pi * since)) / 2
         return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
-        """The knock's motion (n, 6): a damped swing that starts at two thirds of the path; peak about 1."""
+        """Return the knock's motion (n, 6): a damped swing from two thirds of the path on; peak about 1."""
         since = np.maximum(time_s - self.duration_s * 2 / 3, 0)
         course = 1.6 * np.exp(-since / JOLT_DECAY_S) * np.sin(2 * np.pi * JOLT_HZ * since)
         return np.asarray(course[:, None] * self.jolt)
@@ -158,11 +159,11 @@ def draw_path(
     """Draw a path around a subject at the room's origin.
 
     Args:
-        settings: its shape; without a distance, the subject just fits into the image.
-        subject: its mesh, z up, metres.
+        settings: the path's shape; without a distance, the subject just fits into the image.
+        subject: the subject's mesh, z up, metres.
         camera: the depth camera.
-        rng: draws everything else.
-        min_range_m: of the sensor; the least distance, unless the settings state one.
+        rng: draws all random parts of the path.
+        min_range_m: least range of the sensor; limits the distance unless the settings state one.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
@@ -188,11 +189,11 @@ def draw_path(
 
 
 def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Generator) -> Float64:
-    """Turn and rise (frames, 2), radians, of views spread evenly by area over the walk's band, at random.
+    """Return azimuth and elevation (frames, 2), radians, of views spread evenly by area over the walk's band.
 
-    A spherical Fibonacci lattice: the sine of the rise in even steps, the turn in steps of the golden share
-    of the arc (Gonzalez: Measurement of Areas on a Sphere Using Fibonacci and Latitude-Longitude Lattices,
-    Mathematical Geosciences 42, 2010); then a random order.
+    The views are a spherical Fibonacci lattice in random order: the sine of the elevation in even steps, the
+    azimuth in steps of the golden share of the arc (Gonzalez: Measurement of Areas on a Sphere Using
+    Fibonacci and Latitude-Longitude Lattices, Mathematical Geosciences 42, 2010).
     """
     low, high = np.sin(
         np.clip(settings.elevation_rad + np.array([-1, 1]) * settings.swing_rad, -STEEPEST_RAD, STEEPEST_RAD)
@@ -206,9 +207,10 @@ def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Gener
 def _fitting_distance_m(
     subject: TriangleMesh, target_room: Float64, camera: Camera, min_range_m: float, reach_share: float
 ) -> float:
-    """The distance at which a ball around the subject just fits the image, with a small margin.
+    """Return the distance at which a ball around the subject just fits into the image, with a small margin.
 
-    Never so near that, where the hand is nearest, the ball is within the sensor's least range.
+    The distance is large enough that the ball stays beyond the sensor's least range where the hand is
+    nearest.
     """
     radius_m = float(np.linalg.norm(subject.vertices - target_room, axis=1).max())
     half_view = min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy))
@@ -217,7 +219,7 @@ def _fitting_distance_m(
 
 
 def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
-    """Times (k,) in seconds and the share of the path (k,) covered by then; the pace varies."""
+    """Return times (k,) in seconds and the share of the path (k,) covered by then; the pace varies."""
     duration_s = (settings.frames - 1) / settings.rate_hz
     if duration_s == 0:
         return np.array([0.0]), np.array([0.0])
@@ -230,7 +232,7 @@ def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
 
 
 def look_at(position_room: Float64, target_room: Float64) -> Float64:
-    """The level pose (4, 4) `T_room_camera` towards a target that is not straight above or below."""
+    """Return the level pose (4, 4) `T_room_camera` towards a target that is not straight above or below."""
     forward = target_room - position_room
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

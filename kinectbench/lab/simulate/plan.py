@@ -1,4 +1,4 @@
-"""The plan of a simulated walk: frames, stamps and given poses, with faults."""
+"""The plan of a simulated recording: frames, stamps and given poses, with faults."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,7 +10,7 @@ from kinectbench.core.geometry import invert_rigid, rigid
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.spec import FAULTS, GIVEN, SimulationSpec
 
-# A drifting trajectory also turns: radians per metre for each metre per metre.
+# A drifting trajectory also rotates: radians per metre, for each metre of drift per metre.
 DRIFT_RAD_PER_M = 0.5
 
 
@@ -19,12 +19,12 @@ class PlannedFrame:
     """One frame of the recording, before rendering.
 
     Attributes:
-        source: its number on the walk, before frames were dropped.
-        time_s: when depth is taken, seconds since the start.
+        source: index of the frame on the walk, before frames were dropped.
+        time_s: time at which depth is taken, seconds since the start.
         stamp_ns: the recorded stamp of depth.
         color_stamp_ns: the recorded stamp of colour.
-        T_world_given: (4, 4) the pose recorded with it, or None.
-        foreign: it shows another scene.
+        T_world_given: (4, 4) the recorded pose of the frame, or None.
+        foreign: whether the frame shows another scene.
     """
 
     source: int
@@ -39,11 +39,11 @@ def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedF
     """Plan the recording of a walk.
 
     Args:
-        spec: what to simulate, with its faults.
+        spec: the settings of the simulation, with its faults.
         T_world_camera: (n, 4, 4), the true pose of every frame of the walk.
 
     Returns:
-        The frames in the order they are recorded.
+        The frames, in the order of recording.
     """
     faults = spec.faults
     rng = spec.rng(FAULTS)
@@ -73,7 +73,7 @@ def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedF
 
 
 def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 | None:
-    """The trajectory (n, 4, 4) that comes with the recording, made from the true one; None for none."""
+    """Return the trajectory (n, 4, 4) that comes with the recording, made from the true one; or None."""
     given, rng = spec.given, spec.rng(GIVEN)
     if given.trajectory == "none":
         return None
@@ -90,14 +90,14 @@ def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 |
 
 
 def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.Generator) -> Float64:
-    """Independent noise on every pose, in the camera's frame."""
+    """Add independent noise to every pose, in the camera's frame."""
     turns = Rotation.from_rotvec(rng.standard_normal((len(poses), 3)) * sigma_rad).as_matrix()
     shifts = rng.standard_normal((len(poses), 3)) * sigma_m
     return np.stack([T @ rigid(R, t) for T, R, t in zip(poses, turns, shifts, strict=True)])
 
 
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
-    """Odometry drift of the poses: every step has a small error in the same direction."""
+    """Add odometry drift to the poses: every step has a small error in the same direction."""
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]
     for before, after in pairwise(poses):

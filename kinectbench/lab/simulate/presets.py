@@ -1,7 +1,7 @@
-"""Named recordings: versioned presets, the samples and the demo's, and what writes them.
+"""Named recordings: versioned presets, the sample recordings and the demo's, and functions that write them.
 
-The figures of different versions of the package compare on the presets: one is never changed; a better one
-gets the next version. The hash of each is held by `tests/lab/simulate/test_simulate_presets.py`.
+Figures of different package versions are compared on the presets. So a preset never changes; a better one
+gets the next version. `tests/lab/simulate/test_simulate_presets.py` has the hash of each.
 """
 
 import difflib
@@ -55,25 +55,26 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
     "drift-v1": ("a given trajectory that drifts 1 %", _orbit(given={"trajectory": "drifting"})),
     "jump-v1": ("a given trajectory that jumps by 10 cm", _orbit(faults={"jump_m": 0.1})),
     "foreign-v1": ("ten frames show another scene", _orbit(faults={"foreign_frames": 10})),
-    # 3 to 77 degrees, a view every 5 degrees or so; from above one looks into what a walk passes by.
+    # 3 to 77 degrees, a view about every 5 degrees; from above a camera looks into openings that a walk
+    # passes by.
     "hemisphere-v1": (
         "views from all over, in no order of time",
         _orbit(path={"order": "shuffled", "frames": 150, "elevation_rad": 0.7, "swing_rad": 0.65}),
     ),
-    # 65 degrees, 10 more and less: what stands upright is seen at a slant only, undersides never.
+    # 65 degrees, 10 more and less: upright faces are seen only at a slant, undersides never.
     "steep-v1": (
         "looking steeply down, 55 to 75 degrees",
         _orbit(path={"elevation_rad": 1.134, "swing_rad": 0.16}),
     ),
-    # As near as the sensor's range allows with what is 10 to 40 cm large: no distance suits all of these
-    # (from 0.6 m a third of what shows of a 40 cm cylinder is within a Kinect's 0.4 m). They stand on a
-    # table, beside which the camera may be held lower than above a floor.
+    # For objects of 10 to 40 cm, as near as the sensor's range allows; no fixed distance suits all of these
+    # (from 0.6 m, a third of the visible part of a 40 cm cylinder is within a Kinect's 0.4 m). The objects
+    # stand on a table, beside which a camera can be held lower than above a floor.
     "near-v1": (
         "table-top things (10-40 cm), from 0.5 to 0.9 m",
         _orbit(path={"reach_share": 0.08, "lowest_m": 0.1}),
     ),
     "far-v1": ("from 2.5 to 4 m away", _orbit(path={"distance_m": 3.2, "reach_share": 0.12})),
-    # As a hand turns a camera that stays where it is, to try a tracker: 150 degrees a second, 23 seconds.
+    # A hand turns a camera in place, to test a tracker: 150 degrees a second, 23 seconds.
     "turns-v1": (
         "fast turns in place, up to 150 degrees a second, blurred",
         {
@@ -98,8 +99,8 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
     ),
     "azure-v1": ("a full orbit, Azure Kinect", _orbit(sensor={"model": "azure_kinect"})),
     "phone-v1": ("a full orbit, a phone's LiDAR", _orbit(sensor={"model": "phone_lidar"})),
-    # For truth that is judged: short, and from 10 to 45 degrees, so that most openings are looked into at a
-    # slant. Two and a half swings in the eighteen seconds, so that each side is seen from low and from high.
+    # For recordings whose truth is judged: short, from 10 to 45 degrees of elevation, so that most openings
+    # are seen at a slant. Two and a half swings in eighteen seconds show each side from low and from high.
     "known-v1": (
         "a short orbit, 10 to 45 degrees, no poses given",
         {
@@ -113,8 +114,8 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
             "given": {"trajectory": "none"},
         },
     ),
-    # Of the undersides of what stands on legs a walk sees little: from 20 to 30 cm above the floor one looks
-    # up at those that are higher.
+    # A walk sees little of the undersides of objects on legs: from 20 to 30 cm above the floor, a camera
+    # looks up at higher undersides.
     "known-low-v1": (
         "the same, and a second time around at 20 to 30 cm",
         {
@@ -135,15 +136,16 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
 
 
 def preset_spec(name: str, changes: Mapping[str, object], overrides: Sequence[str] = ()) -> SimulationSpec:
-    """The spec of a preset, with some of its values changed.
+    """Return the spec of a preset, with some of its values changed.
 
     Args:
-        name: such as "orbit-v1".
-        changes: nested values as in SimulationSpec; they win.
-        overrides: `section.key=value` or `key=value`, the value in YAML; they win over these.
+        name: the preset's name, such as "orbit-v1".
+        changes: nested values as in SimulationSpec, which replace the preset's.
+        overrides: `section.key=value` or `key=value`, the value in YAML; they replace `changes`.
 
     Raises:
-        SettingsError: unknown preset (the nearest name is suggested), or one line for each wrong value.
+        SettingsError: the preset is unknown (the most similar is suggested), or one line for each wrong
+            value.
     """
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, n=1)
@@ -153,9 +155,9 @@ def preset_spec(name: str, changes: Mapping[str, object], overrides: Sequence[st
 
 
 def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpec:
-    """A short, small recording: 320x240 at 5 Hz; its noise-free depth is left out to save space.
+    """Return the spec of a short, small recording: 320x240 at 5 Hz, without noise-free depth to save space.
 
-    Around tables the camera is held low, so that it sees below the top, too.
+    Around tables the camera is held low, so that it also sees below the top.
     """
     low = {"elevation_rad": 0.2} if name.startswith("table") else {}
     values = {
@@ -169,7 +171,7 @@ def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpe
     return SimulationSpec.model_validate(values)
 
 
-# `kinectbench simulate --samples recordings` makes these two again, bit for bit.
+# `kinectbench simulate --samples recordings` makes these two again, with the same bytes.
 SAMPLES: dict[str, SimulationSpec] = {
     "chair_01": _spec("chair:seed=7", 72, "tum", "upright"),
     "table_01.bag": _spec("table:seed=9", 72, "bag", "first_camera"),
@@ -194,23 +196,23 @@ def simulate_named(
     """Write one recording, or the sample recordings, or the demo's.
 
     Args:
-        out: one recording: a ROS 1 bag if it ends in .bag, else a TUM folder, if no format is asked for.
-        preset: of that one, such as "orbit-v1".
-        changes: of that one, nested values as in SimulationSpec.
-        overrides: of that one, `section.key=value`.
+        out: path of one recording; without a stated format a ROS 1 bag if it ends in .bag, else a TUM folder.
+        preset: preset of `out`, such as "orbit-v1".
+        changes: changes for `out`, nested values as in SimulationSpec.
+        overrides: overrides for `out`, `section.key=value`.
         samples: folder for the sample recordings.
         demo: folder for the demo's recordings.
         progress: called with (recording, frames done, frames), or (folder, recordings done, recordings).
-        jobs: number of processes where there are several.
+        jobs: number of processes for several recordings.
 
     Returns:
-        The recordings written.
+        The written recordings.
 
     Raises:
-        SettingsError: not just one of `out`, `samples` and `demo`; no such preset or object; a value out
-            of range.
+        SettingsError: not exactly one of `out`, `samples` and `demo` is given; the preset or object is
+            unknown; or a value is out of range.
         RecordingError: the mesh cannot be used.
-        StorageError: it cannot be written.
+        StorageError: a recording cannot be written.
     """
     if sum(choice is not None for choice in (out, samples, demo)) != 1:
         raise SettingsError("simulate: give one of OUT, --samples FOLDER and --demo FOLDER")

@@ -1,4 +1,4 @@
-"""Ray casting of a scene, shading of hits, and the surface that cameras ever saw."""
+"""Ray casting of a scene, shading of hits, and tests of which surface points a camera sees."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ TEXTURE_PX = 512
 PIXELS_PER_M = 256.0
 BLURS_PX = (1.5, 5.0, 16.0, 50.0)
 AMBIENT = np.float32(0.55)
-# Towards the one far light, a unit vector in the room.
+# Direction to the one distant light, a unit vector in the room.
 LIGHT_ROOM = (np.float32(0.3508), np.float32(0.2506), np.float32(0.9022))
 JOINT_M = 0.012
 JOINT_SHADE = 0.55
@@ -27,8 +27,8 @@ TILE_CONTRAST = 0.25
 def make_texture(rng: np.random.Generator) -> Float32:
     """Draw smooth noise (512, 512) in [-1, 1] that repeats every 2 m.
 
-    White noise is blurred at four scales, each normalised, then summed. Detail at every scale
-    gives a tracker something to hold on to from near and from far.
+    White noise is blurred at four scales, each normalised, then summed. Detail at every scale lets a tracker
+    work from near and far.
     """
     frequency = np.fft.fftfreq(TEXTURE_PX)
     squared = frequency[:, None] ** 2 + frequency[None, :] ** 2
@@ -49,7 +49,7 @@ class Looks(NamedTuple):
         contrast: (n,) float32, strength of the noise.
         tile_m: (n,) float32, size of tiles, 0 for none.
         albedo: (n,) float32, share of infrared light that is reflected.
-        subject: (n,) bool.
+        subject: (n,) bool, whether the item belongs to the subject.
     """
 
     color_rgb: Float32
@@ -78,11 +78,11 @@ class Rendering(NamedTuple):
 
 
 def pixel_rays(camera: Camera, T_room_camera: Float64) -> Float32:
-    """Rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
+    """Return rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
 
-    The camera's pose is one (4, 4), or with a rolling shutter one for each row (height, 4, 4). Directions
-    have z = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole rays pass half
-    a pixel beside integer centres.)
+    The camera's pose is (4, 4), or with a rolling shutter (height, 4, 4), one for each row. Directions have z
+    = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole rays are half a pixel
+    off integer centres.)
     """
     size, lens = (camera.height, camera.width), (camera.fx, camera.fy, camera.cx, camera.cy)
     T_rows = np.broadcast_to(T_room_camera, (camera.height, 4, 4))
@@ -107,22 +107,23 @@ def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
-    """Look of every hit: Lambert's law with one far light, times the texture at the point in the room.
+    """Shade every hit: Lambert's law with one distant light, times the texture at the point in the room.
 
-    So a point has one colour in every view. Light and texture have no published source.
+    So a point has the same colour in every view. Light and texture have no published source.
 
     Args:
-        rays: (height, width, 6) float32 of `pixel_rays`.
+        rays: (height, width, 6) float32, from `pixel_rays`.
         hit_m: (height, width) float32, ray parameters, infinite where nothing is hit.
-        item: (height, width), row of `looks` that is hit; any number where nothing is.
+        item: (height, width), row of `looks` of the hit item; any number without a hit.
         normals_room: (height, width, 3) float32, unit.
         looks: `Looks` of the scene.
-        image: (512, 512) float32 of `make_texture`.
+        image: (512, 512) float32, from `make_texture`.
 
     Returns:
         The `Rendering`.
     """
-    # Row by row in short loops without branches, which vectorise; one loop for all takes twice the time.
+    # Row by row in short loops without branches, which vectorise; one loop for everything takes twice the
+    # time.
     height, width = hit_m.shape
     depth_m, cosine = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     color, mask = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.bool_)
@@ -150,7 +151,7 @@ def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-unt
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[no-untyped-def]
-    """Light, incidence, and coordinates along the two room axes that span the surface."""
+    """Compute light, incidence, and coordinates along the two room axes that span the surface."""
     for u in range(len(depth_m)):
         dx, dy, dz = rays[u, 3], rays[u, 4], rays[u, 5]
         nx, ny, nz = normals[u, 0], normals[u, 1], normals[u, 2]
@@ -168,7 +169,7 @@ def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
-    """The texture between its pixels, bilinear and periodic."""
+    """Interpolate the texture between its pixels, bilinear and periodic."""
     wrap, one = TEXTURE_PX - 1, np.float32(1)
     for u in range(len(noise)):
         x, y = plane_m[0, u] * np.float32(PIXELS_PER_M), plane_m[1, u] * np.float32(PIXELS_PER_M)
@@ -184,7 +185,7 @@ def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def]
-    """Noise to a factor around 1, with the tiles' dark joints and different shades."""
+    """Turn noise into a factor around 1, with the tiles' dark joints and different shades."""
     for u in range(len(noise)):
         factor = np.float32(1) + looks.contrast[row[u]] * noise[u]
         tile_m = looks.tile_m[row[u]]
@@ -196,14 +197,14 @@ def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def
         noise[u] = factor
 
 
-# What rays see that hit nothing: an overcast sky, or a bright room beyond.
+# Colour of rays without a hit: an overcast sky, or a bright room beyond.
 BACKGROUND_RGB = (0.78, 0.81, 0.84)
-# Rays start this far off the surface, so that they do not hit where they start.
+# Rays start this far off the surface, so that they do not hit their own starting point.
 LIFT_M = 1e-4
 
 
 class Renderer:
-    """A scene prepared once for ray casting from any camera."""
+    """A scene, prepared once for ray casting from any camera."""
 
     def __init__(self, items: Sequence[Item], texture: Float32) -> None:
         """Build the acceleration structure of the items (Open3D's, which is Embree)."""
@@ -222,8 +223,8 @@ class Renderer:
 
         Args:
             camera: intrinsics.
-            T_room_rig: (4, 4), or (height, 4, 4): of each row.
-            T_rig_camera: (4, 4), how the camera lies to the rig; None: the rig lies where it does.
+            T_room_rig: the rig's pose (4, 4), or (height, 4, 4), one for each row.
+            T_rig_camera: (4, 4), the camera's pose in the rig; None: the identity.
         """
         rays = pixel_rays(camera, T_room_rig if T_rig_camera is None else T_room_rig @ T_rig_camera)
         hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)
@@ -235,13 +236,13 @@ class Renderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Surface points that a camera sees: in its image, facing it and unoccluded.
+        """Return which surface points a camera sees: in its image, facing it and unoccluded.
 
         Args:
             points_room: (n, 3), metres.
             normals_room: (n, 3), unit, outward.
             camera: intrinsics.
-            T_room_camera: (4, 4).
+            T_room_camera: (4, 4) pose of the camera.
 
         Returns:
             bool (n,).

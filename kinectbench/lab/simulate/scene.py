@@ -1,6 +1,6 @@
 """The surroundings of the subject: a room or open ground, and clutter that does not occlude it.
 
-Frame `room`: z up, z = 0 where the subject stands, its origin at the room's origin.
+In frame `room`, z is up, and the subject stands on z = 0 with its origin at the room's origin.
 """
 
 from dataclasses import dataclass, replace
@@ -22,10 +22,10 @@ WALL_CLEARANCE_M = 0.5
 THICK_M = 0.1
 FLOOR_M, GROUND_M = 16.0, 30.0
 CLEARANCE_M = 0.6
-# A touching neighbour reaches this far into the subject's bounding box.
+# A touching neighbour overlaps the subject's bounding box by this length.
 TOUCH_M = 0.005
-# A table as people eat and work at, metres; and what stands about on it is as far from the subject as a hand
-# needs to take it.
+# Height of a dining or work table, and thickness of its top and legs, metres; clutter on it is as far from
+# the subject as a hand needs to take the subject.
 TABLE_M, TABLE_THICK_M, TABLE_LEG_M = 0.74, 0.035, 0.05
 TABLE_LONG_M, TABLE_DEEP_M = (1.1, 1.5), (0.7, 0.9)
 TABLE_CLEARANCE_M = (0.05, 0.12)
@@ -51,12 +51,12 @@ class Item:
     """One mesh of the scene and its look.
 
     Attributes:
-        role: its role in the benchmark.
-        mesh: in frame `room`, metres.
+        role: the item's role in the benchmark.
+        mesh: the mesh, in frame `room`, metres.
         color_rgb: mean colour, each in [0, 1].
         contrast: strength of its texture in [0, 1].
         tile_m: size of tiles with dark joints, metres; 0 for none.
-        albedo: share of infrared light that it reflects, in [0, 1].
+        albedo: reflected share of infrared light, in [0, 1].
     """
 
     role: Role
@@ -72,18 +72,18 @@ def make_scene(
 ) -> list[Item]:
     """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
 
-    Near clutter keeps 0.6 m away from the subject and stays low, tall clutter stands behind the camera's
-    path, so that neither hides anything of the subject.
+    Near clutter is low and at least 0.6 m from the subject; tall clutter is behind the camera's path. So
+    neither hides a part of the subject.
 
     Args:
-        subject: stands at the room's origin.
-        yaw_rad: its turn, radians.
+        subject: the subject, which stands at the room's origin.
+        yaw_rad: its rotation about z, radians.
         reach_m: largest distance of the camera from the vertical through the origin, metres.
-        settings: what there is.
-        rng: draws the rest.
+        settings: settings of the surroundings.
+        rng: draws all random parts.
 
     Returns:
-        Everything a ray can hit.
+        All items that a ray can hit.
     """
     draw = Draw(rng)
     T_room_object = OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box
@@ -114,7 +114,7 @@ def make_scene(
 
 
 def _floor(draw: Draw, *, outdoor: bool) -> Item:
-    """Tiles, or a carpet or boards without joints; outdoors paving, lawn or sand."""
+    """Draw tiles, or a carpet or boards without joints; outdoors paving, lawn or sand."""
     side_m = GROUND_M if outdoor else FLOOR_M
     mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (side_m, side_m, THICK_M)))
     if outdoor:
@@ -126,7 +126,7 @@ def _floor(draw: Draw, *, outdoor: bool) -> Item:
 
 
 def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
-    """A wall in one direction, with a cabinet or two standing against it."""
+    """Draw a wall in one direction, with a cabinet or two standing against it."""
     gray = draw.between(0.7, 0.85)
     outward = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     along = np.array([-outward[1], outward[0], 0.0])
@@ -145,7 +145,7 @@ def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
 
 
 def _low_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Low boxes on the floor around the subject, evenly spread."""
+    """Draw low boxes on the floor around the subject, evenly spread."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):
@@ -159,14 +159,14 @@ def _low_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
 
 
 def _lowered(item: Item, by_m: float) -> Item:
-    """An item moved down."""
+    """Return an item moved down."""
     T = np.eye(4)
     T[2, 3] = -by_m
     return replace(item, mesh=item.mesh.transformed(T))
 
 
 def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
-    """A table with four legs and top z = 0; the subject stands anywhere on it within its edge."""
+    """Draw a table with four legs and its top at z = 0; the subject stands anywhere on it within its edge."""
     long, deep = draw.between(*TABLE_LONG_M), draw.between(*TABLE_DEEP_M)
     (x, y), turn = (
         (
@@ -191,7 +191,7 @@ def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
 
 
 def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Boxes and books on the table around the subject, the farther away the higher."""
+    """Draw boxes and books on the table around the subject, higher ones farther away."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):
@@ -206,7 +206,7 @@ def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item
 
 
 def _neighbour(subject_room: TriangleMesh, draw: Draw) -> Item:
-    """A box that stands against the subject's outermost vertex in a random direction."""
+    """Draw a box that stands against the subject's outermost vertex in a random direction."""
     turn = draw.between(0, 2 * np.pi)
     outward = np.array([np.cos(turn), np.sin(turn)])
     flat = subject_room.vertices[:, :2]

@@ -39,11 +39,11 @@ from kinectbench.lab.simulate.truth import (
 from kinectbench.lab.simulate.writers import cut, formats
 from kinectbench.lab.simulate.writers.frame import ColorImage, RecordedFrame, Rig, png_bytes
 
-# A foreign frame shows another object in another scene: seeds this much farther on.
+# A foreign frame shows another object in another scene, drawn with the seed plus this.
 FOREIGN_SEED = 500_000
 SUNLIGHT = {"indoor": 0.0, "outdoor": 0.6}
 SURFACE_SAMPLES = 20_000
-# Random numbers of a colour stream of its own come after those of all frames.
+# Random numbers of a separate colour stream come after those of all frames.
 OWN_COLORS = 1_000_000
 
 
@@ -52,16 +52,16 @@ class Simulation:
     """Everything about a recording before its frames are rendered.
 
     Attributes:
-        spec: the settings.
+        spec: the settings of the simulation.
         subject: the object.
-        renderer: of the scene, frame `room`.
-        foreign: renderer of another scene, if the plan has frames of one.
+        renderer: renderer of the scene, frame `room`.
+        foreign: renderer of another scene, if the plan has foreign frames.
         path: the camera's motion, frame `room`.
-        device: this one sensor's own errors, or None for an ideal one.
-        gains: of colour, one per frame.
+        device: the individual sensor's errors; None for an ideal sensor.
+        gains: gains of colour, one per frame.
         rig: the cameras that record.
-        T_world_room: (4, 4) float64.
-        T_room_object: (4, 4) float64.
+        T_world_room: (4, 4) float64, room to world.
+        T_room_object: (4, 4) float64, object to room.
         frames: the recorded frames.
     """
 
@@ -79,12 +79,12 @@ class Simulation:
 
     @property
     def T_world_object(self) -> Float64:
-        """(4, 4) float64: the object's pose."""
+        """The object's pose, (4, 4) float64."""
         return np.asarray(self.T_world_room @ self.T_room_object)
 
     @property
     def T_world_camera(self) -> Float64:
-        """(n, 4, 4) float64: the true camera pose of every recorded frame, relative to the object."""
+        """The true camera pose of every recorded frame relative to the object's world, (n, 4, 4) float64."""
         times = np.array([frame.time_s for frame in self.frames])
         return np.asarray(self.T_world_room @ self.path.poses(times))
 
@@ -105,7 +105,7 @@ class SimulatedFrame:
 
 
 def make_subject(spec: SimulationSpec) -> Subject:
-    """The object of a spec: drawn by its family and seed, or read from a mesh file.
+    """Make the object of a spec: drawn by its family and seed, or read from a mesh file.
 
     Raises:
         SettingsError: unknown family.
@@ -122,7 +122,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     """Draw the object, its surroundings, the camera's path, the sensor, and the plan of the recording.
 
     Raises:
-        SettingsError, RecordingError: as `make_subject`.
+        SettingsError, RecordingError: as in `make_subject`.
     """
     subject = make_subject(spec)
     min_range_m = MIN_RANGE_M[spec.sensor.model]
@@ -139,7 +139,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     if spec.path.moves == "camera":
         renderer, T_room_given = Renderer(scene, texture), walk
     else:
-        # A given trajectory is the camera's, which does not move.
+        # A given trajectory is that of the camera, which does not move.
         renderer = still_renderer(scene, texture, walk[0], spec.path)
         T_room_given = np.repeat(renderer.T_room_still[None], len(walk), axis=0)
     frames = plan_frames(spec, T_world_room @ T_room_given)
@@ -160,10 +160,10 @@ def prepare(spec: SimulationSpec) -> Simulation:
 
 
 def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
-    """Render one frame of the recording, and measure it.
+    """Render one frame of the recording, and simulate its measurement.
 
     Args:
-        simulation: made by `prepare`.
+        simulation: the result of `prepare`.
         index: position in `simulation.frames`.
     """
     spec, plan = simulation.spec, simulation.frames[index]
@@ -190,7 +190,7 @@ def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
 
 
 def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float64:
-    """The poses (height, 4, 4) of the depth camera, the middle row at `time_s`; (4, 4) if all are one."""
+    """Return the depth camera's poses (height, 4, 4), the middle row at `time_s`; (4, 4) if all are equal."""
     readout_s = simulation.spec.sensor.readout_s
     if readout_s == 0:
         return np.asarray(simulation.path.poses(np.array([time_s]))[0])
@@ -200,7 +200,7 @@ def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float6
 def _measured(
     exact: Rendering, device: KinectUnit | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
 ) -> Float32:
-    """The device's measurement of exact depth."""
+    """Return the device's measurement of exact depth."""
     if isinstance(device, TimeOfFlightDevice):
         return measure_time_of_flight(exact, spec.camera, device, rng)
     return measured_depth(exact, spec.camera, device, rng)
@@ -214,7 +214,7 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """The colour image of a time; rendered again only for another camera or time."""
+    """Return the colour image of a time; it is rendered again only for another camera or time."""
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -230,7 +230,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """Images of a separate colour stream since the last depth; None without such a stream."""
+    """Return the images of a separate colour stream since the last depth; None without such a stream."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:
@@ -251,7 +251,7 @@ def _own_colors(
 
 
 def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
-    """The sensor, and the light it works in."""
+    """Return the sensor with its lighting."""
     if spec.sensor.model == "ideal":
         return None
     sunlight = spec.sensor.sunlight
@@ -264,21 +264,21 @@ def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
 
 
 def _rig(spec: SimulationSpec) -> Rig:
-    """The cameras: colour registered to depth, or beside it."""
+    """Return the cameras: colour registered to depth, or beside it."""
     if spec.sensor.color_registered:
         return Rig(spec.camera, spec.camera, True, np.eye(4))
     return Rig(spec.camera, spec.camera, False, rigid(np.eye(3), [-spec.sensor.color_baseline_m, 0.0, 0.0]))
 
 
 def _foreign(spec: SimulationSpec, reach_m: float) -> Renderer:
-    """Another object in other surroundings."""
+    """Return a renderer of another object in other surroundings."""
     subject = make_object("table" if spec.object.startswith("chair") else "chair", spec.seed)
     rng = spec.model_copy(update={"seed": spec.seed + FOREIGN_SEED}).rng(SCENE)
     return Renderer(make_scene(subject, 0.0, reach_m, spec.scene, rng), make_texture(rng))
 
 
 def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
-    """The room in the world, (4, 4)."""
+    """Return the room's pose in the world, (4, 4)."""
     if spec.world == "first_camera":
         return invert_rigid(T_room_first)
     if spec.world == "random":
@@ -288,21 +288,21 @@ def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
 
 
 def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, total: None) -> Path:
-    """Write a simulated recording to `out` and its truth beside it; returns the folder of the truth.
+    """Write a simulated recording to `out` and its truth beside it; return the folder of the truth.
 
-    The truth is what `truth.py` says, and `masks/<frame>.png` (255 = subject, from noise-free silhouettes, in
-    depth pixels) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units a metre); `<frame>` is
-    the recorded frame's index in six digits.
+    The truth has the files of `truth.py`, `masks/<frame>.png` (255 = subject, noise-free silhouettes in depth
+    pixels) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units a metre); `<frame>` is the
+    recorded frame's index in six digits.
 
     Args:
-        spec: what to simulate.
-        out: a folder, or for the formats that are one file a path with their suffix, such as .bag.
+        spec: the settings of the simulation.
+        out: a folder; for formats of one file, a path with their suffix, such as .bag.
         progress: called with (frames done, frames in all).
 
     Raises:
-        SettingsError: the path does not fit the format, or something else lies there; no such family.
+        SettingsError: the path does not fit the format, or holds something else; or the family is unknown.
         RecordingError: the mesh cannot be used.
-        StorageError: it cannot be written.
+        StorageError: the recording cannot be written.
     """
     _check_place(spec, out)
     simulation = prepare(spec)
@@ -320,14 +320,14 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
             cut(path, spec.faults.cut_share)
         values = spec.model_dump(mode="json")
         if spec.mesh is not None:
-            # By its name and hash, not by its place on this machine.
+            # By name and hash, without the path on this machine.
             values["mesh"] = {"name": Path(spec.mesh).name, "sha256": sha256_file(Path(spec.mesh))}
         write_truth(recorder.truth(), values)
     return folder
 
 
 class _Recorder:
-    """Renders frame by frame, and stores the truth on the way."""
+    """Renders frame by frame, and stores the truth at the same time."""
 
     def __init__(self, simulation: Simulation, folder: Path, progress: Progress) -> None:
         spec = simulation.spec
@@ -342,7 +342,7 @@ class _Recorder:
             (folder / "depth").mkdir()
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Every frame of the recording."""
+        """Yield every frame of the recording."""
         simulation = self._simulation
         for index, plan in enumerate(simulation.frames):
             recorded = record_frame(simulation, index)
@@ -360,7 +360,7 @@ class _Recorder:
             self._progress(index + 1, len(simulation.frames))
 
     def truth(self) -> Truth:
-        """The truth of the frames rendered so far."""
+        """Return the truth of the frames rendered so far."""
         simulation = self._simulation
         spec, R_world_room = simulation.spec, simulation.T_world_room[:3, :3]
         points, normals = self._samples

@@ -1,4 +1,4 @@
-"""Settings of a simulation: every choice with its default, range and unit. Same spec, same bytes."""
+"""Settings of a simulation: every choice with default, range and unit. The same spec gives the same bytes."""
 
 from typing import Any, Literal, Self
 
@@ -13,22 +13,22 @@ from kinectbench.settings.words import listed, near_miss
 WorldFrame = Literal["upright", "first_camera", "random"]
 
 FIRST_STAMP_NS = 1_400_000_000 * 10**9
-# One random stream for each thing that is drawn, so that a new one changes none of the others.
+# Each kind of random choice has its own stream, so that a new one does not change the rest.
 SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
-# Nearer surfaces give no depth, metres. An ideal sensor has no such limit; it is carried as a Kinect v1 is,
-# so that the recordings of the two compare.
+# Surfaces nearer than this give no depth, metres. An ideal sensor has no such limit, but is carried like a
+# Kinect v1, so that recordings of both are comparable.
 MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2}
-# Focal length in pixels, width and height of each sensor's own images. Of the Azure Kinect: depth mode NFOV
-# unbinned (Microsoft's hardware specification), and about the focal length of its factory calibrations; of
-# the phone: ARKit's depth image (Apple), 62 degrees across, as its wide camera has in video.
+# Focal length in pixels, width and height of each sensor's own images. Azure Kinect: depth mode NFOV unbinned
+# (Microsoft's hardware specification), with about the focal length of its factory calibrations. Phone:
+# ARKit's depth image (Apple), 62 degrees across, like its wide camera in video.
 NATIVE = {
     "kinect_v1": (525.0, 640, 480),
     "ideal": (525.0, 640, 480),
     "azure_kinect": (504.0, 640, 576),
     "phone_lidar": (212.0, 256, 192),
 }
-# What came after the first presets were frozen: left out of a stored spec while it has its default, so that
-# the stored specs of older recordings, and their hashes, stay what they are.
+# Settings added after the first presets were frozen. At their defaults they are left out of a stored spec, so
+# that the stored specs of older recordings, and their hashes, do not change.
 LATER = {
     "order": "walk",
     "moves": "camera",
@@ -47,7 +47,7 @@ LATER = {
 
 
 class GrownSettings(Settings):
-    """Settings to which some were added later."""
+    """Settings with keys that were added later (`LATER`)."""
 
     @model_serializer(mode="wrap")
     def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -221,9 +221,9 @@ class SimulationSpec(Settings):
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
     def rng(self, stream: int, index: int = 0) -> np.random.Generator:
-        """The random numbers of one stream (and one frame)."""
+        """Return the random generator of a stream (and a frame)."""
         return np.random.default_rng([self.seed, stream, index])
 
     def stamp_ns(self, index: int) -> int:
-        """True time of one frame in nanoseconds, whole microseconds."""
+        """Return the true time of a frame in nanoseconds, rounded to microseconds."""
         return FIRST_STAMP_NS + round(index * 10**6 / self.path.rate_hz) * 1000

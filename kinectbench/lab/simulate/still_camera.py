@@ -1,7 +1,7 @@
-"""A still camera before an object that turns on a turntable, or is moved by a hand.
+"""A static camera before an object that turns on a turntable, or is moved by a hand.
 
-What a camera sees of the object then depends only on where it is to the object: `path` says that, in the
-frame `room`, which goes with the object. Everything else is seen from where the camera stands.
+The camera's view of the object depends only on its pose relative to the object. `path` gives that pose in the
+frame `room`, which moves with the object. Everything else is seen from the static camera.
 """
 
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from kinectbench.lab.simulate.render import Renderer, Rendering
 from kinectbench.lab.simulate.scene import Item
 from kinectbench.lab.simulate.spec import PathSettings
 
-# A fist and forearm below the object, and how much higher than a table it is held.
+# Size of a fist and forearm below the object, and its height above a table.
 ARM_M = (0.07, 0.06, 0.35)
 ARM_RGB = (0.75, 0.56, 0.45)
-# A turntable's plate, wider than the object by so much.
+# A turntable's plate is wider than the object by this much.
 PLATE_RGB = (0.85, 0.85, 0.82)
 PLATE_RATIO = 1.25
 GRIP_M = 0.015
@@ -29,14 +29,14 @@ HELD_M = 0.8
 
 @dataclass(frozen=True)
 class StillRenderer:
-    """Two scenes in one image: things that move with the object, and the surroundings.
+    """Renders two scenes into one image: items that move with the object, and the surroundings.
 
-    The light goes with the object. Everything has the interface of `Renderer`.
+    The light moves with the object. The interface is that of `Renderer`.
 
     Attributes:
-        own: the object, and the arm that holds it.
-        around: all else.
-        T_room_still: (4, 4), where the rig of cameras stands, from which that is seen.
+        own: renderer of the object and the arm that holds it.
+        around: renderer of everything else.
+        T_room_still: (4, 4), the static pose of the camera rig, from which `around` is seen.
     """
 
     own: Renderer
@@ -44,7 +44,7 @@ class StillRenderer:
     T_room_still: Float64
 
     def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
-        """Like `Renderer.render`; `T_room_rig` is the rig's pose relative to the object."""
+        """Do the same as `Renderer.render`; `T_room_rig` is the rig's pose relative to the object."""
         own = self.own.render(camera, T_room_rig, T_rig_camera)
         around = self.around.render(camera, self.T_room_still, T_rig_camera)
         nearer = (own.depth_m > 0) & ((around.depth_m == 0) | (own.depth_m < around.depth_m))
@@ -59,18 +59,18 @@ class StillRenderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Like `Renderer.visible`: surroundings do not occlude."""
+        """Do the same as `Renderer.visible`; surroundings do not occlude."""
         return self.own.visible(points_room, normals_room, camera, T_room_camera)
 
 
 def still_renderer(
     items: Sequence[Item], texture: Float32, T_room_first: Float64, settings: PathSettings
 ) -> StillRenderer:
-    """The scene of a camera that stays at the start of the path.
+    """Make the renderer of a camera that stays at the start of the path.
 
     Args:
-        items: of the scene, with the object at the origin.
-        texture: of all surfaces.
+        items: items of the scene, with the object at the origin.
+        texture: texture of all surfaces.
         T_room_first: (4, 4), the first pose.
         settings: `moves` is turntable or hand.
     """
@@ -92,7 +92,7 @@ def still_renderer(
 
 
 def turning_only(settings: PathSettings) -> PathSettings:
-    """The path of a turntable: nothing shakes, rises or comes nearer."""
+    """Return the path of a turntable: without shake, rise, or change of distance."""
     if settings.moves != "turntable":
         return settings
     still = {

@@ -2,18 +2,18 @@
 
 Sources:
     Microsoft: Azure Kinect DK hardware specification (NFOV unbinned: 640x576 pixels, 0.5 to 3.86 m; standard
-    deviation at most 17 mm and systematic error below 11 mm + 0.1 % of the distance, for reflectivities of
-    15 to 95 % and without multipath). Tölgyessy, Dekan, Chovanec, Hubinský: Evaluation of the Azure Kinect
-    and Its Comparison to Kinect V1 and Kinect V2, Sensors 21(2):413, 2021 (confirm both up to 3.5 m; flying
+    deviation at most 17 mm and systematic error below 11 mm + 0.1 % of the distance, for reflectivities of 15
+    to 95 % and without multipath). Tölgyessy, Dekan, Chovanec, Hubinský: Evaluation of the Azure Kinect and
+    Its Comparison to Kinect V1 and Kinect V2, Sensors 21(2):413, 2021 (confirm both up to 3.5 m; flying
     pixels and multipath seen; not reliable in direct sun). Lange, Seitz: Solid-State Time-of-Flight Range
     Camera, IEEE J. Quantum Electronics 37(3), 2001 (noise of demodulated light). Luetzenburg, Kroon, Bjørk:
-    Evaluation of the Apple iPhone 12 Pro LiDAR for an Application in Geosciences, Scientific Reports 11,
-    2021 (absolute accuracy of 1 cm on small objects). Teo, Yang: Evaluating the Accuracy and Quality of an
-    iPad Pro's Built-in Lidar for 3D Indoor Mapping, Developments in the Built Environment 14, 2023 (points
-    less than 1 mm from their best-fitting plane at rest, 1 cm in motion). What has no source there is an own
-    here, and says so.
+    Evaluation of the Apple iPhone 12 Pro LiDAR for an Application in Geosciences, Scientific Reports 11, 2021
+    (absolute accuracy of 1 cm on small objects). Teo, Yang: Evaluating the Accuracy and Quality of an iPad
+    Pro's Built-in Lidar for 3D Indoor Mapping, Developments in the Built Environment 14, 2023 (points less
+    than 1 mm from their best-fitting plane at rest, 1 cm in motion). Values without a source are marked
+    "chosen here".
 
-Left out: cyclic errors, what depends on temperature and on motion within a frame, the Azure Kinect's cut-off
+Not simulated: cyclic errors, effects of temperature and of motion within a frame, the Azure Kinect's cut-off
 image corners, ambiguity of the phase.
 """
 
@@ -28,7 +28,7 @@ from kinectbench.core.types import Float32
 from kinectbench.lab.simulate.kinect import smooth_error, smooth_normal
 from kinectbench.lab.simulate.render import Rendering
 
-# Indirect light never counts for more than this much of the direct (the formula's limit, chosen here).
+# Indirect light counts for at most this share of the direct light (limit of the formula, chosen here).
 MOST_INDIRECT = np.float32(1.0)
 STEEPEST_COS = np.float32(0.05)
 
@@ -37,21 +37,20 @@ class TimeOfFlight(NamedTuple):
     """Parameters of a sensor. The signal is albedo * cos(incidence) / z², in 1/m²: 0.6 is grey at 1 m.
 
     Attributes:
-        focal_px: of the image that the pixel-valued parameters below belong to.
+        focal_px: focal length of the image to which the pixel-valued parameters below refer.
         min_range_m: nearer surfaces give no depth, metres.
         max_range_m: farther surfaces give no depth, metres.
         noise_m: standard deviation of depth is noise_m * sqrt(signal + ambient) / signal (Lange & Seitz,
             section IV: the square root of all light over the demodulated light).
-        ambient: light and read-out noise that carry no distance, as a signal.
-        sun: full sun on a white surface, as a signal (as of `KinectNoise`).
-        worst_m: pixels of a larger standard deviation are no measurement, metres.
+        ambient: light and read-out noise that carry no distance, in units of the signal.
+        sun: full sun on a white surface, in units of the signal (as in `KinectNoise`).
+        worst_m: pixels with a larger standard deviation give no measurement, metres.
         worst_softness: standard deviation of the logarithm of that limit.
         smooth_share: share of the noise's variance that neighbouring pixels have in common.
-        smooth_px: standard deviation of the blur that makes it common (chosen here, except for the phone's).
+        smooth_px: standard deviation of the blur that makes it common (chosen here, except the phone's).
         mixed_px: standard deviation of the blur by which a pixel gets its neighbours' light.
-        same_surface: relative difference of depth up to which pixels lie on one surface.
-        edge_margin: pixels within 1.5 times that blur of an edge are lost where a normal variate exceeds
-            this.
+        same_surface: largest relative difference of depth between pixels of one surface.
+        edge_margin: pixels within 1.5 times `mixed_px` of an edge are lost if a normal variate exceeds this.
         hole_px: standard deviation of the blur that makes holes blobs.
         multipath: share of the indirect light that the sensor takes for direct.
         distortion_m: root mean square of one device's systematic error, metres.
@@ -77,10 +76,10 @@ class TimeOfFlight(NamedTuple):
     step_m: float
 
 
-# `noise_m` and `ambient` follow from two points: 15 mm at 3.86 m and 15 % reflectivity, within the 17 mm
-# specified, and 1.1 mm on a grey wall (60 %) at 1 m. So 2.3 mm at 2 m and 4.6 mm at 3.5 m; an
-# albedo of 0.05 is lost beyond 3 m, a grey wall in the simulator's outdoor light beyond 2.6 m. Half of the
-# pixels at edges are lost.
+# `noise_m` and `ambient` follow from two points: 15 mm at 3.86 m and 15 % reflectivity (within the specified
+# 17 mm), and 1.1 mm on a grey wall (60 %) at 1 m. That gives 2.3 mm at 2 m and 4.6 mm at 3.5 m; an albedo of
+# 0.05 is lost beyond 3 m, a grey wall in the simulator's outdoor light beyond 2.6 m. Half of the pixels at
+# edges are lost.
 AZURE_KINECT = TimeOfFlight(
     focal_px=504.0,
     min_range_m=0.5,
@@ -100,13 +99,13 @@ AZURE_KINECT = TimeOfFlight(
     distortion_m=0.002,
     step_m=0.001,
 )
-# The depth image is made of a grid of about 24x24 beams with the colour image's help (Apple publishes
-# neither the grid, which teardowns show, nor the method), so errors are blobs as wide as the beams are apart
-# (256 / 24 pixels, at half their height), and edges are smoothed over. On a grey wall 4 mm at 1 m, of which
-# 0.5 mm varies from pixel to pixel (below 1 cm, and below 1 mm about the best-fitting plane nearby:
-# Luetzenburg et al., Teo & Yang), 8 mm at 2 m. Half of the pixels at edges have a low confidence, which
-# readers treat as no measurement. A pulse's first return is partly separated from later ones,
-# so there is less multipath.
+# The depth image is made from a grid of about 24x24 beams with the help of the colour image (Apple publishes
+# neither the grid, which teardowns show, nor the method). So errors are blobs as wide as the distance of
+# beams (256 / 24 pixels, at half their height), and edges are smoothed. On a grey wall the error is 4 mm at 1
+# m, of which 0.5 mm varies from pixel to pixel (below 1 cm, and below 1 mm about the best-fitting plane
+# nearby: Luetzenburg et al., Teo & Yang), and 8 mm at 2 m. Half of the pixels at edges have a low confidence,
+# which readers treat as no measurement. A pulse's first return is partly separated from later ones, so there
+# is less multipath.
 PHONE_LIDAR = TimeOfFlight(
     focal_px=212.0,
     min_range_m=0.2,
@@ -127,7 +126,7 @@ PHONE_LIDAR = TimeOfFlight(
     step_m=0.0,
 )
 SENSORS = {"azure_kinect": AZURE_KINECT, "phone_lidar": PHONE_LIDAR}
-# Indirect light is computed to every 8th and from every 12th pixel of 640x576: 5760 to 2520 surface patches.
+# Indirect light is computed at every 8th and from every 12th pixel of 640x576: from 2520 to 5760 patches.
 RECEIVER_PX, SENDER_PX, STEPS_FOCAL_PX = 8, 12, 504.0
 
 
@@ -137,8 +136,8 @@ class TimeOfFlightDevice:
 
     Attributes:
         sensor: parameters that all devices of the model share, in pixels of the image.
-        offset_m: (height, width) float32, its systematic error, metres.
-        sunlight: on the scene, 0 to 1.
+        offset_m: (height, width) float32, systematic error of the device, metres.
+        sunlight: sunlight on the scene, 0 to 1.
     """
 
     sensor: TimeOfFlight
@@ -152,14 +151,14 @@ def draw_time_of_flight(
     """Draw a device's systematic error, which varies smoothly over the image and not with depth.
 
     Args:
-        model: of `SENSORS`.
-        camera: whose depth it is.
+        model: a key of `SENSORS`.
+        camera: the depth camera.
         distortion: 1 for a typical device, 0 for none.
         sunlight: 0 to 1.
         rng: draws the map.
     """
     sensor = SENSORS[model]
-    # A smaller image is the sensor's image reduced: what is smooth over pixels is so over fewer.
+    # A smaller image is a reduced image of the sensor: blurs cover fewer of its pixels.
     scale = camera.fx / sensor.focal_px
     sensor = sensor._replace(
         smooth_px=sensor.smooth_px * scale, mixed_px=sensor.mixed_px * scale, hole_px=sensor.hole_px * scale
@@ -172,7 +171,7 @@ def draw_time_of_flight(
 def measure_time_of_flight(
     rendering: Rendering, camera: Camera, device: TimeOfFlightDevice, rng: np.random.Generator
 ) -> Float32:
-    """The sensor's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
+    """Return the sensor's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
 
     In this order:
         1. Multipath: light that reached a surface by way of another comes later (`multipath_m`).
@@ -183,8 +182,8 @@ def measure_time_of_flight(
         4. No depth out of range, or where the noise is too strong.
 
     Args:
-        rendering: exact.
-        camera: that it was rendered with.
+        rendering: the exact rendering.
+        camera: the camera that it was rendered with.
         device: the sensor.
         rng: draws all noise of this frame.
     """
@@ -195,7 +194,7 @@ def measure_time_of_flight(
     white = rng.standard_normal(shape, dtype=np.float32) * np.float32(np.sqrt(1 - sensor.smooth_share))
     smooth = smooth_normal(shape, sensor.smooth_px, rng)
     drawn = white + np.float32(np.sqrt(sensor.smooth_share)) * smooth
-    # Half the resolution will do for what decides where a hole lies.
+    # Half the resolution suffices for the field that decides where a hole lies.
     weak = smooth_normal(((shape[0] + 1) // 2, (shape[1] + 1) // 2), sensor.hole_px / 2, rng)
     late_m = exact_m + multipath_m(rendering, camera, sensor)
     near = np.maximum(exact_m, np.float32(0.05))
@@ -205,7 +204,7 @@ def measure_time_of_flight(
         cv2.GaussianBlur(image, (reach, reach), sensor.mixed_px, borderType=cv2.BORDER_REPLICATE)
         for image in (signal.astype(np.float32), (signal * late_m).astype(np.float32))
     )
-    # As far as mixed pixels show, but at least to the next pixel.
+    # As far as mixed pixels are visible, but at least to the next pixel.
     wide = 2 * max(1, round(1.5 * sensor.mixed_px)) + 1
     window = np.ones((wide, wide), np.uint8)
     around_m = (cv2.erode(exact_m, window), cv2.dilate(exact_m, window))
@@ -215,7 +214,7 @@ def measure_time_of_flight(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-untyped-def]
-    """Depth as reported, (height, width) float32 metres, 0 = no measurement; see `measure_time_of_flight`."""
+    """Return reported depth, (height, width) float32 metres, 0 = none; see `measure_time_of_flight`."""
     light, weighted, albedo, offset_m = returned
     sensor, sunlight = device
     normal, weak = drawn
@@ -242,15 +241,15 @@ def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-unty
 
 
 def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> Float32:
-    """Range error of each pixel by indirect light: (height, width) metres.
+    """Return the range error of each pixel by indirect light: (height, width) metres.
 
-    One diffuse bounce between Lambertian surfaces, as far as the image shows them (chosen here what is left
-    out: further bounces, what is out of view or hidden, and that something may stand between the two). The
-    light source is at the camera. A patch q of albedo rho in the solid angle W of its pixels sends the light
-    rho * W to all sides; of that a surface at p receives, per area, cos_p cos_q / (pi r² + A_q), the form
-    factor of a disc of q's area; itself it has cos(incidence) / d² from the source. The detour is
-    (d_q + r - d_p) / 2 in distance. The sensor reports the mean of distances weighted by light, as for mixed
-    pixels, but takes only its `multipath` share for direct.
+    The model is one diffuse bounce between Lambertian surfaces that the image shows. Left out (chosen here)
+    are further bounces, surfaces out of view or hidden, and occlusion between two surfaces. The light source
+    is at the camera. A patch q of albedo rho in the solid angle W of its pixels sends the light rho * W to
+    all sides. Of that, a surface at p receives, per area, cos_p cos_q / (pi r² + A_q), the form factor of a
+    disc of q's area; directly from the source it has cos(incidence) / d². The detour is (d_q + r - d_p) / 2
+    in distance. The sensor reports the mean of distances weighted by light, as for mixed pixels, but takes
+    only its `multipath` share of indirect light for direct.
     """
     fine, coarse = (max(1, round(step * camera.fx / STEPS_FOCAL_PX)) for step in (RECEIVER_PX, SENDER_PX))
     receivers = _patches(rendering.depth_m, rendering.albedo, camera, fine)
@@ -260,11 +259,11 @@ def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> F
 
 
 def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tuple[Float32, tuple[int, int]]:
-    """Surface patches at every `step`th pixel, and their rows and columns.
+    """Return surface patches at every `step`th pixel, and the numbers of their rows and columns.
 
     Returns:
-        (n, 9) float32: point and unit normal in the camera's frame (metres), light that it sends, its area in
-        m², and the cosine of incidence; light and area are 0 where nothing is hit.
+        (n, 9) float32: point and unit normal in the camera's frame (metres), sent light, area in m², and
+        cosine of incidence; light and area are 0 without a hit.
     """
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     rows, columns = (len(range(step // 2, size, step)) for size in depth_m.shape)
@@ -273,7 +272,7 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-def]
-    """See `_patches`. A normal is of the plane through the pixel and its neighbours of like depth."""
+    """Do the work of `_patches`; a normal is of the plane through a pixel and similar neighbours."""
     fx, fy, cx, cy = lens
     height, width = depth_m.shape
     patches = np.zeros((size[0] * size[1], 9), np.float32)
@@ -296,7 +295,7 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
             continue
         ax, ay, az = (right - cx) / fx * z1 - (left - cx) / fx * z0, y * (z1 - z0), z1 - z0
         bx, by, bz = x * (z3 - z2), (down - cy) / fy * z3 - (up - cy) / fy * z2, z3 - z2
-        # Down times right points towards the camera.
+        # The cross product of down and right points towards the camera.
         nx, ny, nz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         ray = np.sqrt(x * x + y * y + 1)
@@ -314,7 +313,7 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
-    """Error along z of each receiver, (n,) float32 metres; see `multipath_m`."""
+    """Return the error along z of each receiver, (n,) float32 metres; see `multipath_m`."""
     late_m = np.zeros(len(receivers), np.float32)
     far = np.sqrt(senders[:, 0] ** 2 + senders[:, 1] ** 2 + senders[:, 2] ** 2)
     for i in range(len(receivers)):
@@ -361,7 +360,7 @@ def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
                 a, b = min(i + k // 2, rows - 1), min(j + k % 2, columns - 1)
                 patch_depth_m = depth_m[step // 2 + step * a, step // 2 + step * b]
                 weight = (1 - abs(t - a)) * (1 - abs(s - b))
-                # A tenth of depth apart they hardly count, but do where nothing else is there.
+                # Neighbours a tenth of the depth apart hardly count, unless there are no others.
                 weight *= np.exp(-(((patch_depth_m - z) / (0.05 * z)) ** 2)) + 1e-6
                 total += weight * late_m[a, b]
                 weights += weight

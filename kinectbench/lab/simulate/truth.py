@@ -18,19 +18,19 @@ from kinectbench.core.types import Bools
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 
 FORMAT_VERSION = 2
-# Noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
+# Scale of noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
 DEPTH_SCALE = 5000.0
 
 
 @dataclass(frozen=True)
 class SurfaceTruth:
-    """Samples spread evenly over the object's surface, and how often the cameras saw them.
+    """Samples spread evenly over the object's surface, and in how many frames they were seen.
 
     Attributes:
         points_world: (m, 3) float64, metres.
         normals_world: (m, 3) float64, unit, outward.
-        frames_seen: (m,) uint16, number of frames in which the point was in view and not hidden;
-            0 = the camera never saw it.
+        frames_seen: (m,) uint16, number of frames in which the point was in view and not hidden; 0 = never
+            seen.
     """
 
     points_world: NDArray[np.float64]
@@ -40,12 +40,13 @@ class SurfaceTruth:
 
 @dataclass(frozen=True)
 class TrueCells:
-    """True states of a grid's cells, by their centres: bool, of its shape.
+    """True states of a grid's cells, by their centres: bool grids of its shape.
 
     Attributes:
-        exact: in the exact solid.
-        solid: in the seeable one: in the exact solid, or where no camera could tell; as air in a slit.
-        judged: not in a slit so narrow that sensors differ on it.
+        exact: the cell is in the exact solid.
+        solid: the cell is in the seeable solid: in the exact solid, or where no camera could tell; a slit is
+            air.
+        judged: the cell is not in a slit so narrow that sensors differ on it.
     """
 
     exact: Bools
@@ -55,19 +56,19 @@ class TrueCells:
 
 @dataclass(frozen=True)
 class Truth:
-    """Everything that is known of a simulated recording. Frames count as in the recording that was written.
+    """The truth of a simulated recording. Frame indices are those of the written recording.
 
     Attributes:
-        folder: where masks and depth lie.
+        folder: the folder of masks and depth.
         subject: name of the object, such as "chair:seed=3".
-        origin: where its solid comes from and how it was closed.
+        origin: where the solid comes from and how it was closed.
         mesh_world: the solid's surface: watertight, outward; world frame, metres.
         T_world_object: (4, 4) float64; frame `object` has z up, the floor at z = 0.
         camera: the depth camera.
         stamps_ns: (n,) int64, the recorded depth stamps, in the order of the frames.
         T_world_camera: (n, 4, 4) float64; NaN where a frame shows another scene.
         surface: samples of the object's surface.
-        limits: of the sensor, by which air is defined; None: by the object's size.
+        limits: limits of the sensor that define air; None: air is defined by the object's size.
     """
 
     folder: Path
@@ -83,13 +84,13 @@ class Truth:
 
     @cached_property
     def seeable(self) -> SeeableSolid:
-        """The solid under the definition of air (`core.voxels.seeable`); takes some seconds, once."""
+        """The solid by the definition of air (`core.voxels.seeable`); computed once, takes some seconds."""
         longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
         limits = self.limits or SensorLimits.of_size(longest_m)
         return seeable_solid(self.mesh_world, self.T_world_object, limits)
 
     def cells(self, grid: Grid) -> "TrueCells":
-        """The true states of a grid's cells in this world; its last side is a multiple of 8."""
+        """Return the true states of a grid's cells in this world; the grid's last side is a multiple of 8."""
         exact, seeable = mesh_occupancy(self.mesh_world, grid), self.seeable
         closed = seeable.on(grid, seeable.closed & ~seeable.slit)
         return TrueCells(exact, exact | closed, exact | ~seeable.on(grid, seeable.slit))
@@ -100,18 +101,18 @@ class Truth:
         return floor_plane(self.T_world_object)
 
     def mask(self, index: int) -> NDArray[np.bool_]:
-        """The object's silhouette in a frame's depth image: (height, width) bool.
+        """Read the object's silhouette in a frame's depth image: (height, width) bool.
 
         Raises:
-            RecordingError: it is missing or damaged.
+            RecordingError: the image is missing or damaged.
         """
         return np.asarray(_image(self.folder / "masks" / f"{index:06d}.png") > 0)
 
     def depth_m(self, index: int) -> NDArray[np.float32] | None:
-        """Noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if none is stored.
+        """Read noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if not stored.
 
         Raises:
-            RecordingError: it is damaged.
+            RecordingError: the image is damaged.
         """
         if not (self.folder / "depth").is_dir():
             return None
@@ -119,18 +120,18 @@ class Truth:
 
 
 def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The plane z = 0 of frame `object` (4, 4) as [a, b, c, d] in the world, unit normal upwards."""
+    """Return the plane z = 0 of frame `object` (4, 4) as [a, b, c, d] in the world, unit normal upwards."""
     up = T_world_object[:3, 2]
     return np.append(up, -up @ T_world_object[:3, 3])
 
 
 def truth_folder(recording: Path) -> Path:
-    """The truth's folder beside a recording: `<name without .bag>.truth`."""
+    """Return the truth's folder beside a recording: `<name without .bag>.truth`."""
     return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
 
 
 def is_truth(folder: Path) -> bool:
-    """Whether a folder holds the truth of a simulated recording, of whatever format version."""
+    """Return whether a folder holds the truth of a simulated recording, of any format version."""
     try:
         record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         return {"format_version", "package_version", "T_world_object", "spec"} <= set(record)
@@ -139,11 +140,11 @@ def is_truth(folder: Path) -> bool:
 
 
 def write_truth(truth: Truth, spec: dict[str, object]) -> None:
-    """Write all but the images into the truth's folder, which exists.
+    """Write everything but the images into the existing folder of the truth.
 
-    truth.json (with the spec's JSON values in it), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt
-    (the same as TUM text, without frames of another scene), floor.json, object.ply (world frame), surface.npz
-    (`points_world`, `normals_world`, `frames_seen`).
+    The files are truth.json (contains the spec's JSON values), frames.npz (`stamps_ns`, `T_world_camera`),
+    trajectory.txt (the same poses as TUM text, without frames of another scene), floor.json, object.ply
+    (world frame) and surface.npz (`points_world`, `normals_world`, `frames_seen`).
     """
     from kinectbench.core.geometry.mesh import write_ply
     from kinectbench.core.trajectory.trajectory_file import trajectory_text
@@ -184,7 +185,7 @@ def read_truth(folder: Path) -> Truth:
     """Read the truth that was written beside a simulated recording.
 
     Raises:
-        RecordingError: there is none, it is damaged, or it has another format version.
+        RecordingError: there is no truth, it is damaged, or it has another format version.
     """
     from kinectbench.core.geometry.mesh import read_own_ply
     from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
@@ -221,7 +222,7 @@ def read_truth(folder: Path) -> Truth:
 
 
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
-    """Cells of a grid with centres inside a closed mesh (world frame): bool (grid.shape).
+    """Return the cells of a grid with centres inside a closed mesh (world frame): bool (grid.shape).
 
     The grid's last side must be a multiple of 8.
     """

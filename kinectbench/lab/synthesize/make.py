@@ -1,4 +1,4 @@
-"""The files of one model: one artefact, written atomically."""
+"""Make the files of one model: one artefact, written atomically."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views,
 from kinectbench.release.exchange.layouts import recgan_path
 
 FILES = "files"
-# What an artefact does not depend on: the rest of a run.
+# Settings on which an artefact does not depend: they concern only the rest of a run.
 ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "validation", "test"}
 
 
@@ -30,10 +30,10 @@ class Task:
     """One model to make.
 
     Attributes:
-        model: which.
+        model: the model.
         split: the part of the benchmark that it belongs to.
-        settings: of the run.
-        work: folder of all artefacts.
+        settings: settings of the run.
+        work: the folder of all artefacts.
     """
 
     model: Model
@@ -43,9 +43,9 @@ class Task:
 
     @property
     def groups(self) -> dict[str, int]:
-        """Steps in a turn of roll, of pitch and of yaw (`all_views`), by the name of a group of views.
+        """{name of a group of views: steps in a full turn of roll, pitch and yaw (`all_views`)}.
 
-        "sv": same viewing; "cv": cross viewing, which only validation and test have (paper).
+        "sv" is same viewing; "cv" is cross viewing, which only validation and test have (paper).
         """
         sv, cv = {"sv": self.settings.sv_steps}, {"cv": self.settings.cv_steps}
         return sv if self.split == "train" else sv | cv
@@ -91,7 +91,7 @@ def make_model(task: Task) -> None:
 
 
 def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
-    """The orientations of one group, or a random subset that depends on the model's name alone."""
+    """Return the orientations of one group, or a random subset that depends only on the model's name."""
     views, most = all_views(steps), task.settings.most_views
     if most is None or most >= len(views):
         return views
@@ -100,7 +100,7 @@ def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
 
 
 def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
-    """The quality of a model's truth in benchmark.json."""
+    """Return the quality of a model's truth for benchmark.json."""
     return SynthesisedQualityFile(
         verdict="good",
         method=checked.rule,
@@ -116,7 +116,7 @@ Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 def _write_release(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Pairs, views and object of one recording; returns its views and refusals."""
+    """Write pairs, views and object of one recording; return its views and refusals."""
     recording = f"{task.model.name}-{group}"
     for name in ("pairs", "views", "objects"):
         (files / name / recording).mkdir(parents=True)
@@ -147,7 +147,7 @@ def _write_release(
 def _write_recgan(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """The authors' two files of each pair; returns the views and refusals."""
+    """Write the authors' two files of each pair; return the views and refusals."""
     model, names, refused = task.model, [], []
     for view, pair, reason in pairs:
         if reason:

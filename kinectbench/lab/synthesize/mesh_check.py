@@ -1,4 +1,4 @@
-"""Load a model's mesh and check it; bad meshes are reported, not used."""
+"""Load a model's mesh and check it; unusable meshes are reported and left out."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,10 +19,10 @@ class CheckedMesh:
     """A mesh that is valid for pairs.
 
     Attributes:
-        mesh: in the model's own frame and unit, without doubled vertices and collapsed triangles.
+        mesh: the mesh, in the model's own frame and unit, without duplicate vertices and collapsed triangles.
         rule: "winding" if it is closed, else "six-rays"; "seeable" with a seeable solid.
         notes: remarks for the user, one line each.
-        seeable: the parts of its solid by the definition of air; None: the mesh alone decides.
+        seeable: the parts of its solid by the definition of air; None: only the mesh decides.
     """
 
     mesh: TriangleMesh
@@ -35,7 +35,7 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
     """Load, clean and check a model.
 
     Raises:
-        ShapeError: why it cannot be used, in a few words without its name.
+        ShapeError: the model cannot be used; the message says why, without the model's name.
     """
     if not model.path:
         from kinectbench.lab.simulate.objects import make_object
@@ -48,20 +48,20 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
 
 
 def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
-    """The same with its solid by the definition of air (`core.voxels.seeable`), as for recordings.
+    """Return the mesh with its solid by the definition of air (`core.voxels.seeable`), as for recordings.
 
-    It stands on a plane at its lowest point. Open meshes stay as they are, and a note says so.
+    The model stands on a plane at its lowest point. Open meshes are returned unchanged, with a note.
 
     Args:
         checked: the mesh; its unit is a metre.
-        up_axis: of its frame.
+        up_axis: axis of its frame that points up.
     """
     if checked.rule != "winding":
         note = "is not closed: what a camera could see of it is not asked"
         return replace(checked, notes=(*checked.notes, note))
     vertices = checked.mesh.vertices
     up = "xyz".index(up_axis)
-    # From z up to the model's axes: none, or y up (x, z, -y).
+    # Rotation from z up to the model's axes: the identity, or y up (x, z, -y).
     R = np.eye(3) if up_axis == "z" else np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     T_world_upright = rigid(R, np.eye(3)[up] * vertices[:, up].min())
     limits = SensorLimits.of_size(float(np.ptp(vertices, axis=0).max()))
@@ -72,16 +72,16 @@ def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
 def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
     """Clean a mesh, and choose the rule that fills it.
 
-    Vertices at one place become one; triangles that collapse thereby go. A mesh is closed if every edge is
-    run along as often in one direction as in the other, no triangle occurs twice, and its volume is
-    positive: the winding number then counts how many bodies a point is in.
+    Vertices at the same place are merged, and triangles that collapse are dropped. A mesh is closed if every
+    edge is used equally often in both directions, no triangle occurs twice, and its volume is positive: then
+    the winding number counts in how many bodies a point lies.
 
     Args:
         mesh: any triangles.
         max_faces: meshes with more are refused.
 
     Raises:
-        ShapeError: it is empty, too large, not finite, or inside out.
+        ShapeError: the mesh is empty, too large, not finite, or inside out.
     """
     if len(mesh.faces) > max_faces:
         raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}", what="bad-mesh")
@@ -107,7 +107,7 @@ def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
 
 
 def missing_materials(path: Path) -> tuple[str, ...]:
-    """A note for each material library of an OBJ file, and each texture of these, that is missing."""
+    """Return a note for each missing material library of an OBJ file, and for each missing texture."""
     notes = []
     for library in _named(path, "mtllib"):
         if not library.is_file():
@@ -119,21 +119,21 @@ def missing_materials(path: Path) -> tuple[str, ...]:
 
 
 def _named(path: Path, keyword: str) -> list[Path]:
-    """Files named in lines with a keyword, relative to the file."""
+    """Return the files named in lines with a keyword, relative to the file."""
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     values = [line.split(maxsplit=1) for line in lines if line.lower().startswith(keyword)]
     return [path.parent / value[1].strip().replace("\\", "/") for value in values if len(value) == 2]
 
 
 def _load(path: Path) -> TriangleMesh:
-    """All the triangles of a mesh file, its scene's transforms applied."""
+    """Load all triangles of a mesh file, with its scene's transforms applied."""
     import trimesh
 
     try:
         loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         return TriangleMesh(vertices, np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3))
-    except Exception as error:  # readers raise whatever a damaged file leads them to
+    except Exception as error:  # readers raise any exception
         text = " ".join(str(error).split())[:120]
         raise ShapeError(f"cannot be read ({type(error).__name__}: {text})", what="bad-mesh") from error
 
@@ -141,18 +141,18 @@ def _load(path: Path) -> TriangleMesh:
 def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
     """Merge equal vertices and drop degenerate triangles.
 
-    A triangle whose corners lie on one line stays: without it, its neighbours' edges would not meet.
+    A triangle with collinear corners is kept: without it, its neighbours' edges would not meet.
     """
     places, which = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = which.reshape(-1)[mesh.faces]
-    # Neighbours in space become neighbours in memory: voxelising a large mesh is twice as fast.
+    # Sorted so that neighbours in space are neighbours in memory: voxelising a large mesh is twice as fast.
     faces = faces[np.argsort(faces.min(axis=1), kind="stable")]
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return TriangleMesh(places, np.asarray(faces, dtype=np.int32)).keep_faces(distinct)
 
 
 def _is_closed(faces: NDArray[np.int32]) -> bool:
-    """Whether every edge is run along as often forwards as backwards, and no triangle occurs twice."""
+    """Return whether every edge is used equally often in both directions, and no triangle occurs twice."""
     if len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces):
         return False
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)

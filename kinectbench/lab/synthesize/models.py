@@ -1,4 +1,4 @@
-"""Settings of `synthesize`; which models exist, which are used, and in which split."""
+"""Settings of `synthesize`: which models exist, which are used, and in which split."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -59,32 +59,32 @@ class SynthesisSettings(Settings):
         return self.up or ("z" if self.models is None else "y")
 
     def stored(self, without: set[str]) -> dict[str, JsonValue]:
-        """The settings as JSON; `noise` only where there is some, so that others keep their bytes."""
+        """Return the settings as JSON; `noise` only if there is some, so that others keep their bytes."""
         values = self.model_dump(mode="json", exclude=without)
         return {key: value for key, value in values.items() if (key, value) != ("noise", "none")}
 
     @property
     def wanted(self) -> dict[Split, int]:
-        """Split -> models per category, in the order of assignment."""
+        """{split: models per category}, in the order of assignment."""
         return {"train": self.train, "validation": self.validation, "test": self.test}
 
 
-# Where ShapeNet v2 and v1 keep a model's mesh, in the model's folder.
+# Paths of a model's mesh in its folder, in ShapeNet v2 and v1.
 MESHES = ("models/model_normalized.obj", "model_normalized.obj", "model.obj")
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb")
-# `<model>-sv` and `<model>-cv` are names of recordings.
+# Room for the endings of recordings' names, `<model>-sv` and `<model>-cv`.
 LONGEST_NAME = 77
 
 
 @dataclass(frozen=True, order=True)
 class Model:
-    """One model to be seen from all sides.
+    """A model that is rendered from all sides.
 
     Attributes:
-        category: such as "chair".
-        name: unique among all; a name for files.
-        path: its mesh file; "" if it is parametric.
-        seed: of the parametric family `category`; -1 if it is a file.
+        category: the category, such as "chair".
+        name: unique name among all models, allowed as a file name.
+        path: the mesh file; "" for a parametric model.
+        seed: seed for the parametric family `category`; -1 for a file.
     """
 
     category: str
@@ -94,7 +94,7 @@ class Model:
 
     @property
     def label(self) -> str:
-        """`<category>/<name>`, its name in messages."""
+        """The model's name in messages, `<category>/<name>`."""
         return f"{self.category}/{self.name}"
 
 
@@ -107,7 +107,7 @@ class LeftOut:
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Parametric objects: seeds 0 to count - 1 of the named families, by default the paper's furniture.
+    """Return parametric models: seeds 0 to count - 1 of the named families, by default the paper's furniture.
 
     Raises:
         SettingsError: unknown family.
@@ -119,13 +119,13 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
 
 
 def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
-    """The models in a folder, sorted, and those rejected at once.
+    """Return the models in a folder, sorted, and the models rejected at once.
 
     Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
-    `<category>/<name>.obj` (or .ply, .stl, .off, .glb); any of them with a synset or a category's name.
+    `<category>/<name>.obj` (or .ply, .stl, .off, .glb). Each may use a synset or a category's name.
 
     Raises:
-        SettingsError: no folder there, no category in it, or not those asked for.
+        SettingsError: the folder does not exist, has no category, or lacks a requested one.
     """
     if not folder.is_dir():
         raise SettingsError(f"{folder}: no folder of models there; give one with --models", what="no-file")
@@ -153,7 +153,7 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
 
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
-    """The models of one category's folder."""
+    """Yield the models of one category's folder."""
     if problem := category_problem(category):
         yield LeftOut(folder.name, f"a category's name: {problem}")
         return
@@ -179,9 +179,9 @@ class Dealt:
     """The models of one category.
 
     Attributes:
-        split_of: model -> its split.
-        left_out: models that were tried and are bad.
-        unused: good or untried ones that were not requested.
+        split_of: {model: its split}.
+        left_out: models that were checked and cannot be used.
+        unused: number of other models, which were not requested.
     """
 
     split_of: dict[Model, Split]
@@ -189,25 +189,25 @@ class Dealt:
     unused: int
 
 
-# Who gets a model while there are fewer than splits.
+# Order in which splits get a model if there are fewer models than splits.
 PRIORITY: tuple[Split, ...] = ("test", "train", "validation")
 
 Check = Callable[[Sequence[Model]], Sequence[str | None]]
 
 
 def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> dict[str, Dealt]:
-    """Draw models and deal them to the splits, each category for itself.
+    """Draw models and assign them to the splits, separately for each category.
 
-    The models are shuffled by the seed and tried in that order until enough are good. With fewer good ones
-    than asked for, every split shrinks in proportion. The paper says only "randomly selected".
+    The models are shuffled by the seed and checked in that order until enough are usable. With fewer usable
+    ones than requested, every split shrinks in proportion. The paper says only "randomly selected".
 
     Args:
-        models: sorted.
+        models: the models, sorted.
         settings: `seed` and the counts, which are per category.
-        check: models -> why each cannot be used, or None.
+        check: takes models; returns for each why it cannot be used, or None.
 
     Returns:
-        Category -> its models, sorted by category.
+        {category: its models}, sorted by category.
     """
     wanted = sum(settings.wanted.values())
     waiting = {name: _shuffled(models, name, settings.seed) for name in sorted({m.category for m in models})}
@@ -230,15 +230,15 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
 
 
 def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
-    """The models of one category in random order."""
+    """Return the models of one category in random order."""
     chosen = [model for model in models if model.category == category]
     return [chosen[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(chosen))]
 
 
 def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:
-    """Split -> number of models: as requested, or reduced in proportion, at least one.
+    """Return {split: number of models}: as requested, or reduced in proportion, at least one.
 
-    With fewer models than splits, test comes before train before validation.
+    With fewer models than splits, test gets one first, then train, then validation.
     """
     total = sum(wanted.values())
     if available >= total:

@@ -23,16 +23,16 @@ def make_synthetic_pair(
 ) -> tuple[Pair, str | None]:
     """Render a model from one side, and voxelise the visible and the full shape in one cube.
 
-    The cube is the paper's, around the full shape's box in the view's axes, or that of framing `view`, from
-    the visible part alone. The world's frame is the model's own, in metres. All cells are known, except for
-    slits of a seeable solid; the surface is exact.
+    The cube is the paper's, around the full shape's box in the view's axes; or, in framing `view`, it is
+    placed by the visible part alone. The world frame is the model's own, in metres. All cells are known,
+    except for slits of a seeable solid; the surface is exact.
 
     Args:
         checked: the model.
         eye: the virtual camera before it.
         view: the orientation.
-        settings: `up_axis`, `framing`, `noise`, `seed` and `min_containment` count.
-        name: of the model; with the view and the seed it draws the noise.
+        settings: `up_axis`, `framing`, `noise`, `seed` and `min_containment` are used.
+        name: the model's name; name, view and seed determine the noise.
 
     Returns:
         The pair, and why it must not be used, or None.
@@ -70,7 +70,7 @@ def make_synthetic_pair(
 
 
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
-    """Packed: the cells inside, and the known cells."""
+    """Return two packed grids: the cells inside, and the known cells."""
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
         return full, np.full_like(full, 255)
@@ -80,7 +80,7 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """The share of a shape's cells, in the cube around it, whose centres lie outside another cube."""
+    """Return the share of a shape's cells, in the cube around it, whose centres lie outside another cube."""
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
@@ -92,7 +92,7 @@ def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
 
 
 def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
-    """Why a pair must not be used, or None."""
+    """Return why a pair must not be used, or None."""
     if cut_share > MAX_CUT_SHARE:
         return f"the cube of framing view cuts off {cut_share:.1%} of it, more than {MAX_CUT_SHARE:.0%}"
     if not pair.full.any():
@@ -106,11 +106,12 @@ def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
 
 
 def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:
-    """The two files of a pair, visible and full shape, both at 256^3 cells.
+    """Return the two files of a pair, visible and full shape, both at 256^3 cells.
 
-    Both are cropped to the box of the full shape (and of surface cells that lie just beyond it, since
-    their centre is outside the solid). Key `arr_0`, int8, (x, y, z, 1), with x to the left and y up: their
-    back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y reversed.
+    Both are cropped to the box of the full shape and of surface cells just beyond it, whose centres are
+    outside the solid. The key is `arr_0`, int8, (x, y, z, 1), with x to the left and y up: the authors'
+    back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so their grid is ours with x and y
+    reversed.
     """
     seen, full = unpack(pair.partial_256), unpack(pair.full)
     occupied = seen | full

@@ -1,4 +1,4 @@
-"""`synthesize`: find models, check and deal them, make every pair, and put all into one folder."""
+"""`synthesize`: find models, check and assign them, make every pair, and collect everything in one folder."""
 
 import os
 import shutil
@@ -46,28 +46,28 @@ TEXTS = CardTexts(
     "`six-rays`, the rule of the paper's authors, for one that is not. `known` is set everywhere,\nbut for "
     "slits of `seeable` ones. A mesh's own unit stands for a metre.",
 )
-# So many models are checked sooner than other processes have started.
+# Up to so many models are checked sooner than other processes would start.
 FEW = 40
 
 
 def assemble(
     tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]
 ) -> tuple[int, str]:
-    """Move the artefacts of all tasks into `out`, atomically replacing what is there.
+    """Move the artefacts of all tasks into `out`, atomically replacing its content.
 
-    Files are linked, not copied, where the disk can.
+    Files are linked instead of copied, if the disk allows it.
 
     Args:
-        tasks: all made.
+        tasks: the tasks, all finished.
         settings: the run's settings, without paths.
-        out: the folder.
+        out: the folder to write.
         lines: the report, for the card or synthesis.json.
 
     Returns:
-        Number of pairs, and the release's identity or "".
+        The number of pairs, and the release's identity or "".
 
     Raises:
-        StorageError: the disk is full or read-only, or an artefact is gone.
+        StorageError: the disk is full or read-only, or an artefact is missing.
     """
     with replaced_folder(out) as folder:
         for task in tasks:
@@ -98,7 +98,7 @@ def _complete(
     folder: Path,
     lines: Sequence[str],
 ) -> str:
-    """Write the small files of a release; returns its identity."""
+    """Write the small files of a release; return its identity."""
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):
@@ -136,7 +136,7 @@ def _complete(
 
 
 def _link(source: Path, target: Path) -> None:
-    """Make every file below `source` appear below `target`."""
+    """Link or copy every file below `source` to below `target`."""
     if not source.is_dir():
         raise StorageError(f"{source}: gone while it was needed; run the command again", what="changed")
     for path in sorted(source.rglob("*")):
@@ -145,7 +145,7 @@ def _link(source: Path, target: Path) -> None:
             link.parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.link(path, link)
-            except OSError:  # another disk, or one without links
+            except OSError:  # another disk, or no links
                 shutil.copyfile(path, link)
 
 
@@ -154,12 +154,12 @@ class Report:
     """The result of a synthesis.
 
     Attributes:
-        folder: where it lies.
+        folder: the folder of the result.
         models: number of models used.
         pairs: number of pairs.
         left_out: models that could not be used, and why.
         benchmark_sha256: the release's identity; "" for layout recgan.
-        lines: all of it in words: counts per category, rules, notes, what was left out.
+        lines: the report in words: counts per category, rules, notes, models left out.
     """
 
     folder: Path
@@ -173,20 +173,20 @@ class Report:
 def synthesize(
     settings: SynthesisSettings, out: Path, jobs: int = 1, progress: NamedProgress | None = None
 ) -> Report:
-    """Make the paper's synthetic pairs (Sec. 3.6) of a folder of meshes or of parametric furniture.
+    """Make the paper's synthetic pairs (Sec. 3.6) from a folder of meshes or from parametric furniture.
 
-    Finished models are kept in `<out>.work/` until the run is complete, so that a stopped run continues
-    where it was. The result does not depend on that, nor on `jobs`.
+    Finished models are kept in `<out>.work/` until the run is complete, so that a stopped run can continue.
+    The result depends neither on stops nor on `jobs`.
 
     Args:
-        settings: what to make; `models` is relative to the current folder.
-        out: a new folder, or one that this wrote before: it is replaced.
+        settings: the settings; `models` is relative to the working folder.
+        out: a new folder, or an earlier result, which is replaced.
         jobs: number of processes.
         progress: called with ("checking" or "making", models done, models in all).
 
     Raises:
-        SettingsError: no such models, or `out` holds something else.
-        KinectBenchError: not a single model can be used, or a process was killed.
+        SettingsError: there are no such models, or `out` holds something else.
+        KinectBenchError: no model can be used, or a process was killed.
         StorageError: the disk is full or read-only.
     """
     tell = progress or (lambda what, done, total: None)
@@ -229,7 +229,7 @@ def _check_target(out: Path) -> None:
 
 
 def _is_ours(out: Path) -> bool:
-    """Whether a folder holds what `synthesize` wrote, and nothing else."""
+    """Return whether a folder holds only files that `synthesize` wrote."""
     if (out / SYNTHESIS_JSON).is_file():
         return all(path.name == SYNTHESIS_JSON or path.name.startswith("P1_") for path in out.iterdir())
     if not (out / BENCHMARK_JSON).is_file() or not (out / SHA256SUMS).is_file():
@@ -239,7 +239,7 @@ def _is_ours(out: Path) -> bool:
 
 
 def _check_work(work: Path) -> None:
-    """Refuse a folder of that name that is no unfinished run's."""
+    """Refuse a folder of that name that is not an unfinished run's."""
     if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
         raise SettingsError(
             f"{work}: holds something else, and is needed for unfinished work; move it away",
@@ -249,7 +249,7 @@ def _check_work(work: Path) -> None:
 
 @contextmanager
 def _kept_if_used(work: Path) -> Iterator[None]:
-    """Remove the folder of unfinished work if it has no finished model at the end of the block."""
+    """Delete the folder of unfinished work at the end of the block if it has no finished model."""
     try:
         yield
     finally:
@@ -266,7 +266,7 @@ def _models(settings: SynthesisSettings) -> tuple[tuple[Model, ...], tuple[LeftO
 def _check_all(
     models: Sequence[Model], max_faces: int, jobs: int, progress: NamedProgress
 ) -> list[str | None]:
-    """Why each model cannot be used, or None."""
+    """Return why each model cannot be used, or None."""
     jobs = jobs if len(models) > FEW else 1
     return run_tasks(partial(_reason, max_faces=max_faces), models, jobs, partial(progress, "checking"))
 
@@ -282,7 +282,7 @@ def _reason(model: Model, max_faces: int) -> str | None:
 def _lines(
     settings: SynthesisSettings, dealt: dict[str, Dealt], tasks: Sequence[Task], left_out: Sequence[LeftOut]
 ) -> Iterator[str]:
-    """The report."""
+    """Yield the lines of the report."""
     made = {task.model: MadeModel.read(task.folder) for task in tasks}
     if settings.noise != "none":
         yield "depth with the errors of a Kinect v1; the full shapes are exact"

@@ -1,4 +1,4 @@
-"""The virtual camera: viewing angles, position, and depth, without noise or as a Kinect measures it."""
+"""The virtual camera: viewing angles, pose, and depth without noise or as measured by a Kinect."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -11,10 +11,10 @@ from kinectbench.core.geometry import Camera, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import raycaster
 
 FIELD_OF_VIEW_RAD = float(np.radians(49.124))
-# The upright frame (x right, y away, z up) as seen by an optical camera that looks along +y.
+# Rotation from the upright frame (x right, y away, z up) to an optical camera that looks along +y.
 CAMERA_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-# Of infrared light: a grey wall's, as `KinectNoise.weakest_signal` has it. A Kinect without sun, whose
-# distortion is typical.
+# A Kinect with typical distortion, without sun, before a surface with the infrared albedo of a grey wall (see
+# `KinectNoise.weakest_signal`).
 ALBEDO, SUNLIGHT, DISTORTION = 0.6, 0.0, 1.0
 UPRIGHT_MODEL = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
@@ -24,8 +24,8 @@ class ViewAngles:
     """One orientation of the object, as steps of 2 pi / n.
 
     Attributes:
-        steps: of roll, pitch and yaw, each from 0 to n - 1.
-        n: steps in a full turn.
+        steps: steps of roll, pitch and yaw, each from 0 to n - 1.
+        n: number of steps in a full turn.
     """
 
     steps: tuple[int, int, int]
@@ -33,31 +33,31 @@ class ViewAngles:
 
     @property
     def angles_rad(self) -> tuple[float, float, float]:
-        """Roll, pitch, yaw."""
+        """Roll, pitch and yaw, radians."""
         roll, pitch, yaw = (2 * np.pi * step / self.n for step in self.steps)
         return roll, pitch, yaw
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """(3, 3), turns the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes."""
+        """The rotation (3, 3) of the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes."""
         roll, pitch, yaw = self.angles_rad
         return _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
 
     @property
     def name(self) -> str:
-        """`<roll>_<pitch>_<yaw>`, as the authors' file names end."""
+        """`<roll>_<pitch>_<yaw>`, the ending of the authors' file names."""
         return "_".join(map(str, self.steps))
 
 
 def all_views(n: int) -> tuple[ViewAngles, ...]:
-    """The n^3 orientations of a group of views, yaw running fastest (paper, Sec. 3.6: n = 5 and 6)."""
+    """Return the n^3 orientations of a group of views, yaw running fastest (paper, Sec. 3.6: n = 5 and 6)."""
     return tuple(
         ViewAngles((roll, pitch, yaw), n) for roll, pitch, yaw in product(range(n), range(n), range(n))
     )
 
 
 def virtual_camera(image_px: int) -> Camera:
-    """The authors' camera: field of view 49.124 degrees, principal point at half the width."""
+    """Return the authors' camera: field of view 49.124 degrees, principal point at half the width."""
     focal_px = image_px / (2 * np.tan(FIELD_OF_VIEW_RAD / 2))
     return Camera(image_px, image_px, focal_px, focal_px, image_px / 2, image_px / 2)
 
@@ -65,21 +65,21 @@ def virtual_camera(image_px: int) -> Camera:
 def camera_pose(
     vertices_world: NDArray[np.float64], view: ViewAngles, camera: Camera, up: Literal["y", "z"]
 ) -> NDArray[np.float64]:
-    """The camera's pose for a view: T_world_camera (4, 4), in the model's own frame.
+    """Return the camera's pose for a view: T_world_camera (4, 4), in the model's own frame.
 
-    The camera is turned instead of the object, about the centre of the object's box. Its distance is the
-    one at which the ball around the box's centre that holds all vertices just fits into the image, so that
-    the object fits in every orientation; it is the same for all views of a model.
+    Instead of the object, the camera turns about the centre of the object's box. Its distance is such that a
+    ball around the centre that contains all vertices just fits into the image. So the object fits in every
+    orientation, and the distance is the same for all views of a model.
 
     Args:
-        vertices_world: (n, 3), the model, or just the corners of its convex hull.
-        view: its orientation.
+        vertices_world: (n, 3), the model's vertices, or only the corners of its convex hull.
+        view: the orientation.
         camera: the virtual camera.
-        up: axis of the model that points up in the view 0_0_0.
+        up: the axis of the model that points up in the view 0_0_0.
     """
     centre = (vertices_world.min(axis=0) + vertices_world.max(axis=0)) / 2
     radius_m = float(np.linalg.norm(vertices_world - centre, axis=1).max())
-    # The principal point lies half a pixel off the middle: the nearer borders decide.
+    # The principal point is half a pixel off the middle, so the nearer borders decide.
     border_px = camera.width - 0.5 - camera.cx
     distance_m = radius_m / np.sin(np.arctan2(border_px, camera.fx))
     rotation_world_camera = (CAMERA_UPRIGHT @ view.rotation @ UPRIGHT_MODEL[up]).T
@@ -87,17 +87,17 @@ def camera_pose(
 
 
 def hull_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The vertices (k, 3) of (n, 3) that a box in any orientation can touch."""
+    """Return those of the vertices (n, 3) that a box in any orientation can touch: (k, 3)."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         return np.asarray(vertices[ConvexHull(vertices).vertices])
-    except (QhullError, ValueError):  # flat, or hardly any
+    except (QhullError, ValueError):  # flat, or hardly any vertices
         return vertices
 
 
 def _about(axis: int, angle_rad: float) -> NDArray[np.float64]:
-    """The (3, 3) rotation about a coordinate axis, by the right-hand rule."""
+    """Return the (3, 3) rotation about a coordinate axis, by the right-hand rule."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     rotation = np.eye(3)
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -109,7 +109,7 @@ class DepthCamera:
     """A virtual camera before a mesh, prepared once for all views.
 
     Attributes:
-        camera: its intrinsics.
+        camera: the camera's intrinsics.
         corners_world: (k, 3) corners of the mesh's convex hull.
     """
 
@@ -122,16 +122,16 @@ class DepthCamera:
         self._y = (np.arange(camera.height) - camera.cy) / camera.fy
 
     def depth_m(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Depth along z (height, width) float32 through integer pixel centres, 0 without a hit."""
+        """Render depth along z (height, width) float32 through integer pixel centres, 0 without a hit."""
         return self._seen(T_world_camera)[0]
 
     def kinect_depth_m(
         self, T_world_camera: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """The same as a Kinect v1 measures it, one of its own for each view; 0 where it measures nothing.
+        """Render depth as measured by a Kinect v1, another one for each view; 0 without a measurement.
 
         Args:
-            T_world_camera: (4, 4).
+            T_world_camera: (4, 4) pose of the camera.
             rng: draws the Kinect's distortion and its noise.
         """
         from kinectbench.lab.simulate.kinect import draw_device, measured_depth
@@ -143,9 +143,9 @@ class DepthCamera:
         return measured_depth(exact, self.camera, draw_device(self.camera, DISTORTION, SUNLIGHT, rng), rng)
 
     def _seen(self, T_world_camera: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Depth, and the cosine of incidence: both (height, width), 0 without a hit.
+        """Render depth and the cosine of incidence: both (height, width), 0 without a hit.
 
-        The rays are turned, not the mesh. Only those that can hit it are cast.
+        Rays are rotated instead of the mesh. Only rays that can hit the mesh are cast.
         """
         rows, columns = self._window(T_world_camera)
         x_axis, y_axis, z_axis = T_world_camera[:3, :3].T
@@ -163,7 +163,7 @@ class DepthCamera:
         return depth_m, cosine
 
     def _window(self, T_world_camera: NDArray[np.float64]) -> tuple[slice, slice]:
-        """The rows and columns that the mesh lies in."""
+        """Return the rows and columns of the image that can contain the mesh."""
         camera = self.camera
         points_camera = (self.corners_world - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
         pixels = camera.project(points_camera)

@@ -1,4 +1,4 @@
-"""The devices, a file each, and the table by which one is found."""
+"""The devices, one file each, and the table that finds them by name."""
 
 import importlib
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from kinectbench.core.extras import missing_extra
 from kinectbench.record.interface import Device
 from kinectbench.record.quiet import in_a_line, quiet
 
-# name -> "module:class"; without --device the first that is plugged in is taken.
+# name -> "module:class"; without --device the first device that is plugged in is used.
 DEVICES: dict[str, str] = {
     "realsense": "kinectbench.record.devices.realsense:RealSense",
     "kinect": "kinectbench.record.devices.kinect:Kinect",
@@ -21,13 +21,13 @@ DEVICES: dict[str, str] = {
 
 
 class ListedDevice(NamedTuple):
-    """What can be said of a device without opening it.
+    """What is known about a device without opening it.
 
     Attributes:
-        name: as `--device` has it.
-        cameras: which it is for.
+        name: the device's name for `--device`.
+        cameras: the cameras that it supports.
         plugged_in: names of the cameras that are plugged in.
-        absent: one line on what is not installed, and how to get it; "" = nothing.
+        absent: one line on what is not installed, and how to get it; "" if nothing is missing.
     """
 
     name: str
@@ -37,10 +37,10 @@ class ListedDevice(NamedTuple):
 
 
 def device_of(name: str) -> Device:
-    """The device of that name in DEVICES.
+    """Return the device of that name in DEVICES.
 
     Raises:
-        SettingsError: there is none.
+        SettingsError: there is no such device.
     """
     if name not in DEVICES:
         raise SettingsError(f"--device {name}: no such device; there are {', '.join(DEVICES)}")
@@ -50,14 +50,14 @@ def device_of(name: str) -> Device:
 
 
 def listed_devices() -> Iterator[ListedDevice]:
-    """Each device: what is plugged in, or what it lacks."""
+    """Yield each device, with the cameras that are plugged in, or what is not installed."""
     for name in DEVICES:
         device = device_of(name)
         absent, found = missing_extra(device.extra) or "", tuple[str, ...]()
         try:
             with quiet():
                 found = () if absent else device.plugged_in()
-        except Exception as error:  # its library lacks one of its own
+        except Exception as error:  # libraries raise their own kinds
             absent = in_a_line(error)
         if absent and device.system:
             absent += f"; it needs {device.system}"
@@ -65,11 +65,11 @@ def listed_devices() -> Iterator[ListedDevice]:
 
 
 def device_to_use(name: str | None) -> Device:
-    """The device of that name, with all that it needs; or the first that is plugged in.
+    """Return the device of that name, or the first that is plugged in; all that it needs must be installed.
 
     Raises:
-        SettingsError: there is none of that name, or what it needs is not installed.
-        CaptureError: none is plugged in.
+        SettingsError: there is no device of that name, or what it needs is not installed.
+        CaptureError: no device is plugged in.
     """
     if name is not None:
         device = device_of(name)

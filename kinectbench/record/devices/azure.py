@@ -1,4 +1,4 @@
-"""Azure Kinect by Microsoft's SDK: depth of its narrow mode, colour as the JPEG that the camera makes."""
+"""Azure Kinect by Microsoft's SDK: depth in its narrow mode; colour stays the JPEG that it encodes."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from kinectbench.stages.ingest.undistortion import Undistortion
 if TYPE_CHECKING:
     from pyk4a import PyK4ACapture
 
-# Sizes of NFOV_UNBINNED and of RES_720P.
+# Sizes of the modes NFOV_UNBINNED and RES_720P.
 DEPTH_PX, COLOR_PX = (640, 576), (1280, 720)
 
 
@@ -28,13 +28,13 @@ class AzureKinect(Device):
     system = "its depth engine, which is closed and needs a display (DISPLAY) on Linux"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their numbers."""
+        """Return the numbers of the cameras."""
         import pyk4a
 
         return tuple(f"Azure Kinect {number}" for number in range(pyk4a.connected_device_count()))
 
     def open(self) -> Setup:
-        """Start both cameras, in step."""
+        """Start both cameras, synchronised."""
         import pyk4a
 
         if not pyk4a.connected_device_count():
@@ -60,19 +60,19 @@ class AzureKinect(Device):
         return Setup(camera, MM_PER_M, False, calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Depth as pinhole images: each pixel has the depth of the nearest that was measured."""
+        """Yield depth as pinhole images: each pixel has the nearest depth that was measured in it."""
         for capture in polled(self._next, self.name):
             depth, color = capture.depth, capture.color
             if depth is None:
                 continue
             image = self._undistortion.depth(np.asarray(depth, np.uint16))
             jpeg = None if color is None else (".jpg", bytes(np.asarray(color, np.uint8)))
-            # Stamps are in microseconds of the device.
+            # The device's stamps are in microseconds.
             color_ns = None if color is None else capture.color_timestamp_usec * 1000
             yield Frame(capture.depth_timestamp_usec * 1000, image, jpeg, color_ns)
 
     def close(self) -> None:
-        """Stop it."""
+        """Stop the camera."""
         if hasattr(self, "_device"):
             self._device.stop()
 

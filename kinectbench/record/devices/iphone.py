@@ -13,7 +13,7 @@ from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.images import FLOAT_SCALE, quantised
 from kinectbench.stages.ingest.recording import ColorCalibration
 
-# ARKit's confidence is 0, 1 or 2; below 2 the readers of phones take no depth either.
+# ARKit's confidence is 0, 1 or 2; the readers of phone recordings discard depth below 2, too.
 LEAST_CONFIDENCE = 2
 
 
@@ -26,13 +26,13 @@ class IPhone(Device):
     system = "the app Record3D with USB streaming switched on; on Linux usbmuxd: `apt install usbmuxd`"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their identifiers."""
+        """Return the identifiers of the phones."""
         from record3d import Record3DStream
 
         return tuple(each.udid for each in Record3DStream.get_connected_devices())
 
     def open(self) -> Setup:
-        """Connect, and wait for the first frame, which says its size."""
+        """Connect, and wait for the first frame, which gives the image sizes."""
         from record3d import Record3DStream
 
         found = Record3DStream.get_connected_devices()
@@ -47,7 +47,8 @@ class IPhone(Device):
         self._first = next(polled(self._next, self.name))
         said, shape = self._stream.get_intrinsic_mat(), self._stream.get_rgb_frame().shape
         height, width = self._first.depth.shape
-        # Intrinsics are of colour; tx and ty are its principal point. Pixel centres are integers.
+        # Record3D gives the intrinsics of colour; tx and ty are the principal point. Pixel centres are
+        # integers.
         color = Camera(shape[1], shape[0], said.fx, said.fy, said.tx, said.ty)
         x, y = width / color.width, height / color.height
         cx, cy = (said.tx + 0.5) * x - 0.5, (said.ty + 0.5) * y - 0.5
@@ -57,12 +58,12 @@ class IPhone(Device):
         return Setup(camera, FLOAT_SCALE, False, ColorCalibration(color, (), np.eye(4)))
 
     def frames(self) -> Iterator[Frame]:
-        """Each frame when it has come by the cable: the library gives no stamps, so that is its stamp."""
+        """Yield each frame; its stamp is its time of arrival, as the library gives none."""
         yield self._first
         yield from polled(self._next, self.name)
 
     def close(self) -> None:
-        """Let it go."""
+        """Disconnect from the phone."""
         if hasattr(self, "_stream"):
             self._stream.disconnect()
 
@@ -77,9 +78,9 @@ class IPhone(Device):
         self._came.clear()
         stamp_ns = time.monotonic_ns()
         metres: Float32 = np.array(self._stream.get_depth_frame(), np.float32)
-        with np.errstate(invalid="ignore"):  # of what is no depth
+        with np.errstate(invalid="ignore"):  # values that are no depth
             depth = quantised(metres)
         confidence = np.asarray(self._stream.get_confidence_frame())
-        if confidence.shape == depth.shape:  # Face ID's camera has none
+        if confidence.shape == depth.shape:  # Face ID's camera has no confidence
             depth = np.where(confidence >= LEAST_CONFIDENCE, depth, np.uint16(0))
         return Frame(stamp_ns, depth, np.array(self._stream.get_rgb_frame(), np.uint8))

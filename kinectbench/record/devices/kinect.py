@@ -1,4 +1,4 @@
-"""Kinect for Xbox 360 and for Windows v1 by libfreenect: depth is registered to colour by it."""
+"""Kinect for Xbox 360 and for Windows v1 by libfreenect, which registers depth to colour."""
 
 from collections.abc import Iterator
 
@@ -10,9 +10,9 @@ from kinectbench.core.geometry import Camera
 from kinectbench.core.types import MM_PER_M, Rgb
 from kinectbench.record.interface import Device, Frame, Setup
 
-# What ROS's openni_launch has for it where nobody calibrated it: depth lies on colour's pixels.
+# Default intrinsics of ROS's openni_launch for an uncalibrated Kinect whose depth is registered to colour.
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
-# Its clock counts 60 MHz in 32 bits: it begins again every 72 s (libfreenect, "timestamp").
+# The Kinect's clock counts 60 MHz in 32 bits: it wraps every 72 s (libfreenect, "timestamp").
 TICKS_PER_S, TICKS = 60_000_000, 1 << 32
 
 
@@ -25,7 +25,7 @@ class Kinect(Device):
     system = "libfreenect itself: `apt install libfreenect-dev`"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their numbers."""
+        """Return the numbers of the cameras."""
         import freenect
 
         context = freenect.init()
@@ -35,13 +35,13 @@ class Kinect(Device):
         return tuple(f"Kinect {number}" for number in range(count))
 
     def open(self) -> Setup:
-        """Start depth, registered to colour, in mm."""
+        """Start depth in mm, registered to colour."""
         if not self.plugged_in():
             raise CaptureError(f"{self.name}: no camera is plugged in")
         return Setup(CAMERA, MM_PER_M, True)
 
     def frames(self) -> Iterator[Frame]:
-        """The newest depth, and the newest colour."""
+        """Yield the newest depth with the newest colour."""
         import freenect
 
         ticks, clock = None, 0
@@ -57,13 +57,13 @@ class Kinect(Device):
                 continue
             clock += 0 if ticks is None else (depth_ticks - ticks) % TICKS
             ticks = depth_ticks
-            # Less than half a turn of the clock lies between both images.
+            # The stamps of both images differ by less than half a wrap of the clock.
             apart = (color_ticks - depth_ticks + TICKS // 2) % TICKS - TICKS // 2
             stamp_ns, color_ns = (of * 1_000_000_000 // TICKS_PER_S for of in (clock, clock + apart))
             yield Frame(stamp_ns, np.array(depth, np.uint16), np.array(rgb, np.uint8), color_ns)
 
     def close(self) -> None:
-        """Stop its streams."""
+        """Stop the streams."""
         import freenect
 
         freenect.sync_stop()

@@ -1,4 +1,4 @@
-"""PrimeSense, Xtion and Astra by OpenNI 2: depth is registered to colour by the camera itself."""
+"""PrimeSense, Xtion and Astra by OpenNI 2; the camera itself registers depth to colour."""
 
 import sysconfig
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled
 if TYPE_CHECKING:
     from openni.openni2 import VideoFrame
 
-# VGA at 30 Hz: the largest mode of a PrimeSense sensor in which depth lies on colour.
+# VGA at 30 Hz: the largest mode of a PrimeSense sensor with depth registered to colour.
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 
 
@@ -30,7 +30,7 @@ class OpenNI(Device):
     )
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their addresses."""
+        """Return the addresses of the cameras."""
         return tuple(map(_text, _library().Device.enumerate_uris()))
 
     def open(self) -> Setup:
@@ -50,7 +50,7 @@ class OpenNI(Device):
             stream.start()
         device.set_depth_color_sync_enabled(True)
         self._device = device
-        # OpenNI gives the angles that images span, and nothing else of the lens.
+        # OpenNI gives the fields of view, and no other intrinsics.
         fx = WIDTH / 2 / tan(self._depth.get_horizontal_fov() / 2)
         fy = HEIGHT / 2 / tan(self._depth.get_vertical_fov() / 2)
         return Setup(
@@ -58,7 +58,7 @@ class OpenNI(Device):
         )
 
     def frames(self) -> Iterator[Frame]:
-        """Depth and colour of one time, as the camera pairs them."""
+        """Yield depth and colour of the same time, as the camera pairs them."""
         last: int | None = None
         for depth, color in polled(self._next, self.name):
             if last is not None:
@@ -82,7 +82,7 @@ class OpenNI(Device):
 
 
 def _library() -> Any:
-    """OpenNI 2, initialised: where OPENNI2_REDIST says, or where Debian has it."""
+    """Return OpenNI 2, initialised from OPENNI2_REDIST or from Debian's folder."""
     from openni import openni2
 
     if not openni2.is_initialized():

@@ -1,4 +1,4 @@
-"""Orbbec's Femto and Gemini by Orbbec's SDK: colour as the JPEG that the camera makes."""
+"""Orbbec's Femto and Gemini by Orbbec's SDK; colour stays the JPEG that the camera encodes."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from kinectbench.stages.ingest.undistortion import Undistortion
 if TYPE_CHECKING:
     from pyorbbecsdk import FrameSet, OBCameraDistortion, OBCameraIntrinsic
 
-# The order of OpenCV; Orbbec's Brown model has the same coefficients.
+# OpenCV's order; Orbbec's Brown model has the same coefficients.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -27,7 +27,7 @@ class Orbbec(Device):
     extra = "record-orbbec"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their names and serial numbers."""
+        """Return names and serial numbers of the cameras."""
         ob = _sdk()
         found = ob.Context().query_devices()
         return tuple(
@@ -36,7 +36,7 @@ class Orbbec(Device):
         )
 
     def open(self) -> Setup:
-        """Start depth and colour in their usual modes, in step; the first frames say the depth's unit."""
+        """Start depth and colour in their usual modes, synchronised; the first frames give the depth unit."""
         ob = _sdk()
         if not self.plugged_in():
             raise CaptureError(f"{self.name}: no camera is plugged in")
@@ -44,7 +44,7 @@ class Orbbec(Device):
         depths = pipeline.get_stream_profile_list(ob.OBSensorType.DEPTH_SENSOR)
         depth_profile = depths.get_default_video_stream_profile()
         colors = pipeline.get_stream_profile_list(ob.OBSensorType.COLOR_SENSOR)
-        # A width and height of 0 are any; the SDK takes the first of that format.
+        # A size of 0 means any; the SDK takes the first profile of that format.
         color_profile = colors.get_video_stream_profile(1280, 0, ob.OBFormat.MJPG, 30)
         config.enable_stream(depth_profile)
         config.enable_stream(color_profile)
@@ -58,7 +58,7 @@ class Orbbec(Device):
         bent = _distortion(depth_profile.get_distortion())
         self._undistortion = Undistortion(camera, bent) if any(bent) else None
         place = depth_profile.get_extrinsic_to(color_profile)
-        # The SDK has translations in mm.
+        # The SDK's translations are in mm.
         T_color_depth = rigid(np.reshape(place.rot, (3, 3)), np.ravel(place.transform) / MM_PER_M)
         color_bent = _distortion(color_profile.get_distortion())
         calibration = ColorCalibration(
@@ -67,7 +67,7 @@ class Orbbec(Device):
         return Setup(camera, MM_PER_M / mm_a_unit, False, calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Depth as pinhole images, and the colour of the same time."""
+        """Yield depth as pinhole images, with the colour of the same time."""
         last: int | None = None
         yield self._frame(self._first)
         for found in polled(self._next, self.name):
@@ -83,7 +83,7 @@ class Orbbec(Device):
             self._pipeline.stop()
 
     def _next(self) -> "FrameSet | None":
-        """A pair of frames; None: none came."""
+        """Return the next pair of frames; None if none arrived."""
         found = self._pipeline.wait_for_frames(POLL_MS)
         if found is None or found.get_depth_frame() is None or found.get_color_frame() is None:
             return None
@@ -100,7 +100,7 @@ class Orbbec(Device):
 
 
 def _sdk() -> Any:
-    """Orbbec's SDK, which else writes a folder Log/ where one works."""
+    """Return Orbbec's SDK; without this setting it would write a folder Log/ into the working folder."""
     import pyorbbecsdk as ob
 
     ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")

@@ -1,4 +1,4 @@
-"""RealSense cameras by librealsense, sensor by sensor: its pipeline would leave out frames at the start."""
+"""RealSense cameras by librealsense, sensor by sensor: its pipeline would drop frames at the start."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,24 +14,24 @@ from kinectbench.stages.ingest.recording import ColorCalibration
 if TYPE_CHECKING:
     import pyrealsense2 as rs
 
-# Width, height and rate that all D400 and L500 have for depth and for colour; else the first that there is.
+# Width, height and rate that all D400 and L500 offer for depth and colour; else the first profile is used.
 USUAL = (640, 480, 30)
-# Frames that wait in librealsense's own queue: one second.
+# Frames that librealsense's queue holds: one second.
 QUEUE = 90
 
 
 class RealSense(Device):
-    """The first RealSense; or a file that librealsense recorded, played back by itself."""
+    """The first RealSense; or a file recorded by librealsense, which librealsense plays back."""
 
     name = "realsense"
     cameras = "RealSense D400 and L500"
     extra = "record-realsense"
 
     def __init__(self, file: Path | None = None) -> None:
-        """Nothing is opened.
+        """Prepare the device without opening it.
 
         Args:
-            file: a recording of librealsense that takes the camera's place.
+            file: a recording of librealsense that is played back instead of a camera.
         """
         self._file = file
         self._started: list[rs.sensor] = []
@@ -39,7 +39,7 @@ class RealSense(Device):
         self._last: int | None = None
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Their names and serial numbers."""
+        """Return names and serial numbers of the cameras."""
         import pyrealsense2 as rs
 
         words = (rs.camera_info.name, rs.camera_info.serial_number)
@@ -83,12 +83,12 @@ class RealSense(Device):
             self._started.append(sensor)
             sensor.start(self._queue)
         camera = _camera(depth.as_video_stream_profile().get_intrinsics())
-        # Stored as float32: 0.001 comes back as 0.0010000000474.
+        # The unit is stored as float32: 0.001 is read as 0.0010000000474.
         scale = float(np.round(1 / units_m, 3))
         return Setup(camera, scale, False, _calibration(depth, profiles.get(rs.stream.color)))
 
     def frames(self) -> Iterator[Frame]:
-        """Each depth image once the next has come, with the colour nearest to it in time."""
+        """Yield each depth image, after the next has arrived, with the colour nearest in time."""
         import pyrealsense2 as rs
 
         held: rs.frame | None = None
@@ -109,14 +109,14 @@ class RealSense(Device):
                 held = each
 
     def close(self) -> None:
-        """Stop and close its sensors."""
+        """Stop and close the sensors."""
         while self._started:
             sensor = self._started.pop()
             sensor.stop()
             sensor.close()
 
     def _next(self) -> "rs.frame | Literal[False] | None":
-        """What came; None: nothing; False: the file is at its end."""
+        """Return the next frame; None if none arrived; False at the end of the file."""
         import pyrealsense2 as rs
 
         there, frame = self._queue.try_wait_for_frame(POLL_MS)
@@ -127,7 +127,7 @@ class RealSense(Device):
         return None
 
     def _frame(self, depth: "rs.frame", colors: list["rs.frame"], felt: tuple[Acceleration, ...]) -> Frame:
-        """A depth image, and the nearest colour; older ones go."""
+        """Return a depth image with the nearest colour; older colours are dropped."""
         number, stamp_ns = depth.get_frame_number(), _stamp_ns(depth)
         if self._last is not None:
             self.missed += max(number - self._last - 1, 0)
@@ -142,14 +142,14 @@ class RealSense(Device):
         return Frame(stamp_ns, image, rgb, _stamp_ns(color), felt)
 
     def _felt(self, frame: "rs.frame") -> Acceleration:
-        """In the axes of depth; librealsense measures m/s^2."""
+        """Return an acceleration in the axes of depth; librealsense measures m/s^2."""
         said = frame.as_motion_frame().get_motion_data()
         x, y, z = (self._R_depth_accel @ [said.x, said.y, said.z]).tolist()
         return Acceleration(_stamp_ns(frame), (x, y, z))
 
 
 def _stamp_ns(frame: "rs.frame") -> int:
-    """Its stamp, which librealsense has in ms."""
+    """Return a frame's stamp in nanoseconds; librealsense gives ms."""
     milliseconds: float = frame.get_timestamp()
     return round(milliseconds * 1e6)
 
@@ -157,7 +157,7 @@ def _stamp_ns(frame: "rs.frame") -> int:
 def _usual(
     profiles: Sequence["rs.stream_profile"], stream: "rs.stream", form: "rs.format"
 ) -> "rs.stream_profile | None":
-    """The usual profile of a stream in a format, or its first; None: there is none."""
+    """Return the usual profile of a stream in a format, else its first; None if there is none."""
     found = [each for each in profiles if each.stream_type() == stream and each.format() == form]
     for each in found:
         if each.is_video_stream_profile():
@@ -175,7 +175,7 @@ def _calibration(depth: "rs.stream_profile", color: "rs.stream_profile | None") 
     if color is None:
         return None
     said, place = color.as_video_stream_profile().get_intrinsics(), depth.get_extrinsics_to(color)
-    # librealsense has the rotation column by column.
+    # librealsense stores rotations column by column.
     T_color_depth = rigid(np.reshape(place.rotation, (3, 3)).T, place.translation)
     distortion = tuple(map(float, said.coeffs)) if any(said.coeffs) else ()
     return ColorCalibration(_camera(said), distortion, T_color_depth)

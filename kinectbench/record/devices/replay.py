@@ -1,4 +1,4 @@
-"""Any recording that is read, as a camera that gives its frames at their own pace."""
+"""Plays any readable recording as if it were a camera, at its own speed."""
 
 import time
 from collections import deque
@@ -14,33 +14,33 @@ from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import RawFrame
 
-# Frames that a camera's driver keeps for whoever is late: as many buffers as librealsense has the kernel's
-# driver keep (DEFAULT_V4L2_FRAME_BUFFERS).
+# Frames kept for a late consumer: as many buffers as librealsense requests from the kernel's driver
+# (DEFAULT_V4L2_FRAME_BUFFERS).
 KEPT = 4
 
 
 class Replay(Device):
-    """A recording in place of a camera; it has no poses, as a camera has none."""
+    """A recording in place of a camera; like a camera, it has no poses."""
 
     name = "replay"
     cameras = "any recording that is read"
 
     def __init__(self, path: Path, speed: float = 1.0, camera: CameraSettings | None = None) -> None:
-        """Nothing is opened.
+        """Prepare the device without opening the recording.
 
         Args:
-            path: of the recording.
-            speed: how many times as fast as it was recorded.
-            camera: values that win over what it says.
+            path: the recording's file or folder.
+            speed: playback speed; 1 is the speed of the recording.
+            camera: settings that override values of the recording.
         """
         self._path, self._speed, self._settings = path, speed, camera
 
     def plugged_in(self) -> tuple[str, ...]:
-        """The recording, if it is there."""
+        """Return the recording's path, if it exists."""
         return (str(self._path),) if self._path.exists() else ()
 
     def open(self) -> Setup:
-        """Open the recording, as a build does; one thread opens and reads it."""
+        """Open the recording as a build does, on the one thread that also reads it."""
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="replay")
         self._recording = self._pool.submit(open_recording, self._path, self._settings).result()
         if not len(self._recording):
@@ -49,7 +49,7 @@ class Replay(Device):
         return Setup(said.camera, said.depth_scale, said.color_registered, said.color_calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Each frame when its time has come; one that is taken too late is missed."""
+        """Yield each frame at its time; a frame that is requested too late counts as missed."""
         stamps_ns = self._recording.stamps_ns
         due_s = ((stamps_ns - stamps_ns[0]) / NS_PER_S / self._speed).tolist()
         started_s: float | None = None
@@ -71,7 +71,7 @@ class Replay(Device):
             self._pool.shutdown(cancel_futures=True)
 
     def _read_ahead(self) -> Iterator[RawFrame | None]:
-        """The frames in their order, a few of them read before they are asked for; None: it is damaged."""
+        """Yield the frames in order, a few of them read ahead; None for a damaged frame."""
         reading: deque[Future[RawFrame | None]] = deque()
         for index in range(len(self._recording)):
             reading.append(self._pool.submit(self._read, index))

@@ -1,1 +1,1 @@
-"""The guide: says while one records what is still unseen, and shows it on a page."""
+"""The guide: tells whoever records what is still unseen, and shows it on a page."""

@@ -1,4 +1,4 @@
-"""The guide: what the tracker, the look at what was seen, and the rule of the sentences say of each frame."""
+"""The guide: tracks each frame, looks at what was seen of the object, and chooses a sentence."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -29,35 +29,36 @@ from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.segment.find.picked import point_under
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
-# The graph is made and what was seen is looked at so often, by the clock of the frames, if a new keyframe
-# came: every 3 s the trajectory as it was said was 2.05 mm off, every 1.5 s 1.87 (600 simulated frames).
+# Interval, by the clock of the frames, at which the graph is built and the object is looked at, if a new
+# keyframe was added. With 3 s the trajectory was 2.05 mm off while recording, with 1.5 s 1.87 mm (600
+# simulated frames).
 LOOK_EVERY_S = 1.5
-# Speeds are means of about so long, of so many frames at most: a hand shakes at several Hz.
+# A speed is a mean over about this time, and over at most so many frames: a hand shakes at several Hz.
 SPEED_S, SPEED_FRAMES = 0.5, 60
-# The number of a frame among the tracker's, and a point (3,) in its camera frame, metres.
+# The index of a frame in the tracker, and a point (3,) in its camera frame, metres.
 Picked: TypeAlias = tuple[int, Float64]
-# Why a pixel is not picked.
+# Messages why a pixel is not accepted.
 NOTHING_THERE = "nothing was measured there: click another spot of the object"
 FLOOR_THERE = "that is the floor: click the object, above where it stands"
-# A ball around the object fills the picture but for a margin.
+# A ball of the object's size fills the picture except for this margin.
 MARGIN = 1.1
-# The path is shown by as many points.
+# Number of points that show the path.
 PATH_POINTS = 400
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What is to be shown after a frame.
+    """What the page shows after a frame.
 
     Attributes:
-        number: of the frame in the recording.
-        advice: the sentence.
-        lost: the camera has no pose.
-        distance_m: from the camera to the middle of the object; None: it is not known yet.
-        speed_mps: of the camera, metres a second.
+        number: the frame's number in the recording.
+        advice: the sentence, with what it asks for.
+        lost: whether the camera has no pose.
+        distance_m: from the camera to the middle of the object, metres; None: not known yet.
+        speed_mps: speed of the camera, metres a second.
         T_world_camera: (4, 4), the first frame defines the world; None: the camera is lost.
-        T_floor_camera: (4, 4), or None: the floor is not known, or the camera is lost.
-        looks: how often the object was looked at: another mesh is there when it has grown.
+        T_floor_camera: (4, 4); None: the floor is not known, or the camera is lost.
+        looks: number of looks at the object so far; each look brings a new mesh.
     """
 
     number: int
@@ -74,17 +75,17 @@ class Guide:
     """Guides whoever records with one camera.
 
     Attributes:
-        tracker: its keyframes.
-        seen: the last look; None before the first.
-        ring: directions that the object was seen from.
+        tracker: tracks the camera and keeps the keyframes.
+        seen: the last look at the object; None before the first.
+        ring: directions from which the object was seen.
     """
 
     def __init__(self, setup: Setup, *, beside: bool = True) -> None:
-        """Nothing was seen.
+        """Start without frames.
 
         Args:
             setup: the device's cameras.
-            beside: look on a thread of its own, while frames go on.
+            beside: whether looks run on a separate thread while frames arrive.
         """
         self._setup = setup
         self.tracker, self.ring = LiveTracker(setup), Ring()
@@ -93,12 +94,12 @@ class Guide:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
         self._look: Future[tuple[KeyframeGraph, ObjectLook | None]] | None = None
         self._picked: Picked | None = None
-        # A click comes on the page's thread: it sees no world that has moved without the floor.
+        # A click arrives on the page's thread; the lock keeps the world and the floor consistent for it.
         self._moving = Lock()
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
-        """Track a frame, and say what is to be done."""
+        """Track a frame, and return what the page shows then."""
         self._look_again(frame.stamp_ns / NS_PER_S)
         T_world_camera = self.tracker.take(frame)
         T_floor_camera: Float64 | None = None
@@ -114,12 +115,12 @@ class Guide:
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
     def pick(self, frame: Frame, pixel: tuple[int, int], keep: Callable[[], None] = lambda: None) -> str:
-        """The object is what a pixel of a frame's depth shows; else why it is not, in a sentence.
+        """Choose the object at a pixel of a frame's depth; return "", or a sentence why it is not accepted.
 
         Args:
-            frame: one that was taken.
+            frame: a frame that was given to `take`.
             pixel: column and row.
-            keep: called before the pixel is taken; if it raises an error, the object is what it was.
+            keep: called before the object changes; if it raises an error, the object stays.
         """
         setup, index = self._setup, self.tracker.number_at(frame.stamp_ns)
         point = point_under(depth_in_metres(frame.depth, setup.depth_scale), setup.camera, pixel)
@@ -133,10 +134,10 @@ class Guide:
         return ""
 
     def _is_floor(self, index: int, point_camera: Float64) -> bool:
-        """Whether a point (3,) that a frame shows lies on the floor; False: that is not known.
+        """Return whether a point (3,) in a frame lies on the floor; False if that is not known.
 
-        Of a simulated chair and a table (four frames of each, 2,415 pixels of floor, 757 of things) one pixel
-        of floor passed, and none of a thing was refused.
+        Measured on a simulated chair and a table (four frames each; 2,415 pixels of floor, 757 of objects):
+        one floor pixel was accepted as object, and no object pixel was refused.
         """
         _, T_world_camera = self.tracker.poses([index])
         if self.seen is None or not len(T_world_camera):
@@ -145,7 +146,7 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Path, ring and box, for the page: metres, floor frame."""
+        """Return path, ring and box for the page: metres, floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()
@@ -159,12 +160,12 @@ class Guide:
         }
 
     def close(self) -> None:
-        """Wait for the last look."""
+        """Wait for the last look to end."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _look_again(self, now_s: float) -> None:
-        """Take the result of a look that is done; begin another one if it is time."""
+        """Take the result of a finished look; start another if it is time."""
         if self._look is not None and self._look.done():
             with self._moving:
                 self._take_look(*self._look.result())
@@ -183,7 +184,7 @@ class Guide:
 
     def _take_look(self, graph: KeyframeGraph, seen: ObjectLook | None) -> None:
         T_graph_before = self.tracker.go_on_from(graph)
-        if seen is None:  # too little was seen; the next look knows more
+        if seen is None:  # too little was seen so far
             if self.seen is not None:
                 self.seen = self.seen.moved(T_graph_before)
             return
@@ -193,7 +194,7 @@ class Guide:
         self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
-        """Count poses (n, 4, 4) that look at the object."""
+        """Count poses (n, 4, 4) whose cameras look at the object."""
         assert self.seen is not None
         center = np.array(self.seen.box.center_m)
         ways = center - T_floor_camera[:, :3, 3]
@@ -230,7 +231,7 @@ class Guide:
         return float(min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy)))
 
     def _measure_speed(self) -> None:
-        """Over the last half second or more, so that the hand's shake is no speed."""
+        """Measure the speed over at least the last half second, so that the hand's shake does not count."""
         stamps_ns, T_world = self.tracker.poses(self.tracker.newest(SPEED_FRAMES))
         before = np.flatnonzero(stamps_ns[-1] - stamps_ns >= SPEED_S * NS_PER_S)
         if not len(before):
@@ -243,7 +244,7 @@ class Guide:
 
 
 def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:
-    """The graph of the keyframes, and what they saw of the object; None: too little."""
+    """Return the graph of the keyframes, and the object as they saw it; None: too little was seen."""
     graph = known.graph()
     T_world_camera = None if picked is None else known.placed(graph, picked[0])
     at = None if picked is None or T_world_camera is None else transform_points(T_world_camera, picked[1])
@@ -254,7 +255,7 @@ def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:
-    """A mesh for the page: two uint32 counts, vertices (n, 3) float32, metres, and faces (m, 3) uint32."""
+    """Encode a mesh for the page: two uint32 counts, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
     counts: NDArray[np.uint32] = np.array([len(mesh.vertices), len(mesh.faces)], np.uint32)
     vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
     return counts.astype("<u4").tobytes() + vertices.tobytes() + faces.tobytes()

@@ -1,7 +1,7 @@
-"""What has been seen of the object so far: the package's own stages, coarsely, on the guide's keyframes.
+"""What has been seen of the object so far, by the package's own stages, coarsely, on the guide's keyframes.
 
-`fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and `find_frontiers` are those of a build.
-The frames are fewer and smaller, and the voxels larger.
+`fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and `find_frontiers` are the functions of a
+build. Here they get fewer and smaller frames, and larger voxels.
 """
 
 from dataclasses import dataclass, replace
@@ -28,27 +28,28 @@ from kinectbench.stages.segment.solid.solid import make_solid
 from kinectbench.stages.track.frame_maps import STORED_PER_M, MapCache, stored_depth
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
-# The object's longest edge has so many voxels: an opening of a twentieth of it is two voxels wide.
+# Number of voxels along the object's longest edge: an opening of a twentieth of it is two voxels wide.
 VOXELS_ALONG, FINEST_M = 40, 0.006
-# Keyframes that are fused, spread over the walk: 60 take 2 s beside the tracker on one core.
+# Most keyframes that are fused, spread over the path: 60 take 2 s beside the tracker on one core.
 MOST_KEYFRAMES = 60
 LEAST_KEYFRAMES = 3
-# Triangles that the page draws: 30,000 take 65 ms of software rendering (912x688 pixels, Chromium beside ten
-# other processes on two cores), 100,000 190 ms, 500,000 962 ms. 500,000 are reduced to them in half a second.
+# Triangles that the page draws. 30,000 take 65 ms of software rendering (912x688 pixels, Chromium beside ten
+# other processes on two cores), 100,000 take 190 ms, 500,000 take 962 ms. Reducing 500,000 to 30,000 takes
+# half a second.
 SHOWN_TRIANGLES = 30_000
 FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 
 @dataclass(frozen=True)
 class ObjectLook:
-    """The object as far as it was seen.
+    """The object as seen so far.
 
     Attributes:
         T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0.
         box: around the object, floor frame.
-        mesh: the object and what lies near it, floor frame.
-        frontiers: openings that no keyframe saw into, the largest first.
-        floor_cut_m: surface this near the floor is floor, metres; less for near cameras.
+        mesh: the object and its surroundings, floor frame.
+        frontiers: openings that no keyframe looked into, the largest first.
+        floor_cut_m: surface nearer to the floor than this counts as floor, metres; smaller for near cameras.
     """
 
     T_floor_world: Float64
@@ -58,14 +59,14 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """The same in another world, in which the one before lies so (4, 4); None: it does not lie in it."""
+        """Return the look in a new world, given the old world's pose (4, 4) in it; None if that is None."""
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
 
 
 class _Depths:
-    """The store of the keyframes."""
+    """A store of depth that is made of the keyframes."""
 
     def __init__(self, maps: MapCache, keyframes: Int64) -> None:
         self._maps, self._keyframes = maps, keyframes
@@ -78,15 +79,15 @@ class _Depths:
 
 
 def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = None) -> ObjectLook:
-    """Find the object in what the keyframes saw, and what of it they did not see.
+    """Find the object in the keyframes, and the openings that they did not look into.
 
     Args:
-        maps: of the keyframes, calibrated.
-        graph: at least `LEAST_KEYFRAMES`.
-        picked_world: (3,) a point on the object; None: the cameras look at it.
+        maps: calibrated depth maps of the keyframes.
+        graph: the keyframes' poses; at least `LEAST_KEYFRAMES`.
+        picked_world: (3,) a point on the object; None: the object is what the cameras look at.
 
     Raises:
-        SegmentationError: there is no floor, or nothing stands where the cameras look.
+        SegmentationError: there is no floor, or no object where the cameras look.
         ShapeError, TrackingError: too little was seen.
     """
     rows = np.flatnonzero(has_pose(graph.T_world))
@@ -111,7 +112,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """The faces within half the object's size of its box, floor frame; no more than the page can draw."""
+    """Return the faces within half the object's size of its box, floor frame, at most `SHOWN_TRIANGLES`."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
     return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)

@@ -1,4 +1,4 @@
-"""The guide in a process of its own, so that no work of it keeps the recorder from a frame."""
+"""The guide in a separate process, so that its work never delays the recorder."""
 
 import json
 import multiprocessing
@@ -23,28 +23,28 @@ from kinectbench.record.interface import Frame, Setup
 from kinectbench.record.quiet import in_a_line
 from kinectbench.settings.pick import PICK_FILE, PickSettings
 
-# The process is there after 2 to 5 s: libraries are loaded, and compiled functions read.
+# Time for the process to start: 2 to 5 s are usual, to load libraries and compiled functions.
 START_S = 120.0
-# A lost camera sees the last picture that had a pose; its longer side, pixels.
+# Longer side, pixels, of the picture that a lost camera gets: the last frame that had a pose.
 PICTURE_PX = 320
-# The process gives way to the recorder.
+# Niceness: the recorder gets the processor first.
 NICER = 5
-# The newest pictures that can be clicked: of the last second and a half.
+# Number of newest pictures that can be clicked: the last second and a half.
 KEPT_PICTURES = 6
 NO_CLICK = "that picture is gone: click the one that is shown"
-# The radius of the ring around what was picked, pixels of the small picture.
+# Radius of the ring around the clicked pixel, pixels of the small picture.
 RING_PX = 12
-# The newest figures of so many frames are kept for whoever measures.
+# Number of newest frames whose figures are kept for measurements.
 KEPT_FIGURES = 20_000
 
 
 class Said(NamedTuple):
-    """What the guide says of a frame.
+    """What the guide said after a frame.
 
     Attributes:
-        number: of the frame.
+        number: number of the frame.
         sentence: one line.
-        done_s: when, by the monotonic clock of this machine.
+        done_s: when the guide was done, by the monotonic clock of this machine, seconds.
         T_world_camera: (4, 4), the first frame defines the world; None: the camera is lost.
     """
 
@@ -55,23 +55,23 @@ class Said(NamedTuple):
 
 
 class GuideProcess:
-    """An observer of a recording: it hands frames to the guide's process, and keeps what it says.
+    """An observer of a recording: it hands frames to the guide's process, and keeps the guide's sentences.
 
     Attributes:
-        url: of the page.
-        sentence: what is to be done now; "" before the first frame.
-        said: of the newest frames.
+        url: URL of the page.
+        sentence: the current advice; "" before the first frame.
+        said: what the guide said after each of the newest frames.
     """
 
     def __init__(self, port: int = 0, folder: Path | None = None) -> None:
         """Start the process (spawned: threads do not survive a fork) and its page.
 
         Args:
-            port: of the page; 0: one that is free.
-            folder: the recording, where it is written what was clicked; None: it is written nowhere.
+            port: port of the page; 0: any free port.
+            folder: the recording, in which a click is stored; None: clicks are not stored.
 
         Raises:
-            SettingsError: the port cannot be had.
+            SettingsError: the port is not available.
             CaptureError: the process does not start.
         """
         context = multiprocessing.get_context("spawn")
@@ -94,11 +94,11 @@ class GuideProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
+        """Id of the process."""
         return self._process.pid
 
     def see(self, number: int, frame: Frame, setup: Setup) -> None:
-        """Have a frame looked at, and wait for what is said of it."""
+        """Send a frame to the guide, and wait for its answer."""
         try:
             self._mine.send((number, frame, setup))
             kind, what = self._mine.recv()
@@ -110,7 +110,7 @@ class GuideProcess:
         self.sentence = what.sentence
 
     def close(self) -> None:
-        """End the process, and its page."""
+        """End the process and its page."""
         with suppress(OSError):
             self._mine.close()
         self._process.join(timeout=10)
@@ -120,9 +120,9 @@ class GuideProcess:
 
 
 def _run(connection: Connection, port: int, folder: Path | None) -> None:
-    """In the process: serve the page, and look at one frame after another until the other end closes."""
+    """Run in the process: serve the page, and process frames until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder
-    warnings.simplefilter("ignore")  # the terminal has one line: that of the recorder
+    warnings.simplefilter("ignore")  # the recorder owns the terminal
     with suppress(OSError):
         os.nice(NICER)
     shown = _Shown(folder)
@@ -147,19 +147,19 @@ def _run(connection: Connection, port: int, folder: Path | None) -> None:
 
 
 class _Shown:
-    """What the page asks for; it is made when it is asked for."""
+    """Answers to the page's requests, computed when requested."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._guide: Guide | None = None
         self._last: Snapshot | None = None
         self._picture: tuple[int, Frame] | None = None
-        # By their numbers, the newest pictures that were asked for: what is clicked is one of them.
+        # The newest pictures that were requested, by number: a click is on one of them.
         self._asked: dict[int, Frame] = {}
         self._picked: tuple[PickSettings, Frame] | None = None
 
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
-        """Have the guide look at a frame."""
+        """Give a frame to the guide, and return what the page shows then."""
         if self._guide is None:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
@@ -168,7 +168,7 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Figures of the last frame."""
+        """Return the figures of the last frame."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None
@@ -183,15 +183,15 @@ class _Shown:
         return "application/json", json.dumps(value).encode()
 
     def mesh(self, query: str) -> tuple[str, bytes] | None:
-        """The object as it was last looked at."""
+        """Return the mesh of the last look at the object."""
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
     def pick(self, body: bytes) -> str:
-        """The object was clicked: `{"picture": number, "x": share of its width, "y": of its height}`.
+        """Handle a click on the object: `{"picture": number, "x": share of its width, "y": of its height}`.
 
         Returns:
-            Why it is not taken, in a sentence; "": it is.
+            A sentence why the click is not accepted; "" if it is.
         """
         try:
             said = json.loads(body)
@@ -217,17 +217,17 @@ class _Shown:
             return f"it is not kept: {error}"
 
     def picture(self, query: str) -> tuple[str, bytes] | None:
-        """The picture of that number, of the newest that have a pose."""
+        """Return the picture of that number, one of the newest with a pose."""
         frame = self._asked.get(int(query)) if query.isdecimal() and len(query) < 10 else None
         return None if frame is None else _jpeg(frame)
 
     def picked(self, query: str) -> tuple[str, bytes] | None:
-        """The picture that was clicked, with a ring around the pixel."""
+        """Return the clicked picture, with a ring around the pixel."""
         return None if self._picked is None else _jpeg(self._picked[1], self._picked[0].pixel)
 
 
 def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, bytes] | None:
-    """A frame as a small picture: colour, or depth as grey; a pixel of its depth is marked by a ring."""
+    """Return a frame as a small picture, colour or grey depth; `marked`, a depth pixel, gets a ring."""
     import cv2
 
     if isinstance(frame.color, tuple):

@@ -1,8 +1,8 @@
-"""What the guide says: one sentence at a time, by a stated rule from what was seen so far.
+"""The guide's sentences: one at a time, chosen by a fixed rule from what was seen so far.
 
-The first of these that holds is said: the camera is lost; it moves too fast; it is too near, or too far away;
-a side of the ring is unseen; an opening is unseen; openings are left, and a height of the ring is unseen;
-enough. A sentence stays for at least five seconds, but for that of a lost camera.
+The first condition that holds decides: the camera is lost; it moves too fast; it is too near, or too far
+away; a side of the ring is unseen; an opening is unseen; openings are left, and a height of the ring is
+unseen; enough was seen. A sentence stays for at least five seconds, unless the camera is lost.
 """
 
 from collections.abc import Sequence
@@ -19,44 +19,45 @@ Kind = Literal[
     "begin", "lost", "slower", "nearer", "farther", "left", "right", "higher", "lower", "top", "enough"
 ]
 
-# Directions from the object: 30 degrees apart seen from above, in three heights, as angles above the level.
+# Directions from the object: sectors of 30 degrees seen from above, and three ranges of elevation.
 SECTORS, HEIGHT_EDGES_RAD = 12, tuple(np.radians([15.0, 45.0]))
 HEIGHTS = ("low", "middle", "high")
-# So many frames from a direction are enough of it: a tenth of a second at 30 Hz.
+# A direction counts as seen after so many frames: a tenth of a second at 30 Hz.
 FRAMES_ENOUGH = 3
-# Too fast is a keyframe (`stages.track.odometry`) in less than a third of a second. Beyond it the tracker of
-# a build still follows, but pictures blur, and frames overlap less than a loop closure needs.
+# Too fast means a new keyframe (`stages.track.odometry`) in less than a third of a second. The tracker of a
+# build still follows beyond that, but pictures blur, and frames overlap less than a loop closure needs.
 FASTEST_SHIFT_PER_S, FASTEST_TURN_RAD_PER_S = 3 * KEYFRAME_SHIFT, 3 * KEYFRAME_TURN_RAD
-# Distances in units of that from which a ball around the object just fits into the picture. Nobody is sent
-# nearer than the least range of a Kinect (0.5 m, with a margin).
+# Distances as multiples of the distance from which a ball around the object just fits into the picture.
+# Nobody is sent nearer than the minimum range of a Kinect (0.5 m, with a margin).
 TOO_NEAR, TOO_FAR, LEAST_DISTANCE_M, MARGIN_M = 0.7, 2.0, 0.6, 0.2
-# An opening was looked into by a camera within this angle of where it is best seen from; after so many
-# keyframes from there, what still is not seen cannot be (chosen by hand).
+# A camera within this angle of an opening's best viewing direction looked into it; what is unseen after so
+# many such keyframes cannot be seen (chosen by hand).
 LOOKED_RAD, LOOKED_ENOUGH = np.radians(20.0), 2
-# Whoever is within these of a direction is there (chosen by hand: half a sector, and a third of a height).
+# A camera within these angles of a direction has reached it (chosen by hand: half a sector, and a third of a
+# height).
 THERE_TURN_RAD, THERE_RISE_RAD = np.radians(15.0), np.radians(10.0)
-# Whoever goes to an opening goes on by so much, so that two keyframes see into it (chosen by hand).
+# Angle by which the way to an opening goes beyond it, so that two keyframes look into it (chosen by hand).
 BEYOND_RAD = np.radians(10.0)
-# Steeper than this nobody walks around an opening: it is looked into from where one stands.
+# For a steeper opening nobody walks around the object: one looks into it from where one stands.
 STEEP_RAD = np.radians(60.0)
-# A camera is held no lower than this over the floor. An underside that it would see at a flatter angle than
-# this is left alone: its rays would graze it (chosen by hand).
+# A camera is held at least this high above the floor. An underside that it would see at a flatter angle than
+# the second value is skipped: rays would graze it (chosen by hand).
 LOWEST_M, LOOKS_UP_RAD = 0.2, np.radians(5.0)
-# A sentence stays so long at least, and another one must have held for so long before it is said. Whether
-# the camera is lost is said at once then: no other sentence helps whoever is lost.
+# A sentence stays at least so long, and the next must have held for so long before it is shown. While the
+# camera is lost, changes are shown at once: no other sentence helps then.
 STAYS_S, HOLDS_S = 5.0, 0.5
 
 
 class Advice(NamedTuple):
-    """A sentence, and what it asks for.
+    """A sentence, and what it asks the person to do.
 
     Attributes:
-        kind: of what.
+        kind: the kind of request.
         sentence: one line.
-        distance_m: where `nearer` and `farther` end, from the middle of the object: a sentence stays for five
-            seconds, in which whoever goes on would walk into the object.
-        turn_rad: how far `left` and `right` go around the object until the opening is seen into; None: on.
-        rise_rad: how far `higher`, `top` and `lower` go up or down around it; None: on.
+        distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
+            The page needs it because a sentence stays for five seconds.
+        turn_rad: how far to go `left` or `right` around the object to look into the opening; None: go on.
+        rise_rad: how far to go up or down around the object for `higher`, `top` and `lower`; None: go on.
     """
 
     kind: Kind
@@ -67,27 +68,28 @@ class Advice(NamedTuple):
 
 
 class Ring:
-    """Which directions the object was seen from.
+    """The directions from which the object was seen.
 
     Attributes:
-        frames: (12, 3) from each sector, counterclockwise from x of the floor frame, and height.
+        frames: (12, 3) number of frames from each sector (counterclockwise from the floor's x axis) and
+            height.
     """
 
     def __init__(self) -> None:
-        """Nothing was seen."""
+        """Start without frames."""
         self.frames: Int64 = np.zeros((SECTORS, len(HEIGHTS)), np.int64)
 
     def add(self, towards_rad: float, rise_rad: float) -> None:
-        """Count a frame taken from a direction: seen from above, and above the level."""
+        """Count a frame from a direction: azimuth and elevation around the object, radians."""
         self.frames[sector_of(towards_rad), height_of(rise_rad)] += 1
 
     @property
     def unseen_rad(self) -> Float64:
-        """Middles (n,) of the sectors that no height was seen of, radians."""
+        """Centres (n,) of the sectors that are unseen from every height, radians."""
         return _middles_rad(np.asarray((self.frames < FRAMES_ENOUGH).all(axis=1)))
 
     def unseen_at(self, height: int) -> Float64:
-        """Middles (n,) of the sectors that were not seen from one height, radians."""
+        """Return the centres (n,) of the sectors that are unseen from one height, radians."""
         return _middles_rad(self.frames[:, height] < FRAMES_ENOUGH)
 
 
@@ -96,16 +98,16 @@ class Situation:
     """Where the camera is, and what was seen; lengths in metres, floor frame.
 
     Attributes:
-        lost: the camera has no pose.
-        shift_per_s: how fast it moves, in its distance to the object a second.
-        turn_rad_per_s: how fast it turns.
-        position: (3,) of the camera; None: the object is not known yet.
-        center: (3,) of the object.
-        fits_m: from where a ball around the object just fits into the picture.
-        first_rad: direction from the object to where the recording began, seen from above.
-        ring: directions that were seen.
-        frontiers: openings that no keyframe saw into, the largest first.
-        positions: (n, 3) of the keyframes.
+        lost: whether the camera has no pose.
+        shift_per_s: speed of the camera, in distances to the object per second.
+        turn_rad_per_s: angular speed of the camera.
+        position: (3,) position of the camera; None: the object is not known yet.
+        center: (3,) centre of the object.
+        fits_m: distance at which a ball around the object just fits into the picture.
+        first_rad: azimuth from the object to the start of the recording.
+        ring: directions from which the object was seen.
+        frontiers: openings that no keyframe looked into, the largest first.
+        positions: (n, 3) positions of the keyframes.
     """
 
     lost: bool = False
@@ -121,7 +123,7 @@ class Situation:
 
 
 def advice(now: Situation) -> Advice:
-    """What is to be said of a situation."""
+    """Return the advice for a situation."""
     if now.lost:
         return Advice("lost", "lost: go back to where the picture shows")
     if now.shift_per_s > FASTEST_SHIFT_PER_S or now.turn_rad_per_s > FASTEST_TURN_RAD_PER_S:
@@ -142,18 +144,18 @@ def advice(now: Situation) -> Advice:
 
 
 def directions_of(points: Float64, center: Float64) -> tuple[Float64, Float64]:
-    """Directions (n,) from a centre (3,) to points (n, 3): seen from above, and above the level, radians."""
+    """Return azimuth and elevation (n,) of points (n, 3) around a centre (3,), radians."""
     x, y, z = (points - center).T
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
 def sector_of(towards_rad: float) -> int:
-    """The sector of the ring that a direction lies in."""
+    """Return the sector of the ring that a direction lies in."""
     return int(np.floor(towards_rad / (2 * np.pi) * SECTORS)) % SECTORS
 
 
 def height_of(rise_rad: float) -> int:
-    """The height of the ring that a direction lies in."""
+    """Return the height of the ring that a direction lies in."""
     return int(np.searchsorted(HEIGHT_EDGES_RAD, rise_rad))
 
 
@@ -162,7 +164,7 @@ def _middles_rad(sectors: Bools) -> Float64:
 
 
 def _around(now: Situation, position: Float64) -> Advice | None:
-    """The way to the nearest side that was not seen."""
+    """Return the way to the nearest unseen side; None if every side was seen."""
     unseen_rad = now.ring.unseen_rad
     if not len(unseen_rad):
         return None
@@ -171,7 +173,7 @@ def _around(now: Situation, position: Float64) -> Advice | None:
 
 
 def _into_openings(now: Situation, position: Float64) -> Advice | None:
-    """The way to where the largest opening is seen into that nobody tried to look into."""
+    """Return the way to the largest opening that nobody has tried to look into; None if there is none."""
     for each in now.frontiers:
         center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
         if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
@@ -181,7 +183,7 @@ def _into_openings(now: Situation, position: Float64) -> Advice | None:
         turn_rad = float(_wrapped(np.arctan2(look[1], look[0]) - towards_rad))
         at_top, too_high = each.direction == "up", at_rad - rise_rad > THERE_RISE_RAD
         too_low = rise_rad - at_rad > THERE_RISE_RAD
-        # Tops and undersides are looked at from any side: first the camera goes up, or down.
+        # Tops and undersides can be seen from any side, so the camera goes up or down first.
         first = (at_top and too_low) or (each.underside and too_high)
         if rise_rad < STEEP_RAD and abs(turn_rad) > THERE_TURN_RAD and not first:
             side = _side(towards_rad + turn_rad, now.first_rad)
@@ -200,7 +202,7 @@ def _into_openings(now: Situation, position: Float64) -> Advice | None:
 
 
 def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
-    """Where openings are left that were looked into in vain: around once more, from low, then from high."""
+    """Ask for another round from low, then from high, if openings stay unseen although looked into."""
     if all(each.obstructed or _rise_rad(each, now.fits_m) is None for each in now.frontiers):
         return None
     towards_rad, at_rad = (float(values[0]) for values in directions_of(position[None], now.center))
@@ -218,9 +220,9 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
 
 
 def _rise_rad(each: Frontier, fits_m: float) -> float | None:
-    """The height from which an opening is looked into, as an angle; None: a camera cannot be so low.
+    """Return the elevation from which to look into an opening; None if a camera cannot be that low.
 
-    From low above the floor one looks up into what lies higher, if not as steeply as would be best.
+    A camera low above the floor can look up into a higher opening, though less steeply than would be best.
     """
     lowest_rad = float(np.arcsin(np.clip((LOWEST_M - each.center_m[2]) / fits_m, -1, 1)))
     best_rad = float(np.arcsin(np.clip(each.look_from[2], -1, 1)))
@@ -230,7 +232,7 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Whether keyframes were taken from where an opening is seen into."""
+    """Return whether enough keyframes looked into an opening from its viewing direction."""
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))
@@ -242,20 +244,20 @@ def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> boo
 
 
 def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: str) -> Advice:
-    """The shorter way to the nearest of some directions."""
+    """Return the shorter way to the nearest of some directions."""
     turns_rad = _wrapped(unseen_rad - towards_rad)
     nearest = int(np.argmin(np.abs(turns_rad)))
     return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
 
 
 def _sideways(turn_rad: float, why: str, to_go_rad: float | None = None) -> Advice:
-    """Facing the object, whoever goes counterclockwise around it goes to the right."""
+    """Return advice to go sideways: facing the object, counterclockwise around it is to the right."""
     kind: Kind = "right" if turn_rad > 0 else "left"
     return Advice(kind, f"go {kind}: {why}", turn_rad=to_go_rad)
 
 
 def _side(towards_rad: float, first_rad: float) -> str:
-    """The name of a side of the object, seen from where the recording began."""
+    """Return the name of a side of the object, seen from where the recording began."""
     quarter = round(float(_wrapped(towards_rad - first_rad)) / (np.pi / 2)) % 4
     return ("the front", "the right side", "the back", "the left side")[quarter]
 
@@ -265,20 +267,20 @@ def _wrapped(angle_rad: Float64 | float) -> Float64:
 
 
 class Speaker:
-    """Says one sentence at a time; another one at most every five seconds, unless the camera is lost."""
+    """Chooses the shown sentence; it changes at most every five seconds, unless the camera is lost."""
 
     def __init__(self) -> None:
-        """Nothing was said."""
+        """Start without a sentence."""
         self.said: Advice | None = None
         self._since_s = -np.inf
         self._other: tuple[str, float] | None = None
 
     def hear(self, heard: Advice, now_s: float) -> Advice:
-        """What is said at a time, in seconds that increase, if the rule advises this."""
+        """Return the sentence to show at a time (increasing, seconds), given what the rule advises now."""
         if self.said is None:
             self.said, self._since_s = heard, now_s
         if heard.sentence == self.said.sentence:
-            self.said, self._other = heard, None  # how far it is may have changed
+            self.said, self._other = heard, None  # its distances may have changed
         elif self._other is None or self._other[0] != heard.sentence:
             self._other = heard.sentence, now_s
         elif now_s - self._other[1] >= HOLDS_S and now_s - self._since_s >= self._stays_s(heard):
@@ -286,5 +288,5 @@ class Speaker:
         return self.said
 
     def _stays_s(self, heard: Advice) -> float:
-        """How long the sentence that is said stays before another one."""
+        """Return how long the shown sentence stays before another one."""
         return 0.0 if self.said is not None and "lost" in (self.said.kind, heard.kind) else STAYS_S

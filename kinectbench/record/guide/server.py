@@ -1,7 +1,7 @@
 """The guide's page: a small server on this machine, behind a token.
 
-It listens on 127.0.0.1. A request must name that host (no rebinding of names), come from its own page if it
-has an origin, and begin with a random token. It works over an SSH tunnel, with any port at the other end.
+It listens on 127.0.0.1. A request must name that host (against DNS rebinding), have no other origin than the
+page, and begin with a random token. An SSH tunnel to any port works.
 """
 
 import hmac
@@ -17,7 +17,7 @@ from kinectbench.core.errors import SettingsError
 
 HOST, HOSTS = "127.0.0.1", ("127.0.0.1", "localhost")
 TOKEN_BYTES = 16
-# Files of the package by their names below the token.
+# Files of the package, by their names below the token.
 FILES: Mapping[str, tuple[str, str]] = {
     "": ("record/guide/page.html", "text/html; charset=utf-8"),
     "page.css": ("record/guide/page.css", "text/css; charset=utf-8"),
@@ -30,33 +30,33 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-# What is asked for again and again: takes the query; content type and bytes, or None if there is nothing.
+# Answers a repeated request: takes the query, and returns content type and bytes, or None.
 Answer = Callable[[str], tuple[str, bytes] | None]
-# What is posted: takes the body, and says in a sentence why it cannot be used; "": it is.
+# Handles a post: takes the body, and returns a sentence why it cannot be used; "" if it can.
 TakePost = Callable[[bytes], str]
-# A click is 60 bytes.
+# Largest body; a click has 60 bytes.
 MOST_POSTED_BYTES = 1000
 
 
 class PageServer:
-    """Serves the page, and what it asks for.
+    """Serves the page and answers its requests.
 
     Attributes:
-        url: where the page is, with its token.
+        url: URL of the page, with its token.
     """
 
     def __init__(
         self, answers: Mapping[str, Answer], port: int = 0, posts: Mapping[str, TakePost] | None = None
     ) -> None:
-        """Start it, on threads of its own.
+        """Start the server on separate threads.
 
         Args:
-            answers: by the name below the token.
-            posts: by the name below the token.
-            port: 0: one that is free.
+            answers: {name below the token: answer}.
+            posts: {name below the token: handler of a post}.
+            port: the port; 0: any free port.
 
         Raises:
-            SettingsError: the port cannot be had.
+            SettingsError: the port is not available.
         """
         token = secrets.token_urlsafe(TOKEN_BYTES)
         own = {"token": token, "answers": dict(answers), "posts": dict(posts or {})}
@@ -70,7 +70,7 @@ class PageServer:
         threading.Thread(target=self._server.serve_forever, name="page", daemon=True).start()
 
     def close(self) -> None:
-        """Stop it."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -79,21 +79,21 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Nothing is printed: a reader that has gone is no error, and the terminal has one line."""
+        """Print nothing: a client that has gone is no error, and the recorder owns the terminal."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers GET and POST; what is not asked for rightly is refused without a reason."""
+    """Answers GET and POST; other requests are refused without a reason."""
 
     token: str
     answers: Mapping[str, Answer]
     posts: Mapping[str, TakePost]
     protocol_version = "HTTP/1.1"
-    # A connection that says nothing is closed.
+    # Seconds after which a silent connection is closed.
     timeout = 30
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, or with what is asked for again and again."""
+        """Answer with a file of the page, or with the result of a repeated request."""
         name = self._allowed()
         if name is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
@@ -110,9 +110,9 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer(HTTPStatus.OK, *answer)
 
     def do_POST(self) -> None:
-        """Take what the page posts; the page itself must ask, with its origin."""
+        """Take a post of the page; it must have the page's origin."""
         name, length = self._allowed(), self.headers.get("Content-Length", "")
-        self.close_connection = True  # a body that is refused is not read
+        self.close_connection = True  # a refused body is not read
         if name is None or self.headers.get("Origin") is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
         if name not in self.posts or not _is_short(length):
@@ -122,7 +122,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer(status, "text/plain; charset=utf-8", why.encode())
 
     def _allowed(self) -> str | None:
-        """The name below the token; None: the request is not from the page's reader."""
+        """Return the name below the token; None if the request is not the page's."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
         if _name_of(host) not in HOSTS or origin not in (None, f"http://{host}"):
@@ -140,15 +140,15 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing is printed: the terminal has one line."""
+        """Print nothing: the recorder owns the terminal."""
 
 
 def _is_short(length: str) -> bool:
-    """Whether a Content-Length is one of a body that is read."""
+    """Return whether a Content-Length is small enough for the body to be read."""
     return length.isdecimal() and len(length) < 9 and int(length) <= MOST_POSTED_BYTES
 
 
 def _name_of(host: str) -> str:
-    """The name in a Host header, without its port."""
+    """Return the name in a Host header, without its port."""
     name, colon, port = host.partition(":")
     return name if not colon or port.isdecimal() else ""

@@ -1,6 +1,7 @@
-"""Tracking while one records: the odometry of a build frame by frame, and its keyframe graph in between.
+"""Tracking while recording: the build's odometry frame by frame, and from time to time its keyframe graph.
 
-The graph closes loops, joins what was lost, and calibrates depth. The odometry goes on from its keyframes.
+The graph closes loops, joins lost segments, and calibrates depth. The odometry then continues from the
+graph's keyframes.
 """
 
 from collections.abc import Sequence as Rows
@@ -20,28 +21,28 @@ from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_S, Follower, Odometry
 
-# Of so many newest frames the images are kept. What frames are registered to is kept as far back as the
-# odometry goes, and of those newest frames at least; of older frames only the keyframes.
+# Images of so many newest frames are kept. Data for registration is kept as far back as the odometry goes, at
+# least for these frames; of older frames only keyframes are kept.
 NEWEST = FRAMES_BEFORE + 2
 
 
 class LiveFrames:
-    """The newest frames that were given, by their number among them."""
+    """The newest frames, by their index in the tracker."""
 
     def __init__(self) -> None:
         self._frames: dict[int, Frame] = {}
 
     def add(self, index: int, frame: Frame) -> None:
-        """Keep a frame, and none older than the newest."""
+        """Keep a frame, and drop the one that is no longer among the newest."""
         self._frames[index] = frame
         self._frames.pop(index - NEWEST, None)
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Its depth."""
+        """Return a frame's depth."""
         return self._frames[index].depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Its colour; pixels as a file without compression, which takes a copy."""
+        """Return a frame's colour; pixels are returned as an uncompressed file, which copies them."""
         color = self._frames[index].color
         if color is None or isinstance(color, tuple):
             return color
@@ -51,18 +52,18 @@ class LiveFrames:
 
 
 class KeyframesSoFar(NamedTuple):
-    """What the graph of the keyframes is made of; nothing of it changes while frames go on.
+    """The input of the keyframe graph; it does not change while frames arrive.
 
     Attributes:
-        maps: of the keyframes.
-        odometry: of the frames so far.
+        maps: depth maps of the keyframes.
+        odometry: odometry of the frames so far.
     """
 
     maps: MapCache
     odometry: Odometry
 
     def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
-        """The pose (4, 4) of a frame by the keyframe it was registered to; None: it is not in the graph."""
+        """Return a frame's pose (4, 4) by the keyframe it was registered to; None if the graph lacks that."""
         frame = self.odometry.frames[index]
         if frame is None:
             return None
@@ -73,30 +74,30 @@ class KeyframesSoFar(NamedTuple):
         return T_world_camera if np.isfinite(T_world_camera).all() else None
 
     def graph(self) -> KeyframeGraph:
-        """The keyframes' poses, loops closed, and the calibration of their depth, which `maps` has then."""
+        """Build the graph: the keyframes' poses with loops closed; `maps` gets its depth calibration."""
         return build_graph(self.maps, FeatureCache(self.maps), self.odometry)
 
 
 class LiveTracker:
-    """Follows the camera through the frames that it is given; the first one defines the world.
+    """Tracks the camera frame by frame; the first frame defines the world.
 
     Attributes:
         lost: whether the last frame has no pose in the world.
-        keyframes: numbers of the frames that others are registered to.
+        keyframes: indices of the frames that others are registered to.
     """
 
     def __init__(self, setup: Setup) -> None:
-        """No frame was seen."""
+        """Start without frames."""
         self._frames, self._setup, self._stamps_ns = LiveFrames(), setup, list[int]()
         maps = MapCache(self._sequence())
         self._follower = Follower(maps, FeatureCache(maps))
         self.keyframes = self._follower.keyframes
-        # The segment of the odometry that is the world, and the first frame that others may be registered to.
+        # The odometry segment that is the world, and the first frame to which others may be registered.
         self._world = self._kept_from = 0
         self.lost = False
 
     def take(self, frame: Frame) -> Float64 | None:
-        """The pose (4, 4) of a frame in the world; None: the camera is lost."""
+        """Track a frame; return its pose (4, 4) in the world, None if the camera is lost."""
         index, follower = len(self._stamps_ns), self._follower
         self._stamps_ns.append(frame.stamp_ns)
         self._frames.add(index, frame)
@@ -112,10 +113,10 @@ class LiveTracker:
         return None if taken is None or self.lost else taken.T_segment_camera
 
     def poses(self, frames: Rows[int] | None = None) -> tuple[Int64, Float64]:
-        """Stamps (n,) and poses (n, 4, 4) in the world, as they are known now, of the frames that have one.
+        """Return stamps (n,) and present poses (n, 4, 4) in the world, of the frames that have a pose.
 
         Args:
-            frames: numbers of those that are asked for; None: all.
+            frames: indices of the requested frames; None: all.
         """
         followed = self._follower.frames
         wanted = range(len(followed)) if frames is None else frames
@@ -125,24 +126,24 @@ class LiveTracker:
         return stamps_ns, np.array([each.T_segment_camera for _, each in known]).reshape(-1, 4, 4)
 
     def number_at(self, stamp_ns: int) -> int | None:
-        """Among its frames, of the one with a stamp; None: it was not given."""
+        """Return the index of the frame with a stamp; None if there is no such frame."""
         return self._stamps_ns.index(stamp_ns) if stamp_ns in self._stamps_ns else None
 
     def newest(self, count: int) -> range:
-        """Numbers of the newest frames, at most so many."""
+        """Return the indices of the newest frames, at most `count`."""
         taken = len(self._stamps_ns)
         return range(max(0, taken - count), taken)
 
     def so_far(self) -> KeyframesSoFar:
-        """A copy of the keyframes, for a graph of another thread."""
+        """Return a copy of the keyframes, from which another thread can build a graph."""
         odometry = self._follower.so_far()
         return KeyframesSoFar(self._follower.maps.copied(), odometry)
 
     def go_on_from(self, graph: KeyframeGraph) -> Float64 | None:
-        """Put the keyframes where a graph has them; what came since moves with the last of its segment.
+        """Move the keyframes to their poses in a graph; newer frames move with their segment's last keyframe.
 
         Returns:
-            The world so far (4, 4) in that of the graph; None: the graph did not join it.
+            The pose (4, 4) of the old world in the graph's world; None: the graph did not join them.
         """
         frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
         T_moved: dict[int, Float64] = {}  # by keyframe

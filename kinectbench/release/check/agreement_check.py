@@ -51,16 +51,16 @@ from kinectbench.release.publish.schemas import schema_problems
 from kinectbench.release.publish.view_pictures import row_picture, rows_text
 from kinectbench.settings.yaml_nodes import compose, items
 
-# Of an object whose truth is held back.
+# Files of an object that are published even if its truth is held back.
 PUBLIC_OF_OBJECT = ("floor.json",)
-# In a line of the card, after the name of a recording.
+# Matches a line of the card about a recording and the gate: the text after the recording's name.
 OF_GATE = re.compile(
     " is left out: | is published all the same | is published, and a person should look at it: "
 )
-# A CITATION.cff of two thousand authors; PyYAML reads 0.1 MB a second. LICENSE and README.md may
-# have as much beside what benchmark.json lets them say, such as the words of a licence.
+# Largest CITATION.cff: two thousand authors (PyYAML reads 0.1 MB a second). LICENSE and README.md may have as
+# much beyond the texts that follow from benchmark.json, such as the words of a licence.
 CITATION_BYTES = 256 << 10
-# Of a recording in README.md: its figures and a warning or two.
+# Bytes of README.md for a recording: its figures and a warning or two.
 CARD_BYTES = 1 << 10
 
 
@@ -69,9 +69,9 @@ class Stated:
     """The facts that the other files must agree with.
 
     Attributes:
-        targets: targets.csv.
-        metadata: benchmark.json.
-        sums: SHA256SUMS.
+        targets: the lines of targets.csv.
+        metadata: the content of benchmark.json.
+        sums: {file: hash} of SHA256SUMS.
     """
 
     targets: tuple[Target, ...]
@@ -80,11 +80,11 @@ class Stated:
 
     @property
     def says_twice(self) -> bool:
-        """Whether other files repeat benchmark.json in known words: earlier versions may differ."""
+        """Whether other files repeat benchmark.json in the present words; earlier versions used others."""
         return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
-        """The views of a recording with pairs, from targets.csv."""
+        """Return the views of a recording with pairs, from targets.csv."""
         return self._views.get(recording, set())
 
     @cached_property
@@ -95,20 +95,20 @@ class Stated:
         return views
 
 
-# Yields a clause for each thing that a file's text says otherwise.
+# Takes a file's text; yields a clause for each contradiction.
 Check = Callable[[str, Stated], Iterator[str]]
 
 
 def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str, str]) -> Iterator[str]:
     """Yield a line for each file that contradicts benchmark.json or targets.csv.
 
-    Every JSON file is checked against its schema. A file that is not there is no problem here, for earlier
-    versions and other commands write releases with fewer files; one that is damaged is not looked at.
+    Every JSON file is checked against its schema. Missing files are not reported: earlier versions and other
+    commands write releases with fewer files. Damaged files are skipped.
 
     Args:
         contents: the release.
-        stated: facts for the files to agree with.
-        damaged: files that are not the published ones, by name.
+        stated: the facts that the files must agree with.
+        damaged: files that are not the published ones, and why.
     """
     whole = contents.entries.keys() - damaged.keys()
     for name in sorted(whole):
@@ -156,10 +156,10 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """A line for each violation of a JSON file's schema.
+    """Yield a line for each violation of a JSON file's schema.
 
     Raises:
-        ReleaseError: it is not JSON.
+        ReleaseError: the file is not JSON.
     """
     text = contents.text(name)
     release_json(text, name)
@@ -167,7 +167,7 @@ def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
-    """The largest size of texts that are searched for benchmark.json's facts."""
+    """Return the largest size of each text that is compared with benchmark.json."""
     license_words = license_text(metadata.name, metadata.license, metadata.recordings)
     of_license = CITATION_BYTES + len(license_words.encode("utf-8", "replace"))
     of_card = of_license + CARD_BYTES * len(metadata.recordings)
@@ -177,7 +177,7 @@ def _limits(metadata: ReleaseInfo) -> dict[str, int]:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """The lines of a text with their offsets, one at a time to save memory."""
+    """Yield the lines of a text with their offsets, one at a time to save memory."""
     begin = 0
     while (end := text.find("\n", begin)) >= 0:
         yield begin, text[begin:end]
@@ -186,7 +186,7 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """The licence of all recordings; missing ones, as in earlier releases, have the benchmark's."""
+    """Return the licence of all recordings; one without a licence (earlier releases) has the benchmark's."""
     infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
@@ -215,7 +215,7 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Held-back truth in benchmark.json that the card does not state."""
+    """Yield the held-back truth of benchmark.json that the card does not state."""
     if not metadata.held_back:
         return
     sentences = {
@@ -228,7 +228,7 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Contradictions of benchmark.json and the card on poor or left-out recordings."""
+    """Yield contradictions of benchmark.json and the card about poor or left-out recordings."""
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
         if info.poor:
@@ -238,7 +238,7 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
     lines = (line.removeprefix("- ") for _, line in _lines(text) if line.startswith("- "))
     expected = {ids[0]: line for line in lines if len(ids := OF_GATE.split(line, maxsplit=1)) == 2}
     for name in sorted(wanted.keys() | expected.keys()):
-        # Advice may follow.
+        # Advice may follow the expected text.
         if name not in wanted or not expected.get(name, "").startswith(wanted[name]):
             yield f"says otherwise than {BENCHMARK_JSON} whether {printable(name)} is left out or poor"
 
@@ -250,7 +250,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Clauses about lines of `wanted` that a text lacks; `subject` has a place for each."""
+    """Yield a clause for each line of `wanted` that a text lacks; `subject` is a format string."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:
@@ -272,7 +272,7 @@ def _license_problems(text: str, stated: Stated) -> Iterator[str]:
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
     from yaml import ScalarNode
 
-    # Nodes, not values, so that aliases are never expanded.
+    # Nodes instead of values, so that aliases are never expanded.
     version = items(compose(text, CITATION)).get("version")
     wanted = stated.metadata.version
     if wanted is not None and not (isinstance(version, ScalarNode) and version.value == wanted):
@@ -330,7 +330,7 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
-    """Whether previews/ has a row and a picture of each pair of a split, and no others."""
+    """Check that previews/ has a row and a picture of each pair of a split, and no others."""
     isolates = stated.metadata.isolates
     of_split = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
     if text != rows_text(of_split):
@@ -343,7 +343,7 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
-    """Whether views.json has the views that have pairs, and of held-back ones nothing of the truth."""
+    """Check that views.json lists the views with pairs, and nothing of held-back truth."""
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
     if stated.says_twice and not stated.metadata.hides(recording):
@@ -358,7 +358,7 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _published_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
-    """Files that tell of objects whose truth is held back."""
+    """Yield published files that reveal objects whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")
         public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT

@@ -1,6 +1,6 @@
 """Check benchmark.json against every other file of the release that repeats its facts.
 
-Of releases whose benchmark.json has `benchmark_sha256_version`; earlier ones may say it in other words.
+Only releases whose benchmark.json has `benchmark_sha256_version` are checked; earlier ones used other words.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,12 +16,12 @@ from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.publish.gate import ALLOWED, REJECTED, WITHHELD
 from kinectbench.settings.publishing import GateSettings
 
-# Of the settings, for all pairs at once.
+# Settings that hold for all pairs.
 OF_PAIRS = ("framing", "partial_rule")
 
 
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each value that benchmark.json states twice, with a contradiction."""
+    """Yield a line for each fact that benchmark.json states twice with different values."""
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
         value, stated = getattr(of_pairs, key), getattr(metadata, key)
@@ -44,8 +44,8 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a line for each recording whose state (poor, left out) contradicts its figures.
 
-    The figures of its quality and `settings.publish.gate` decide. Grades of trajectories and warnings of
-    a camera are not in a release: their limits are not checked.
+    The state is computed from the recording's quality and `settings.publish.gate`. Limits on trajectory
+    grades and camera warnings are not checked: a release does not hold these.
     """
     try:
         limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
@@ -84,11 +84,12 @@ def _reviewed(review: object, decision: str) -> bool:
 
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
-    """Limits that its quality violates and `poor` lacks; and limits in `poor` that its quality keeps."""
+    """Yield limits that the quality violates and `poor` lacks, and limits in `poor` that it keeps."""
     quality = info.quality
     value, low, _ = quality.trusted_iou
     values = [1 if each is None else each for each in (value, low)]
-    # Of a trajectory that is not good it is the lower end, so either may break the limit.
+    # If the trajectory is not good, the limit applies to the interval's lower end, so either value may break
+    # it.
     low_iou, any_low = (each < limits.min_estimated_iou for each in (values[0], min(values)))
     unknown = (quality.unknown_share or 0) > limits.max_unknown_share
     warned = len(quality.measurement_warnings) > limits.max_doubts
@@ -105,7 +106,7 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
 
 
 def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
-    """Keys of a recording's settings that its entry has otherwise; null: as the benchmark has it."""
+    """Yield keys of a recording's settings that differ from its entry; null means the benchmark's value."""
     defaults = {
         "object": row["id"],
         "license": metadata.license,
@@ -118,12 +119,12 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a line if a recording's quality.json is not what benchmark.json has of it.
+    """Yield a line if a recording's quality.json differs from benchmark.json.
 
     Args:
-        name: of the file.
-        text: of it.
-        info: of its recording.
+        name: the file's name.
+        text: the file's text.
+        info: the recording's entry in benchmark.json.
     """
     stated, own = (
         {key: value for key, value in quality.json_value().items() if key != "method"}
@@ -135,14 +136,14 @@ def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]
 
 
 def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
-    """Yield a clause if views.json has not as many frames and views refused as benchmark.json."""
+    """Yield a clause if views.json and benchmark.json have different numbers of refused frames and views."""
     refused = len(views.refused) + sum(row.pair is False for row in views.views)
     if refused != info.refused:
         yield f"{refused} frames and views refused where {BENCHMARK_JSON} has {info.refused}"
 
 
 def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a clause for each setting of a stage that benchmark.json has otherwise, and each other origin."""
+    """Yield a clause for each stage's setting, licence or source that differs from benchmark.json."""
     if lineage.package_version != metadata.package_version:
         yield f"another package_version than in {BENCHMARK_JSON}"
     settings = metadata.settings.json_value()
@@ -167,5 +168,5 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """A setting without the keys that nobody gave: a newer one is not in the fingerprint at its default."""
+    """Drop the keys of a setting that are not set: at its default, a newer key is not in the fingerprint."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value

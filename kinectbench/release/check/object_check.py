@@ -29,17 +29,18 @@ KINDS: dict[str, np.dtype[np.generic]] = {
     "underside": np.dtype(np.bool_),
 }
 OPTIONAL = "underside"
-# Magic, version and length of a GLB; length and kind of its first chunk; bytes of such a head of a chunk
-# (glTF 2.0, section 4.4).
+# Head of a GLB: magic, version, length; then length and kind of the first chunk. A chunk's head has eight
+# bytes (glTF 2.0, section 4.4).
 GLB_HEAD, GLB_VERSION = struct.Struct("<4sIII4s"), 2
 CHUNK_HEAD_BYTES = 8
-# Of the object's longest side: 0.03 % was the most of 26 GLBs, whose triangles are fewer than the mesh has.
+# Largest difference of boxes, as a share of the longest side. 26 GLBs, which have fewer triangles than their
+# meshes, differed by at most 0.03 %.
 MOST_BOX_SHARE = 0.005
 GRID_KEYS = ("voxel_size_m", "T_world_grid")
 
 
 def object_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a line about a mesh.ply, a volume.npz or a GLB of a release that is not one.
+    """Yield a line if a mesh.ply, a volume.npz or a GLB of a release is not a valid file of its kind.
 
     Args:
         contents: the release.
@@ -65,13 +66,13 @@ def object_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def recording_of(name: str) -> str:
-    """The recording to which a file below `objects/` belongs."""
+    """Return the recording to which a file below `objects/` belongs."""
     part, folder, _ = name.removeprefix("objects/").partition("/")
     return part if folder else part.removesuffix(GLB)
 
 
 def _glb_fault(content: bytes) -> str | None:
-    """The fault of a GLB, by its header and its first chunk, which lists everything; or None.
+    """Return the fault of a GLB, or None; its header and its first chunk, the table of contents, are read.
 
     Source: glTF 2.0 (ISO/IEC 12113:2022), section 4.4.
     """
@@ -92,12 +93,13 @@ def _glb_fault(content: bytes) -> str | None:
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
     """Yield the differences between a GLB and its mesh, a clause each.
 
-    Its triangles are fewer and others, so the boxes around both are compared, and its statements on the mesh.
+    The GLB has fewer triangles than the mesh. So the boxes around both are compared, and what the GLB states
+    about the mesh.
 
     Args:
-        content: of the GLB; one that is damaged otherwise is none of this mesh.
+        content: bytes of the GLB; a damaged one counts as not of this mesh.
         mesh: mesh.ply, world frame, metres.
-        T_floor_world: (4, 4) of its floor.
+        T_floor_world: (4, 4) of the recording's floor.
     """
     json_end = GLB_HEAD.size + GLB_HEAD.unpack_from(content)[3]
     try:
@@ -121,10 +123,10 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:
-    """The fault of a volume, read slab by slab; or None.
+    """Return the fault of a volume, or None; it is read slab by slab.
 
     Raises:
-        UNREADABLE: one of these exceptions: it is not an npz, or damaged.
+        UNREADABLE: one of these exceptions: the file is no npz, or is damaged.
     """
     with open_npz(file, VOLUME_BYTES) as archive:
         entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
@@ -160,11 +162,11 @@ def _check_small(header: NpyHeader) -> None:
 
 
 def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
-    """The fault of a grid's cells, or None."""
+    """Return the fault of a grid's cells, or None."""
     done = 0
     while part := stream.read(SLAB_BYTES):
         done += len(part)
-        # A slab ends between two cells: they have one byte or two.
+        # Slabs end between two cells, which have one or two bytes.
         raw = np.frombuffer(part, np.uint8)
         if KINDS[key] == np.bool_ and (raw > 1).any():
             return "is not of 0 and 1"

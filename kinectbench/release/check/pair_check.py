@@ -33,10 +33,11 @@ def pair_problems(
 
     Args:
         pair: read by `read_pair`, which has checked keys, shapes and dtypes.
-        min_containment: least share of the partial inside the shape, as the benchmark's settings say.
-        framing: the benchmark's.
-        partial_rule: the benchmark's.
-        unknown_shares: {file: its value for the pair}; earlier releases have fewer of them, or none.
+        min_containment: least share of the partial inside the shape, from the benchmark's settings.
+        framing: the benchmark's framing.
+        partial_rule: the benchmark's partial rule.
+        unknown_shares: {file: unknown share that it states for the pair}; earlier releases state fewer or
+            none.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
@@ -55,7 +56,8 @@ def pair_problems(
     for file, said in unknown_shares.items():
         if said != found:
             yield f"{found} of the true shape is unknown where {file} has {said}"
-    # Before the partial rule thins the cells out; those that fell outside the cube are not in the file.
+    # These are the cells before the partial rule thinned them out; cells outside the cube are not in the
+    # file.
     touched = pack(reduce_blocks(unpack(pair.partial_256), "any"))
     inside = containment(touched, pair.full)
     if inside < min_containment:
@@ -63,7 +65,7 @@ def pair_problems(
 
 
 def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
-    """Yield the faults of a pair's input, like `pair_problems`."""
+    """Yield the faults of a pair's input; arguments as in `pair_problems`."""
     for name in ("T_world_grid", "T_world_camera"):
         if not is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
@@ -88,10 +90,10 @@ def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -
 
 
 def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
-    """Impossible values of `known` and `seen`, which the release's files do not determine.
+    """Yield implausible values of `known` or `seen`; they cannot be computed from the release's files.
 
-    A view's depth is of surface that was fused, so it is known, and of what that view sees: nearly all
-    of `partial_256` must be both. Half allows for every recording that can be used at all.
+    The depth of a view was fused, so its surface is known, and the view sees it. So nearly all of
+    `partial_256` must be both. Half is a limit that every usable recording meets.
     """
     cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
     if inside < LEAST_TRUSTED_SHARE * cells:
@@ -99,7 +101,7 @@ def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator
 
 
 def _behind_problems(pair: Pair | PairInput) -> Iterator[str]:
-    """Whether `seen` holds cells behind the camera."""
+    """Yield a clause if `seen` holds cells behind the camera."""
     if pair.voxel_size_m > 0:
         corner_z_m = float(
             (pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2]

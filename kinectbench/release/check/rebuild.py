@@ -1,4 +1,4 @@
-"""Make a release's pairs again from its recordings: the settings for it, and the differences."""
+"""Make a release's pairs again from its recordings: the settings for the build, and the differences."""
 
 import hashlib
 import io
@@ -29,7 +29,7 @@ from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
 AGAIN = "differs when made again"
-# Files of a recording that a line names.
+# At most so many files of a recording are named in a line.
 SHOWN = 3
 
 
@@ -38,9 +38,9 @@ class LocalRecording:
     """The place of a recording on this machine.
 
     Attributes:
-        path: of the recording.
-        masks: folder of a person's masks, or None.
-        reference: the mesh that is its truth, or None.
+        path: the recording's file or folder.
+        masks: folder of masks drawn by a person, or None.
+        reference: the mesh that is the recording's truth, or None.
     """
 
     path: Path
@@ -53,7 +53,7 @@ class RebuildPlan:
     """The recordings to build again.
 
     Attributes:
-        settings: those that the release states, with this machine's paths.
+        settings: the settings in the release, with this machine's paths.
         targets: the pairs to compare.
         notes: one line each: what cannot be compared, and versions that differ.
     """
@@ -64,13 +64,13 @@ class RebuildPlan:
 
 
 def find_sources(path: Path) -> dict[str, LocalRecording]:
-    """The places of recordings: from a benchmark.yaml, or by their ids in a folder.
+    """Return the places of recordings, from a benchmark.yaml, or by their ids in a folder.
 
     Args:
         path: a benchmark.yaml, a folder that holds one, or a folder with `<id>/`, `<id>.bag` and so on.
 
     Raises:
-        SettingsError: unknown folder.
+        SettingsError: the folder does not exist.
     """
     config = path / "benchmark.yaml" if path.is_dir() else path
     if config.is_file():
@@ -97,16 +97,16 @@ def find_sources(path: Path) -> dict[str, LocalRecording]:
 def rebuild_plan(
     contents: Contents, sources: Mapping[str, LocalRecording], objects: int | None = None
 ) -> RebuildPlan:
-    """How to make a release's pairs again.
+    """Return how to make a release's pairs again.
 
     Args:
         contents: the release.
-        sources: recording -> where it lies.
-        objects: so many are drawn by the release's hash; None: all of them.
+        sources: {recording: its place}.
+        objects: number of objects, drawn by the release's hash; None: all of them.
 
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings.
-        SettingsError: a recording is not there; it names all that are missing.
+        SettingsError: recordings are missing; the message names all of them.
     """
     metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
@@ -147,14 +147,14 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """What an object is drawn by: nobody chooses it, and everybody draws the same."""
+    """Return the sort key by which objects are drawn: nobody can choose it, and everybody draws the same."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 
 def _settings(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> BenchmarkSettings:
-    """The release's settings with the paths of this machine."""
+    """Return the release's settings with the paths of this machine."""
     values = metadata.settings.json_value()
     if not values.get("recordings"):
         raise ReleaseError(
@@ -179,7 +179,7 @@ def _settings(
 
 
 def version_notes(metadata: ReleaseInfo) -> list[str]:
-    """A line for each package whose local version differs from the release's."""
+    """Return a line for each package whose local version differs from the release's."""
     made = {"kinectbench": metadata.package_version, **metadata.packages}
     installed = {"kinectbench": __version__, **data_package_versions()}
     return [
@@ -190,14 +190,14 @@ def version_notes(metadata: ReleaseInfo) -> list[str]:
 
 
 def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
-    """A line for each stage whose local version differs from that of these recordings."""
+    """Return a line for each stage whose local version differs from the one that made these recordings."""
     lineage = _lineage(contents)
     made = {
         (stage, row.stage_version)
         for name in recordings
         if name in lineage
         for stage, row in lineage[name].stages.items()
-        if row.stage_version is not None  # older releases do not say
+        if row.stage_version is not None  # older releases lack it
     }
     return [
         f"made with version {version} of {stage}, here is {VERSIONS.get(stage, 'none')}: results will differ"
@@ -207,7 +207,7 @@ def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
 
 
 def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
-    """lineage.json by recording; empty without the file."""
+    """Return lineage.json by recording; empty without the file."""
     if LINEAGE_JSON not in contents.entries:
         return {}
     return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
@@ -218,8 +218,8 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
 
     Args:
         contents: the release.
-        plan: of the rebuild.
-        build: holds a folder per recording that was built.
+        plan: the plan of the rebuild.
+        build: the folder with a subfolder for each built recording.
     """
     lineage = _lineage(contents)
     for recording, targets in sorted(by_recording(plan.targets).items()):
@@ -227,7 +227,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         if not (folder / "pairs" / "pairs.json").is_file():
             yield f"{recording}: could not be built again, so none of its {len(targets)} pairs was compared"
             continue
-        # In the order they were made: the first tells where the difference begins.
+        # In the order of making: the first difference shows where it begins.
         if recording in lineage:
             yield from _source_difference(lineage[recording], recording, folder)
         for file in OBJECT_FILES:
@@ -244,12 +244,12 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Whether the recording has the hashes in lineage.json."""
+    """Yield a line if the recording does not have the hashes in lineage.json."""
     made = Sources.read_if_there(build)
     if made is None:
         return
     published, hashes = row.files, made.sha256
-    if set(hashes) == {""}:  # a recording that is one file, whatever it is called here
+    if set(hashes) == {""}:  # a recording of one file, whose name may differ here
         hashes = dict.fromkeys(published, hashes[""])
     names = [name for name in {**published, **hashes} if published.get(name) != hashes.get(name)]
     if published and names:
@@ -261,7 +261,7 @@ def _source_difference(row: LineageRecording, recording: str, build: Path) -> It
 
 def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]:
     if name not in contents.entries:
-        return  # releases from elsewhere have no such files
+        return  # pairs from elsewhere have no such files
     if not made.is_file():
         yield f"{name}: was not made again"
         return
@@ -275,7 +275,7 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
 
 
 def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
-    """Whether a pair is equal, and the keys that differ."""
+    """Yield a line if a pair differs, with the keys that differ."""
     if not made.is_file():
         yield f"{target.file}: was not made again: its view was refused, or another was drawn"
         return
@@ -304,10 +304,10 @@ def _unreadable(made: Path, error: OSError) -> str:
 
 
 def _key_difference(key: str, old: FileArray | None, new: FileArray | None) -> str | None:
-    """The difference of a key's values, or None."""
+    """Return the difference of a key's values, or None."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"
-    # Texts of another length have another dtype.
+    # Texts of different lengths have different dtypes.
     if old.shape != new.shape or (old.dtype != new.dtype and old.dtype.kind != "U"):
         return f"{key} has another shape or type"
     if np.array_equal(old, new):

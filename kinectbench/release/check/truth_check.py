@@ -1,7 +1,8 @@
 """Check a release's truth against the object's mesh: every pair, and the volume.
 
-A recording's pairs are made of its mesh and its volume. All that they say of the object is computed again, so
-no pair can be changed alone. If mesh, volume and pairs are changed together, only `--rebuild` finds it.
+A recording's pairs are made from its mesh and its volume. Everything in a pair about the object is computed
+again, so a change of a pair alone is found. If mesh, volume and pairs are changed together, only `--rebuild`
+finds it.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -27,19 +28,19 @@ from kinectbench.release.check.object_check import GLB_HEAD, glb_faults
 from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents
 
 MESH, VOLUME = OBJECT_FILES
-# Share of the cells of a shape that may be others. No cell of 111 pairs and of 12 volumes was another (eight
-# releases, of recordings and simulated); an IoU keeps its third decimal below that.
+# Share of a shape's cells that may differ. In 111 pairs and 12 volumes (eight releases, recorded and
+# simulated) no cell differed; below this share an IoU keeps its third decimal.
 MOST_OTHER_SHARE = 0.001
-# Cells beyond the mesh's box that are solid by the definition of air: half a cell was the most of 20 pairs.
+# Cells beyond the mesh's box that the definition of air may make solid: at most half a cell in 20 pairs.
 MOST_BEYOND_CELLS = 1
-# Sixteen sides of a pair's cube, as of predictions: a vertex farther away is in another frame, and products
-# of its lengths might not fit in 64 bits.
+# Sixteen sides of a pair's cube, as for predictions: a vertex farther away is in another frame, and products
+# of its coordinates might not fit in 64 bits.
 MAX_FAR_CELLS = 16 * FULL_CELLS
-# Of a volume that is compared: 2 m at 5 mm. Four grids of as many bytes take 256 MB.
+# Largest volume that is compared: 2 m at 5 mm. Four grids of as many bytes take 256 MB.
 MOST_VOXELS, MOST_SIDE = 64 << 20, 1024
-# Axes across the lines of each rule.
+# For each rule, the pairs of axes perpendicular to the lines that it fills along.
 ACROSS = {"winding": ((0, 1),), "seeable": ((0, 1),), "six-rays": ((0, 1), (0, 2), (1, 2))}
-# In place of the coarse grid around an object, which is not published: nothing is known by it.
+# Stands for the coarse grid around an object, which is not published; no cell of it is known.
 NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 
 
@@ -54,9 +55,10 @@ class ObjectTruth:
     """The truth of an object in a release.
 
     Attributes:
-        mesh: its closed mesh, world frame, metres; None: there is none that can be read.
-        recorded: it has a volume, as objects of recordings have.
-        cells: by name the voxels of its volume: "known", "unknown", "interior", "said"; none without it.
+        mesh: the object's closed mesh, world frame, metres; None if missing or unreadable.
+        recorded: whether the object has a volume, as recorded objects have.
+        cells: {name: voxels of the volume} for "known", "unknown", "interior", "said"; empty without a
+            volume.
     """
 
     mesh: TriangleMesh | None = None
@@ -65,14 +67,14 @@ class ObjectTruth:
 
 
 def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> tuple[ObjectTruth, list[str]]:
-    """The truth of an object, and a line for each difference of volume and GLB to its mesh.
+    """Return the truth of an object, and a line for each difference of its volume or GLB from its mesh.
 
-    Files that are missing or damaged are left out: `object_problems` names them.
+    Missing and damaged files are skipped: `object_problems` reports them.
 
     Args:
         contents: the release.
-        recording: id of its recording.
-        whole: names of the files that are the published ones.
+        recording: id of the object's recording.
+        whole: names of the files whose bytes are the published ones.
     """
     folder = f"objects/{recording}"
     try:
@@ -99,7 +101,7 @@ def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> 
 
 
 def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
-    """Differences of an object's GLB to its mesh; none if it is missing or damaged."""
+    """Yield differences of an object's GLB from its mesh; none if the GLB is missing or damaged."""
     try:
         content = contents.read(_published(f"{folder}{GLB}", whole))
         floor = f"{folder}/{FloorFile.FILE}"
@@ -113,12 +115,12 @@ def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: T
 
 
 def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.integer], Bools]:
-    """A volume's grid, solid, labels and underside.
+    """Return a volume's grid, solid, labels and underside.
 
     Raises:
-        TooLargeError: it cannot be compared in bounded memory.
-        ReleaseError: it is not as it was published.
-        UNREADABLE: one of these exceptions: it is damaged.
+        TooLargeError: the volume cannot be compared in bounded memory.
+        ReleaseError: the volume is not the published one.
+        UNREADABLE: one of these exceptions: the file is damaged.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
     with contents.stream(name) as file:
@@ -136,10 +138,10 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
 
 
 def _published(name: str, whole: Collection[str]) -> str:
-    """The name itself.
+    """Return the name, if the file is the published one.
 
     Raises:
-        ReleaseError: no such file was published, or it is another one.
+        ReleaseError: no such file was published, or its bytes differ.
     """
     if name not in whole:
         raise ReleaseError(f"{name}: not as it was published", what="changed")
@@ -149,7 +151,7 @@ def _published(name: str, whole: Collection[str]) -> str:
 def _volume_faults(
     mesh: TriangleMesh, grid: Grid, solid: Bools, labels: NDArray[np.integer]
 ) -> Iterator[str]:
-    """Differences of a volume to its mesh, and of its solid to its labels."""
+    """Yield differences of a volume from its mesh, and of its solid from its labels."""
     nx, ny, nz = grid.shape
     padded = Grid((nx, ny, nz + -nz % 8), grid.voxel_size_m, grid.T_world_grid)
     inside = _filled(mesh, padded, "winding")
@@ -167,7 +169,7 @@ def _volume_faults(
 
 
 def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
-    """The cells of a grid inside an untrusted mesh; or why that cannot be computed."""
+    """Return the cells of a grid inside an untrusted mesh, or why they cannot be computed."""
     cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
     if not np.abs(cells).max() <= MAX_FAR_CELLS:
         return f"{MESH} has vertices far from it"
@@ -179,11 +181,11 @@ def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
 
 
 def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
-    """Yield the differences of a pair's truth to its object, a clause each.
+    """Yield the differences of a pair's truth from its object, a clause each.
 
     Args:
-        pair: its matrices are checked to be rigid, and `voxel_size_m` to be a length.
-        truth: of its object.
+        pair: a pair whose matrices are known to be rigid, and `voxel_size_m` to be a length.
+        truth: the truth of its object.
     """
     if truth.mesh is not None:
         yield from _full_problems(pair, truth.mesh, recorded=truth.recorded)
@@ -191,14 +193,14 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
         if stated is None or name not in truth.cells:
             continue
         expected = known_in(truth.cells[name], NOWHERE, pair.grid)
-        # Beyond the volume the coarse grid says what is known, and no release has it.
+        # Beyond the volume, the coarse grid says what is known; a release does not hold it.
         beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~expected
         if other := packed_count(expected & ~stated) + packed_count(beyond & stated):
             yield f"{other} cells of '{name}' are not as its {VOLUME} has them"
 
 
 def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
-    """Differences of `full` to the mesh, which one rule fills for recordings."""
+    """Yield differences of `full` from the mesh; for recordings one rule fills all cells."""
     rule = pair.occupancy_rule
     if rule not in ACROSS or (recorded and rule != "winding"):
         yield f"occupancy_rule is '{printable(rule)}', which is not that of such an object"
@@ -216,7 +218,7 @@ def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterato
 
 
 def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
-    """Cells of `full` with their centre outside the mesh's box, along the grid's axes."""
+    """Count the cells of `full` whose centre lies outside the mesh's box, along the grid's axes."""
     corners = transform_points(pair.grid.T_grid_world, mesh.vertices) / pair.voxel_size_m
     first = np.ceil(corners.min(axis=0) - 0.5) - MOST_BEYOND_CELLS
     end = np.floor(corners.max(axis=0) + 0.5) + MOST_BEYOND_CELLS

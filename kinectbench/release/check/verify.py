@@ -1,4 +1,4 @@
-"""Check a release, every byte and every pair of it, in a folder or in an archive."""
+"""Check every byte and every pair of a release, in a folder or in an archive."""
 
 import hashlib
 import io
@@ -42,7 +42,7 @@ CHANGED = "{}: changed since it was published (SHA-256 differs)"
 
 
 def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool = False) -> list[str]:
-    """Report all faults of a release.
+    """Return all faults of a release, one line each.
 
     One file at a time is in memory; an archive is not unpacked.
 
@@ -52,11 +52,11 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         checksums_only: whether to check only that each file is the published one, not its content.
 
     Returns:
-        One line per problem, each naming a file relative to the release; empty if all is well. A file that
-        is not the published one is named once and looked at no further, but the lines of targets.csv.
+        One line per problem, each naming a file relative to the release; empty if all is well. A file that is
+        not the published one is named once and not checked further, except for the lines of targets.csv.
 
     Raises:
-        ReleaseError: there is no release at all, or its archive is cut off or not to be trusted.
+        ReleaseError: there is no release at all, or its archive is cut off or cannot be trusted.
     """
     with open_contents(path) as contents:
         try:
@@ -92,11 +92,11 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
 
 
 def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -> list[str]:
-    """`verify` of the bytes of a release at a URL, with a few files at a time on the local disk.
+    """Check the bytes of a release at a URL, with few files at a time on the local disk.
 
     Args:
-        url: of the release.
-        folder: an empty one.
+        url: URL of the release.
+        folder: an empty folder.
         progress: called with (files done, files in all).
 
     Raises:
@@ -116,7 +116,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
 
 
 def is_of_first_identity(path: Path) -> bool:
-    """Whether the `benchmark_sha256` of a release covers its files alone, without benchmark.json.
+    """Return whether the release's `benchmark_sha256` covers its files only, without benchmark.json.
 
     Raises:
         ReleaseError: benchmark.json cannot be read.
@@ -127,7 +127,7 @@ def is_of_first_identity(path: Path) -> bool:
 
 
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
-    """A line about the bytes of one file, or None."""
+    """Return a line about the bytes of one file, or None."""
     entry = contents.entries.get(name)
     if entry is None:
         return MISSING.format(name)
@@ -142,7 +142,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
-    """Unpublished files."""
+    """Yield a line for each file that is not in SHA256SUMS."""
     for name in contents.entries:
         if name not in sums and name != SHA256SUMS:
             yield _extra(name)
@@ -155,7 +155,7 @@ def _extra(name: str) -> str:
 def _object_lines(
     contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None
 ) -> dict[str, list[str]]:
-    """{mesh, volume or GLB: its fault}; held-back objects must have none of these files."""
+    """Return {mesh, volume or GLB: its faults}; held-back objects must not have these files."""
     lines: dict[str, list[str]] = {}
     for name in sorted(whole):
         parts = name.split("/")
@@ -168,11 +168,11 @@ def _object_lines(
 
 @dataclass
 class _OfPair:
-    """Facts about a pair in other files.
+    """What other files state about a pair.
 
     Attributes:
-        unknown_shares: {file: share of the true shape that is unknown}, of the files that say it.
-        view: its row of views.json; None without one.
+        unknown_shares: {file: unknown share of the true shape}, for the files that state it.
+        view: the pair's row of views.json; None without a row.
     """
 
     unknown_shares: dict[str, float] = field(default_factory=dict)
@@ -182,7 +182,7 @@ class _OfPair:
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
 ) -> dict[str, _OfPair]:
-    """{pair file: facts in other files}."""
+    """Return {pair file: what other files state about the pair}."""
     stated = {target.file: _OfPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:
@@ -190,7 +190,7 @@ def _stated(
     for recording in metadata.recordings if metadata else ():
         try:
             rows = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE).views
-        except (ReleaseError, StorageError):  # its own faults are named elsewhere
+        except (ReleaseError, StorageError):  # reported elsewhere
             continue
         for row in rows:
             of_pair = stated.setdefault(f"pairs/{recording}/{row.view}.npz", _OfPair())
@@ -201,7 +201,7 @@ def _stated(
 
 
 def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str]:
-    """Whether views.json has another camera than a pair."""
+    """Yield a clause if a pair's camera differs from views.json."""
     for name in ("T_world_camera", "K"):
         stated_value = None if view is None else getattr(view, name)
         if stated_value is not None and not np.array_equal(stated_value, getattr(pair, name)):
@@ -210,11 +210,11 @@ def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str
 
 @dataclass
 class _Objects:
-    """The objects of a release, one at a time in memory, as pairs of an object are consecutive.
+    """The objects of a release; only one is in memory at a time, as pairs of an object are consecutive.
 
     Attributes:
         contents: the release.
-        whole: names of the files that are the published ones.
+        whole: names of the files whose bytes are the published ones.
     """
 
     contents: Contents
@@ -222,10 +222,10 @@ class _Objects:
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
-        """The faults of a pair's truth, and at the object's first pair those of the object."""
+        """Return the faults of a pair's truth; for the object's first pair, also the faults of the object."""
         lines = list[str]()
         if self._last[0] != recording:
-            self._last = recording, ObjectTruth()  # before the next is read
+            self._last = recording, ObjectTruth()  # frees memory before the next is read
             truth, lines = object_truth(self.contents, recording, self.whole)
             self._last = recording, truth
         return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
@@ -238,7 +238,7 @@ def _pair_lines(
     stated: _OfPair,
     objects: _Objects,
 ) -> list[str]:
-    """The faults of one pair; `stated` are the facts in other files."""
+    """Return the faults of one pair; `stated` has what other files state about it."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
@@ -269,7 +269,7 @@ def _pair_lines(
 def _identity(
     contents: Contents, sums_text: str, damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """benchmark.json, None if it cannot be read; a line if it names another list of files, or cannot be."""
+    """Return benchmark.json (None if unreadable), and a line if it does not match the list of files."""
     try:
         stated = contents.text(BENCHMARK_JSON)
         metadata = ReleaseInfo.parse(stated, BENCHMARK_JSON)
@@ -287,10 +287,10 @@ def _identity(
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
-    """benchmark.json, None if unreadable; targets.csv; and the faults of the small files.
+    """Return benchmark.json (None if unreadable), targets.csv, and the faults of the small files.
 
-    Damaged files are still read if they can be, but their faults are not named a second time, except for the
-    lines of targets.csv.
+    Damaged files are read if possible, but their faults are not reported twice, except for the lines of
+    targets.csv.
     """
     metadata, lines = _identity(contents, sums_text, damaged)
     targets: tuple[Target, ...] = ()
@@ -315,12 +315,12 @@ def _small_file_problems(
 
 
 def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Missing objects of recordings, without which pairs cannot be checked."""
+    """Yield a line for each recording whose object is missing: its pairs cannot be checked."""
     if metadata.benchmark_sha256_version is None:
         return  # earlier releases may have fewer files
     stated = metadata.settings.recordings or metadata.settings.views
     if not stated and not any(name.startswith("views/") and name.endswith(".png") for name in sums):
-        return  # of models, or imported: no recording, so no object of one
+        return  # models and imported pairs have no recorded object
     for recording in metadata.recordings:
         for file in OBJECT_FILES if metadata.has_solid(recording) else ():
             if (name := f"objects/{recording}/{file}") not in sums:
@@ -328,7 +328,7 @@ def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
-    """Lines of targets.csv without their images, and pair files without a line."""
+    """Yield lines of targets.csv without images, and pair files without a line in targets.csv."""
     # Synthesised views have no images.
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     for line, target in enumerate(targets, start=FIRST_LINE):
@@ -354,7 +354,7 @@ def _split_problems(contents: Contents, targets: tuple[Target, ...]) -> Iterator
 
 
 def surface_lines(contents: Contents, recording: str) -> list[str]:
-    """A line if the open mesh that is the truth of a recording is missing, or cannot be read."""
+    """Return a line if the open mesh that is the truth of a recording is missing or unreadable."""
     name = surface_name(recording)
     try:
         read_ply(contents.read(name))

@@ -1,1 +1,1 @@
-"""Exchange of releases with other layouts."""
+"""Export of releases to other layouts, and import from them."""

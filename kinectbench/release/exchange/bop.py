@@ -28,9 +28,9 @@ from kinectbench.release.exchange.layouts import SPLIT_NAMES, new_folder, write_
 from kinectbench.release.exchange.rgbd import camera_of, color_registered, parts_of
 from kinectbench.release.release import Release
 
-# The models that pose errors are computed with have fewer triangles: the toolkit's model type "eval" (5,000
-# vertices are chosen here; the data sets of BOP have some thousands). One object has one diameter, so
-# that the info beside them is that of the whole models.
+# Pose errors are computed with simplified models, the toolkit's model type "eval" (5,000 vertices are chosen
+# here; the data sets of BOP have some thousands). An object has one diameter, so models_info.json beside them
+# is that of the full models.
 MODELS, MODELS_EVAL, EVAL_TRIANGLES = "models", "models_eval", 10_000
 # Keys of scene_gt_info.json.
 GT_INFO = ("bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract")
@@ -54,7 +54,7 @@ def export_bop(release: Release, out: Path, progress: Progress | None = None) ->
     """Write a release as a BOP data set.
 
     Args:
-        release: opened.
+        release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (images done, images in all).
 
@@ -107,7 +107,7 @@ def _write_dataset_files(
     infos: dict[str, object],
     camera: Camera | None,
 ) -> None:
-    """Write the files common to all scenes."""
+    """Write the files that all scenes share."""
     if camera is None:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"
@@ -141,12 +141,12 @@ def write_scene(
     """Write one scene: depth/, rgb/ if colour lies on depth, masks, and its JSON files.
 
     Args:
-        release: opened.
-        targets: the pairs of one recording; the image's number is the view's.
-        folder: of the scene, to be made.
-        obj_id: of the recording's object.
+        release: the opened release.
+        targets: the pairs of one recording; an image has the number of its view.
+        folder: the scene's folder, which is made.
+        obj_id: id of the recording's object.
         model: the object, or None if its truth is held back: then there is no ground truth.
-        before: number of views of the scenes before this one.
+        before: number of views of all earlier scenes.
         progress: called with (views done, views in all).
 
     Returns:
@@ -191,7 +191,7 @@ def write_scene(
 
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
-    """A rigid transform in metres as BOP writes it: rotation row by row, translation in millimetres."""
+    """Return a rigid transform (metres) as BOP writes it: rotation by rows, translation in millimetres."""
     return {
         f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
         f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
@@ -199,5 +199,5 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 
 
 def _unknown(release: Release, target: Target) -> float:
-    """Unknown share of a pair's true shape, rounded."""
+    """Return the unknown share of a pair's true shape, rounded."""
     return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

@@ -1,4 +1,4 @@
-"""An object as the BOP benchmark has it: its model in millimetres, and its silhouette in a view."""
+"""An object in BOP's form: its model in millimetres, and its silhouette in a view."""
 
 from dataclasses import dataclass, replace
 
@@ -14,9 +14,9 @@ from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Bools, Float64
 from kinectbench.release.release import Release
 
-# Rows of distances that are held at once.
+# Rows of the distance matrix that are held at once.
 CHUNK = 512
-# A surface counts as seen if it lies no deeper behind the measured one (BOP: delta).
+# A model's pixel is visible if it lies at most this far behind the measured depth (BOP: delta).
 DELTA_MM = 15.0
 NO_BOX = (-1, -1, -1, -1)
 Box = tuple[int, int, int, int]
@@ -24,12 +24,12 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class BopModel:
-    """An object in the world, and BOP's model frame in it.
+    """An object in the world, and its pose in BOP's model frame.
 
     Attributes:
         mesh: closed, world frame, metres.
-        T_world_model: (4, 4); the model frame has the floor's axes, z up, and its origin in the middle of
-            the mesh's box in them; metres.
+        T_world_model: (4, 4), metres. The model frame has the floor's axes, z up; its origin is the middle of
+            the mesh's box along these axes.
     """
 
     mesh: TriangleMesh
@@ -37,16 +37,16 @@ class BopModel:
 
     @property
     def mesh_mm(self) -> TriangleMesh:
-        """The mesh in the model frame, millimetres."""
+        """Return the mesh in the model frame, millimetres."""
         mesh = self.mesh.transformed(invert_rigid(self.T_world_model))
         return TriangleMesh(mesh.vertices * MM_PER_M, mesh.faces)
 
 
 def read_bop_model(release: Release, recording: str) -> BopModel:
-    """The object of a recording.
+    """Read the object of a recording.
 
     Raises:
-        ReleaseError: its files are missing or damaged.
+        ReleaseError: a file of the object is missing or damaged.
     """
     folder = f"objects/{recording}"
     try:
@@ -64,7 +64,7 @@ def read_bop_model(release: Release, recording: str) -> BopModel:
 
 
 def model_ply(mesh: TriangleMesh) -> bytes:
-    """A binary PLY file with vertex normals, float and int as the toolkit's reader knows them."""
+    """Return a binary PLY file with vertex normals, in the types that the toolkit reads (float, int)."""
     import trimesh
 
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -72,7 +72,7 @@ def model_ply(mesh: TriangleMesh) -> bytes:
 
 
 def model_info(mesh: TriangleMesh) -> dict[str, float]:
-    """A row of models_info.json: the largest distance between two vertices, and the box; the mesh's unit."""
+    """Return a row of models_info.json, in the mesh's unit: largest distance of two vertices, and the box."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     info = {"diameter": _diameter(mesh.vertices)}
     info |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
@@ -80,7 +80,7 @@ def model_info(mesh: TriangleMesh) -> dict[str, float]:
 
 
 def _diameter(vertices: Float64) -> float:
-    """The largest distance between two of the points, which are corners of the convex hull."""
+    """Return the largest distance between two points; both are corners of the convex hull."""
     from scipy.spatial import ConvexHull
     from scipy.spatial.distance import cdist
 
@@ -94,12 +94,12 @@ class ObjectInView:
 
     Attributes:
         mask: (height, width) bool, the silhouette within the image.
-        mask_visib: (height, width) bool, the visible part of it.
-        px_count_all: pixels of the silhouette, beyond the image too.
-        px_count_valid: of `mask`, those with a measured depth.
-        px_count_visib: of `mask_visib`.
-        bbox_obj: x, y, width, height of the silhouette, beyond the image too; -1 if nothing is visible.
-        bbox_visib: of `mask_visib`.
+        mask_visib: (height, width) bool, the visible part of `mask`.
+        px_count_all: number of pixels of the silhouette, also beyond the image.
+        px_count_valid: number of pixels of `mask` with a measured depth.
+        px_count_visib: number of pixels of `mask_visib`.
+        bbox_obj: x, y, width, height of the silhouette, also beyond the image; -1 if nothing is visible.
+        bbox_visib: the box of `mask_visib`.
     """
 
     mask: Bools
@@ -123,18 +123,19 @@ def object_in_view(
     mesh: TriangleMesh,
     renderer: DepthRenderer,
 ) -> ObjectInView:
-    """Silhouette, visible part and their figures.
+    """Return the object's silhouette in a view, its visible part, and their figures.
 
     Args:
-        depth_mm: (height, width) uint16, measured, 0 = none.
-        camera: of the image.
+        depth_mm: (height, width) uint16, measured depth, 0 = none.
+        camera: the image's camera.
         T_world_camera: (4, 4).
-        mesh: of the object, world frame, metres.
-        renderer: of the same mesh.
+        mesh: the object's mesh, world frame, metres.
+        renderer: a renderer of the same mesh.
 
     Source: the BOP format page and its definition of visibility, mode `bop19`: a pixel of the silhouette is
-    visible if the model lies at most 15 mm behind the measurement, along the ray, or there is none. The
-    silhouette is looked for in an image three times as wide and high, the camera's own in its middle.
+    visible if the model lies at most 15 mm behind the measurement along the ray, or if nothing is measured.
+    The silhouette is rendered in an image three times as wide and high, with the camera's image in its
+    middle.
     """
     wide, left, top = _wide_camera(camera, T_world_camera, mesh)
     wide_m = renderer.depth_m(wide, T_world_camera)
@@ -156,7 +157,7 @@ def object_in_view(
 
 
 def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) -> tuple[Camera, int, int]:
-    """A camera whose image holds the whole object, at most three times the size; and its offset."""
+    """Return a camera whose image holds the whole object, at most three times as large, and its offset."""
     points_camera = transform_points(invert_rigid(T_world_camera), mesh.vertices)
     left, right, top, bottom = camera.width, camera.width, camera.height, camera.height
     if points_camera[:, 2].min() > 0:
@@ -174,13 +175,13 @@ def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) ->
 
 
 def _margins(pixels: Float64, size: int) -> tuple[int, int]:
-    """Pixels needed before and after an image's side, each at most the side itself."""
+    """Return the pixels needed before and after an image's side, each at most the side itself."""
     before, after = np.ceil([-pixels.min(), pixels.max() - (size - 1)])
     return int(np.clip(before, 0, size)), int(np.clip(after, 0, size))
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """The box around a mask in BOP's form: first pixel, and distance to the last."""
+    """Return the box around a mask in BOP's form: first pixel, and distance to the last."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,

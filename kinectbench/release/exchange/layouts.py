@@ -1,4 +1,4 @@
-"""Shared parts of layouts: export.json, and the names of splits, categories and values in it."""
+"""Shared parts of all layouts: export.json, and its names of splits, categories and values."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,7 +12,7 @@ from kinectbench.core.voxels.pair_file import Pair, PairInput
 from kinectbench.release.release import Release
 
 EXPORT_JSON = "export.json"
-# The categories of the paper, by their ShapeNet synsets; ShapeNet's sofa is the paper's couch.
+# ShapeNet synsets of the paper's categories; ShapeNet's sofa is the paper's couch.
 SYNSETS = {
     "02828884": "bench",
     "03001627": "chair",
@@ -26,11 +26,11 @@ SYNSETS = {
     "02691156": "plane",
 }
 NO_SYNSET = "00000000"
-# A pair's name, and its values beside its grids.
+# Columns that name a pair, and its values that are no grids.
 NAMES = ("recording", "object", "view", "category", "split")
 NUMBERS = ("voxel_size_m", "surface_sigma_m", "framing", "partial_rule", "occupancy_rule")
 MATRICES = ("T_world_grid", "T_world_camera", "K")
-# Split → what BOP and the paper's authors call it.
+# Split -> its name in BOP and in the paper authors' files.
 SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 
@@ -39,8 +39,8 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
     """Yield an empty folder that replaces `out` if the block succeeds.
 
     Args:
-        out: a new or an empty folder, or one that may be replaced.
-        known_by: a file by which a folder that may be replaced is known; default: that of an earlier export.
+        out: a new or an empty folder, or a folder that may be replaced.
+        known_by: the file that marks a folder as replaceable; default: export.json of an earlier export.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -55,7 +55,7 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:
-    """Write export.json: the release, and facts that the exported files lack."""
+    """Write export.json: the release, and facts that the exported files cannot hold."""
     content = {
         "format_version": 1,
         "package_version": __version__,
@@ -67,18 +67,18 @@ def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]
 
 
 def synset_of(category: str) -> str:
-    """The ShapeNet synset of a category; "00000000" if it is none of the paper's."""
+    """Return the ShapeNet synset of a category; "00000000" for a category that is not the paper's."""
     return next((synset for synset, name in SYNSETS.items() if name == category), NO_SYNSET)
 
 
 def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> str:
-    """`P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<name>.npz`.
+    """Return `P1_<synset>_<category>/<split>_<views>_<kind>_vox256/<name>.npz`.
 
     Args:
-        kind: "25d", the visible part, or "3d", the full shape.
+        kind: "25d" (the visible part) or "3d" (the full shape).
         category: such as "chair".
         split: "train", "validation" or "test".
-        views: their number in a group.
+        views: number of views in the group.
         name: `<model>_<roll>_<pitch>_<yaw>`.
     """
     group = f"{SPLIT_NAMES[split]}_{views}_{kind}_vox256"
@@ -86,9 +86,9 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
 
 
 def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, object]:
-    """A pair's name, its files, and its numbers, texts and matrices, as JSON values.
+    """Return a pair's name, files, numbers, texts and matrices as JSON values.
 
-    With the share of its true shape that is not known, where the truth is there.
+    If its truth is published, the unknown share of its true shape is included.
     """
     row: dict[str, object] = {name: getattr(target, name) for name in NAMES} | files
     row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}

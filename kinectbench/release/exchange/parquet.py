@@ -1,6 +1,7 @@
-"""The targets of a release as a Parquet table, for millions of rows: typed, and read by columns.
+"""The targets of a release as a Parquet table, for millions of rows: typed, and readable by column.
 
-It is no file of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is installed.
+The table is no part of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is
+installed.
 """
 
 from pathlib import Path
@@ -12,7 +13,7 @@ from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release
 
 TARGETS_PARQUET = "targets.parquet"
-# Targets that are held as columns at a time, and that a reader of some gets at once.
+# Number of targets that are converted at a time, and that a reader gets at once.
 ROWS_PER_GROUP = 100_000
 
 
@@ -20,7 +21,7 @@ def export_parquet(release: Release, out: Path, progress: Progress | None = None
     """Write targets.parquet: the columns and rows of targets.csv, `unknown_share` as a number or null.
 
     Args:
-        release: opened.
+        release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (pairs done, pairs in all).
 
@@ -28,7 +29,7 @@ def export_parquet(release: Release, out: Path, progress: Progress | None = None
         The number of pairs.
 
     Raises:
-        SettingsError: `out` holds something else, or pyarrow is not there.
+        SettingsError: `out` holds something else, or pyarrow is not installed.
         StorageError: the disk is full or read-only.
     """
     try:

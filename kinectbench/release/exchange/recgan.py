@@ -1,4 +1,4 @@
-"""Export and import of the paper authors' files, which existing networks read unchanged."""
+"""Export to, and import from, the layout of the paper's authors, which existing networks read unchanged."""
 
 import re
 from collections import Counter
@@ -72,7 +72,7 @@ Metres = Annotated[float, Field(ge=0)]
 
 
 class ExportedPair(StoredPart):
-    """A row of export.json: a pair's name, its files, and facts that they lack."""
+    """A row of export.json: a pair's name, its files, and facts that the files lack."""
 
     recording: Name
     object: Name
@@ -92,7 +92,7 @@ class ExportedPair(StoredPart):
 
 
 class Exported(Stored):
-    """export.json of this layout; other layouts' have no pairs."""
+    """export.json of this layout; in other layouts it has no pairs."""
 
     FILE: ClassVar[str] = EXPORT_JSON
     ERROR: ClassVar[type[KinectBenchError]] = PairError
@@ -105,7 +105,7 @@ class Exported(Stored):
 
 @dataclass(frozen=True)
 class FoundPair:
-    """A pair of files: its place in the release, and facts beyond its grids."""
+    """A pair of files: its target in the release, and its facts that are no grids."""
 
     target: Target
     file_25d: Path
@@ -116,11 +116,12 @@ class FoundPair:
 def export_recgan(release: Release, out: Path, progress: Progress | None = None) -> int:
     """Write every pair of a release as two files, visible (`25d`) and full shape (`3d`).
 
-    Nothing is cropped: their readers centre the grids in 256, so they stay where they are. `export.json`
-    holds what the files do not: names and transforms. `known`, `seen` and `shell` are not exported.
+    The grids are not cropped: the authors' readers centre a grid in 256 cells, so an uncropped one stays in
+    place. `export.json` holds names and transforms, which the files lack. `known`, `seen` and `shell` are not
+    exported.
 
     Args:
-        release: opened.
+        release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (pairs done, pairs in all).
 
@@ -153,26 +154,27 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
 
 
 def import_recgan(folder: Path, out: Path, progress: Progress | None = None, views: int | None = None) -> int:
-    """Write a release of all pairs of files in a folder of the authors' layout.
+    """Write a release from all pairs of files in a folder of the authors' layout.
 
-    Files of `kinectbench export` get their names and transforms back. Of others a recording is
-    `<model>-<views>`, its views are counted in the order of their names.
+    Files of `kinectbench export` get their names and transforms back. For other files, a recording is named
+    `<model>-<views>`, and its views are numbered in the order of their names.
 
     Args:
-        folder: holds `P1_<synset>_<category>/`.
+        folder: the folder that holds `P1_<synset>_<category>/`.
         out: a new folder, or a release, which is replaced.
         progress: called with (pairs done, pairs in all).
-        views: which test and validation pairs, by the number in the names of their folders: 125 are the
-            viewing angles of the training pairs (SV in the paper), 216 are others (CV). None: what is there.
+        views: the number of views in the folder names of the test and validation pairs to import: 125 has the
+            viewing angles of the training pairs (SV in the paper), 216 has others (CV). None: the one that is
+            there.
 
     Returns:
         The number of pairs.
 
     Raises:
-        SettingsError: no such files there, test pairs of several numbers of views and none chosen, or `out`
-            holds something else.
+        SettingsError: there are no such files, there are several numbers of views and none is chosen, or
+            `out` holds something else.
         PairError: a file is damaged, lacks its counterpart, or is a link out of the folder.
-        ReleaseError: names of its models and categories cannot stand together.
+        ReleaseError: names of models and categories contradict each other.
         StorageError: the disk is full or read-only.
     """
     exported, root = folder / EXPORT_JSON, followed(folder)
@@ -208,12 +210,12 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
 
 
 def _name(folder: Path, views: int | None) -> str:
-    """The release's name: that of the folder, with the number of views."""
+    """Return the release's name: the folder's name, with the number of views."""
     return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
 def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:
-    """The pairs with one number of views in test and validation, since a mean over several is meaningless."""
+    """Return the pairs with one number of views in test and validation: means over several mean nothing."""
 
     def number(one: FoundPair) -> int:
         return int(one.target.recording.rpartition("-")[2])
@@ -231,7 +233,7 @@ def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> li
 
 
 def _exported(folder: Path, content: Exported) -> list[FoundPair]:
-    """The pairs that export.json lists."""
+    """Return the pairs that export.json lists."""
     pairs = []
     for row in content.pairs:
         names = {key: getattr(row, key) for key in NAMES}
@@ -245,7 +247,7 @@ def _exported(folder: Path, content: Exported) -> list[FoundPair]:
 
 
 def _theirs(folder: Path) -> list[FoundPair]:
-    """The pairs of the authors' own files, in the order of their names."""
+    """Return the pairs of the authors' own files, in the order of their names."""
     rows = []
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
         match = PATH.fullmatch(path.relative_to(folder).as_posix())
@@ -268,13 +270,13 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
 
 
 def _refuse_link_out(path: Path, root: Path) -> None:
-    """Refuse links that lead out: an import publishes what it reads, and they could reach any file."""
+    """Refuse a link out of the folder: an import publishes what it reads, which could be any file."""
     if not lies_below(path, root):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
 
 
 def _pair(files: FoundPair, root: Path) -> Pair:
-    """A pair of two files in a folder; other facts have the defaults that the card names."""
+    """Read a pair from its two files; other facts have the defaults that the card states."""
     for path in (files.file_25d, files.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():
@@ -303,7 +305,7 @@ def _pair(files: FoundPair, root: Path) -> Pair:
 
 
 def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
-    """The facts about each recording for benchmark.json."""
+    """Return the facts about each recording for benchmark.json."""
     recordings = {target.recording: target for target in targets}
     counts = Counter(target.recording for target in targets)
     return {

@@ -1,7 +1,7 @@
 """Import of the ten Redwood scans of SDS-Complete: a masked view of each, and an open mesh as its truth.
 
-Layout, units and names are after NVlabs/sds-complete @64fa943; docs/second-truth.md says what is unverified.
-The masks are under a licence of NVIDIA that allows no commercial use, and are part of no package.
+Layout, units and names follow NVlabs/sds-complete @64fa943; docs/second-truth.md says what is unverified. The
+masks have a licence of NVIDIA that forbids commercial use; no package contains them.
 """
 
 import io
@@ -35,7 +35,7 @@ from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.view_images import DEPTH, MASK, depth_mm
 from kinectbench.settings.models import PairSettings
 
-# Id of a scan -> its category, and the frame whose mask was drawn.
+# {id of a scan: its category, and the frame for which the mask was drawn}.
 SCANS = {
     "01184": ("trash_container", "0000394-000013114115"),
     "05117": ("chair", "0000699-000023291737"),
@@ -48,12 +48,12 @@ SCANS = {
     "07306": ("trash_container", "0000081-000002669540"),
     "09639": ("chair", "0000174-000005772880"),
 }
-# Of Redwood's scanner, whose depth is registered to colour.
+# Camera of Redwood's scanner; its depth is registered to colour.
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 VIEW = "000"
-# A scan's world is a room or a street.
+# Farthest vertex: a scan's world is a room or a street.
 FARTHEST_M = 1000.0
-# Of fewer pixels an object has no size: one gave voxels of 0 m (chosen here).
+# A mask with fewer pixels gives no size: one gave voxels of 0 m (chosen here).
 LEAST_PIXELS = 100
 MASK_FILE = "data_processing/for_inputs/masks/{scan}.npy"
 POSE_FILE = "data_processing/for_GT/transformations/{scan}_transformation.npy"
@@ -69,13 +69,13 @@ TEXTS = CardTexts(
 
 @dataclass(frozen=True)
 class RedwoodScan:
-    """A scan as its files have it.
+    """A scan as read from its files.
 
     Attributes:
-        png: the depth image, mm.
+        png: the depth image as a file, mm.
         depth_m: (480, 640) float32, metres.
         mask: (480, 640) bool, the object.
-        mesh: the object's faces, camera frame, metres; open.
+        mesh: the object's faces, an open mesh, camera frame, metres.
     """
 
     png: bytes
@@ -85,10 +85,10 @@ class RedwoodScan:
 
 
 def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) -> int:
-    """Write a release of the scans of SDS-Complete that lie in a folder; the world is the camera's frame.
+    """Write a release from the SDS-Complete scans in a folder; the world frame is the camera frame.
 
     Args:
-        folder: holds `data_processing/`, `frames_data_full/` and `mesh/`.
+        folder: the folder that holds `data_processing/`, `frames_data_full/` and `mesh/`.
         out: a new folder, or a release, which is replaced.
         progress: called with (scans done, scans in all).
 
@@ -96,7 +96,7 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
         The number of pairs.
 
     Raises:
-        SettingsError: no mask of a scan is there, or `out` holds something else.
+        SettingsError: the folder has no mask of a scan, or `out` holds something else.
         PairError: a file is missing or damaged, or is a link out of the folder.
         StorageError: the disk is full or read-only.
     """
@@ -126,7 +126,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
     """Read the files of a scan.
 
     Raises:
-        PairError: one is missing, damaged, or a link out of the folder.
+        PairError: a file is missing, damaged, or a link out of the folder.
     """
     of = {"scan": name, "frame": SCANS[name][1]}
     mask, T_camera_mesh, kept = (
@@ -146,7 +146,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
         raise PairError(f"{path}: not a readable mesh ({error}); download it again") from error
     chosen = _chosen(kept, len(vertices), folder / VERTICES_FILE.format(**of))
     mesh = TriangleMesh(vertices, faces.astype(np.int32)).keep_faces(np.asarray(chosen[faces].all(axis=1)))
-    if not (np.abs(mesh.vertices) <= FARTHEST_M).all():  # nor NaN
+    if not (np.abs(mesh.vertices) <= FARTHEST_M).all():  # false for NaN, too
         raise PairError(f"{path}: a vertex is not finite, or beyond {FARTHEST_M:g} m; download it again")
     if not len(mesh.faces) or (mask & (depth > 0)).sum() < LEAST_PIXELS:
         raise PairError(f"{path}: nothing of the object is left; are masks and mesh of one scan?")
@@ -156,7 +156,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
 
 
 def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
-    """Whether each vertex is the object's."""
+    """Return which vertices are the object's."""
     if kept.dtype == bool and kept.shape == (count,):
         return kept
     is_list = kept.ndim == 1 and kept.dtype.kind in "iu" and len(kept) > 0
@@ -168,7 +168,7 @@ def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
 
 
 def _content(folder: Path, name: str, most: int) -> bytes:
-    """The bytes of a file; a link out is refused, as an import publishes what it reads."""
+    """Return the bytes of a file; refuse a link out of the folder, as an import publishes what it reads."""
     path = folder / name
     if not lies_below(path, followed(folder)):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
@@ -187,7 +187,7 @@ def _array(folder: Path, name: str) -> FileArray:
 
 
 def _written(name: str, scan: RedwoodScan, folder: Path) -> Target:
-    """Write the files of a scan; its target."""
+    """Write the files of a scan and return its target."""
     T: Float64 = np.eye(4)
     object_m = np.where(scan.mask, scan.depth_m, np.float32(0))
     grid = view_cube(CAMERA.backproject(scan.depth_m)[object_m > 0], T)

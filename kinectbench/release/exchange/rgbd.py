@@ -1,7 +1,7 @@
-"""The views of a release as plain pictures, depth maps and point maps: what methods of today are fed with.
+"""The views of a release as plain pictures, depth maps and point maps, the input of current methods.
 
-Each view has a folder `<recording>/<view>/`. A method that reads other files, units or axes has a writer of
-its own, which takes the same `RgbdView` (`scoring/adapters/`).
+Each view has a folder `<recording>/<view>/`. A method that reads other files, units or axes has its own
+writer, which takes the same `RgbdView` (`scoring/adapters/`).
 """
 
 from collections.abc import Callable, Sequence
@@ -46,11 +46,11 @@ class RgbdView:
     """The input of a method for one view.
 
     Attributes:
-        target: its pair.
+        target: the view's pair.
         depth_mm: (height, width) uint16, millimetres along z, 0 where nothing was measured.
         mask: (height, width) bool, the object.
-        color: (height, width, 3) uint8 RGB on the pixels of depth; None where there is none.
-        color_words: its description.
+        color: (height, width, 3) uint8 RGB on the pixels of depth; None without such an image.
+        color_words: where the colour comes from, or why there is none.
         K: (3, 3) intrinsics, pixels; pixel centres are integers.
         T_world_camera: (4, 4), camera (x right, y down, z forward) to world, metres.
     """
@@ -71,27 +71,27 @@ class RgbdView:
 
     @property
     def depth_m(self) -> Float32:
-        """(height, width) float32, metres, 0 without a measurement."""
+        """Depth, (height, width) float32, metres, 0 without a measurement."""
         return self.depth_mm.astype(np.float32) / np.float32(MM_PER_M)
 
     @cached_property
     def pointmap_m(self) -> Float32:
-        """(height, width, 3) float32, camera frame, metres, NaN without a measurement."""
+        """Point map, (height, width, 3) float32, camera frame, metres, NaN without a measurement."""
         points = self.camera.backproject(self.depth_mm / MM_PER_M).astype(np.float32)
         points[self.depth_mm == 0] = np.nan
         return points
 
     @property
     def object_points_m(self) -> Float64:
-        """(n, 3): the measured points of the object, camera frame, metres."""
+        """The measured points of the object, (n, 3), camera frame, metres."""
         return self.pointmap_m[self.mask & (self.depth_mm > 0)].astype(np.float64)
 
 
 def framed(view: RgbdView, width: int, height: int) -> RgbdView:
-    """A view as an image of this size, with the object in it; every pixel is one of the view's own.
+    """Crop a view to an image of this size around the object; every pixel is a pixel of the view.
 
-    The window lies around the object's box, and beyond the image nothing is measured. Where the box is
-    larger, every second, third, ... row and column is taken. No pixel is resampled, so that K is exact.
+    The window lies around the object's box; beyond the image, nothing is measured. If the box is larger than
+    the window, only every second, third, ... row and column is kept. No pixel is resampled, so K is exact.
     """
     if view.depth_mm.shape == (height, width):
         return view
@@ -102,13 +102,13 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     size_px = np.array(view.depth_mm.shape[::-1])
     extent = -(-size_px // step)
     middle = (spots.min(axis=1) + spots.max(axis=1)) // (2 * step)
-    # Of a larger image a part, of a smaller one all: in its middle.
+    # The window: inside a larger image; around the whole of a smaller one, which is centred.
     first = np.where(
         extent >= size, np.clip(middle - size // 2, 0, np.maximum(extent - size, 0)), (extent - size) // 2
     )
 
     def cut(image: NDArray[_Pixel]) -> NDArray[_Pixel]:
-        """The window of an image (h, w, ...), zeros beyond it."""
+        """Return the window of an image (h, w, ...), zeros beyond the image."""
         kept = image[::step, ::step]
         out = np.zeros((height, width, *image.shape[2:]), image.dtype)
         low, high = np.maximum(first, 0), np.minimum(first + size, extent)
@@ -123,7 +123,7 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
 
 
 class ViewCamera(Stored):
-    """camera.json of an exported view; what `adapt` puts predictions back with."""
+    """camera.json of an exported view; `adapt` places predictions in the camera frame by it."""
 
     FILE: ClassVar[str] = "camera.json"
     ADVICE: ClassVar[str] = "export the views again"
@@ -149,8 +149,8 @@ class ViewCamera(Stored):
     cut_of: str | None = Field(None, description="what cut_share counts: truth or seen")
 
 
-# Writes the files of one view into a folder that is there, and returns further keys of its camera.json. It
-# may frame the images in another way, and returns the view that they then show.
+# Writes the files of one view into an existing folder, and returns further keys of its camera.json. It may
+# crop the images, and returns the view as written.
 WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, object]]]
 
 
@@ -162,15 +162,15 @@ def export_rgbd(
     write: WriteView | None = None,
     reads_color: bool = True,
 ) -> tuple[int, list[str]]:
-    """Write the views of a release, a folder `<recording>/<view>/` each.
+    """Write the views of a release, each in a folder `<recording>/<view>/`.
 
     Args:
-        release: opened.
+        release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (views done, views in all).
-        method: whose files are written; None: the plain files of `write_plain`.
-        write: writes them; needed with `method`.
-        reads_color: whether the method looks at colour, so that views without it are named.
+        method: the method whose input files are written; None: the plain files of `write_plain`.
+        write: writes a view's files; needed with `method`.
+        reads_color: whether the method reads colour, so that views without colour are reported.
 
     Returns:
         The number of views, and notes on missing colour and cut points.
@@ -197,7 +197,7 @@ def export_rgbd(
 def _write(
     release: Release, view: RgbdView, folder: Path, method: str | None, write: WriteView | None
 ) -> ViewCamera:
-    """Write the files of one view and its camera.json, which is returned."""
+    """Write the files of one view and its camera.json; return the latter."""
     shown_view, more = (write or write_plain)(release, view, folder)
     given: dict[str, Any] = {} if method is None else {"method": method, **more}
     stated = ViewCamera(
@@ -223,13 +223,13 @@ def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
 
 
 def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
-    """Write the colour of a view, if any."""
+    """Write the colour of a view, if it has any."""
     if view.color is not None:
         write_png(folder / name, view.color[..., ::-1])
 
 
 def _color_lines(without: Sequence[str], count: int) -> list[str]:
-    """A line on the views without colour; none if all have it."""
+    """Return a line on the views without colour; none if all have it."""
     if not without:
         return []
     return [
@@ -239,7 +239,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
 
 
 def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
-    """A line about points outside the method's volume; none if all are inside or it has none."""
+    """Return a line about points outside the method's volume; none if all are inside or it has no volume."""
     shares = [one.cut_share for one in stated if one.cut_share is not None]
     if not any(shares):
         return []
@@ -268,10 +268,10 @@ def read_view(release: Release, target: Target) -> RgbdView:
 
 
 def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
-    """K and T_world_camera of a pair.
+    """Return K and T_world_camera of a pair.
 
     Raises:
-        ReleaseError: the pair is missing or damaged, or they are none.
+        ReleaseError: the pair is missing or damaged, or one of the matrices is invalid.
     """
     K, T_world_camera = parts_of(release, target, ("K", "T_world_camera"))
     if not (K[0, 0] > 0 and K[1, 1] > 0 and is_rigid(T_world_camera)):
@@ -280,10 +280,10 @@ def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
 
 
 def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[FileArray]:
-    """Some arrays of a pair; the others are not unpacked.
+    """Return some arrays of a pair; the rest is not unpacked.
 
     Raises:
-        ReleaseError: the pair is missing or damaged, or lacks one.
+        ReleaseError: the pair is missing or damaged, or lacks an array.
     """
     try:
         return pair_parts(release.pair_content(target), names)
@@ -292,10 +292,10 @@ def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[Fil
 
 
 def color_registered(release: Release, recording: str) -> bool:
-    """Whether the recording's colour lies on the pixels of depth.
+    """Return whether the recording's colour lies on the pixels of depth.
 
     Raises:
-        ReleaseError: the release has no views of it.
+        ReleaseError: the release has no views of the recording.
     """
     name = f"views/{recording}/views.json"
     if name not in release.sums:

@@ -16,7 +16,7 @@ from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pai
 from kinectbench.release.exchange.layouts import new_folder, pair_record, write_export_json
 from kinectbench.release.release import Release
 
-# At 0.3 to 0.9 MB a pair a shard has about 60 MB; each worker process needs one of its own.
+# At 0.3 to 0.9 MB a pair a shard has about 60 MB; each worker process needs its own shard.
 PAIRS_PER_SHARD = 100
 
 
@@ -28,15 +28,15 @@ def export_webdataset(
 ) -> int:
     """Write the pairs of each split as `<split>-000000.tar` and so on, the same bytes every time.
 
-    A sample is `<recording>_<view>` with `npz`, the pair file as it is published, to the byte, and `json`:
-    names, transforms and numbers. A dot in a recording's name becomes `-`, for WebDataset's keys end at the
-    first dot. Where the truth is held back there are only the inputs.
+    A sample `<recording>_<view>` has `npz`, the bytes of the published pair file, and `json`: names,
+    transforms and numbers. A dot in a recording's name becomes `-`, because WebDataset's keys end at the
+    first dot. If the truth is held back, a sample has only the inputs.
 
     Args:
-        release: opened.
+        release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (pairs done, pairs in all).
-        pairs_per_shard: at most so many in one file.
+        pairs_per_shard: most pairs in one file.
 
     Returns:
         The number of pairs.
@@ -66,12 +66,12 @@ def export_webdataset(
 
 
 def sample_key(target: Target) -> str:
-    """The key of a pair in a shard."""
+    """Return the key of a pair in a shard."""
     return f"{target.recording.replace('.', '-')}_{target.view}"
 
 
 def _check_keys(targets: Sequence[Target]) -> None:
-    """Refuse recordings whose names differ by dots and hyphens only."""
+    """Refuse recordings whose names differ only by dots and hyphens."""
     recordings: dict[str, str] = {}
     for target in targets:
         first = recordings.setdefault(sample_key(target), target.recording)
@@ -82,7 +82,7 @@ def _check_keys(targets: Sequence[Target]) -> None:
 
 
 def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ...]]]:
-    """The name and the pairs of each shard, in the order of targets.csv."""
+    """Yield the name and the pairs of each shard, in the order of targets.csv."""
     for split in SPLITS:
         targets = release.split(split)
         for number, first in enumerate(range(0, len(targets), size)):
@@ -90,7 +90,7 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
 
 
 def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
-    """A checked pair, or its checked input if its truth is held back."""
+    """Return a checked pair, or its checked input if its truth is held back."""
     values = pair_values(content, target.file)
     if target.split in release.metadata.inputs_only:
         return checked_pair(PairInput, values, target.file)
@@ -98,7 +98,7 @@ def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
 
 
 def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:
-    """Add a file with neutral owner and time."""
+    """Add a file without owner and time, so that the bytes are reproducible."""
     entry = tarfile.TarInfo(name)
     entry.size, entry.mode = len(content), 0o644
     shard.addfile(entry, io.BytesIO(content))

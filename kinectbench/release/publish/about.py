@@ -9,9 +9,10 @@ from kinectbench.core.artefacts.provenance import Lineage
 from kinectbench.settings.publishing import CitationSettings, DatasheetSettings
 
 SUBJECTS = ("3-D shape completion", "RGB-D", "voxel grids", "benchmark")
-# Stamps from then on are times of a day: earlier ones count from the start of a recording or a machine.
+# From this day on a stamp is a calendar time; smaller stamps count from the start of a recording or a
+# machine.
 FIRST_DAY_NS = 946_684_800 * 10**9  # 1 January 2000
-# The day that stands in every archive of a release for a time that nobody knows.
+# The day in every archive of a release where no date is known.
 NO_DAY = "1980-01-01"
 NS_PER_S = 10**9
 
@@ -21,15 +22,15 @@ class About:
     """The description of a release.
 
     Attributes:
-        name: of the benchmark.
-        license: of all its recordings.
+        name: the benchmark's name.
+        license: the licence of all recordings.
         description: a sentence.
-        citation: how it is cited.
-        date: the day of its publication, year-month-day.
-        answers: what only a person can tell.
-        warnings: its faults, one line each.
-        color: whether its colour images are published.
-        recorded: whether it was made of recordings, and not of models.
+        citation: how the release is cited.
+        date: the day of publication, year-month-day.
+        answers: answers that only a person can give.
+        warnings: known faults of the release, one line each.
+        color: whether colour images are published.
+        recorded: whether the release was made from recordings instead of models.
     """
 
     name: str
@@ -44,14 +45,14 @@ class About:
 
 
 def day_of(citation: CitationSettings, folder: Path) -> str:
-    """The date of a release, year-month-day; it does not use the clock, so that bytes are reproducible.
+    """Return the date of a release, year-month-day; the clock is not used, so bytes are reproducible.
 
-    As stated (`date_released`), else that of the last frame that lineage.json names, for no data is older
-    than its frames; where their stamps are no times of a day, the day that archives have.
+    The date is `date_released` if stated; else the day of the last frame in lineage.json; if its stamp is no
+    calendar time, `NO_DAY`.
 
     Args:
         citation: how the release is cited.
-        folder: the release's, with lineage.json, if it has one.
+        folder: the release's folder; lineage.json may be missing.
     """
     if citation.date_released:
         return citation.date_released
@@ -62,12 +63,12 @@ def day_of(citation: CitationSettings, folder: Path) -> str:
         return NO_DAY
     try:
         return datetime.fromtimestamp(last_ns // NS_PER_S, UTC).date().isoformat()
-    except (OverflowError, ValueError, OSError):  # of a year that no calendar has
+    except (OverflowError, ValueError, OSError):  # a year beyond the calendar
         return NO_DAY
 
 
 def responsible_use(about: About) -> Mapping[str, str | list[str]]:
-    """Croissant's fields for responsible AI, without their prefix; fields that nobody gave are left out."""
+    """Return Croissant's fields for responsible AI, without prefix; unanswered fields are left out."""
     answers = about.answers
     people = [answers.consent] if answers.consent else []
     if about.recorded:

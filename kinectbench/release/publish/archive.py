@@ -13,7 +13,7 @@ from kinectbench.release.contents import release_files
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.settings.models import BenchmarkSettings
 
-# Compressed already.
+# Files that are stored, as they are already compressed.
 STORED = (".npz", ".png", ".jpg")
 MIDNIGHT = (1980, 1, 1, 0, 0, 0)
 REGULAR_0644 = 0o100644 << 16
@@ -21,23 +21,23 @@ DEFLATE_LEVEL = 9
 
 
 def archive_stem(info: ReleaseInfo) -> str:
-    """`<name>-<version>`, or `<name>-<first 8 digits of benchmark_sha256>` of a release without a version.
+    """Return `<name>-<version>`, or `<name>-<first 8 digits of benchmark_sha256>` without a version.
 
-    The private part of a benchmark that is held back adds `-private`.
+    The private part of a benchmark with held-back truth gets the suffix `-private`.
     """
     private = "-private" if info.public_benchmark_sha256 else ""
     return f"{info.name}-{info.version or info.benchmark_sha256[:8]}{private}"
 
 
 def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> None:
-    """Refuse archives of a release that must not be distributed, before anything is built.
+    """Refuse to archive a release that must not be distributed, before anything is built.
 
     Args:
-        settings: the benchmark's.
-        ids: recordings that are to be published; None: all.
+        settings: the benchmark's settings.
+        ids: the recordings to publish; None: all.
 
     Raises:
-        ReleaseError: licence or source of a recording is not stated.
+        ReleaseError: the licence or source of a recording is not stated.
     """
     wanted = {
         recording.id: recording.model_copy(
@@ -57,15 +57,15 @@ def _refuse(reasons: Sequence[str]) -> None:
 def write_archive(release: Path, out: Path) -> Path:
     """Pack a release as `out/<stem>.zip`, with `<stem>.zip.sha256` beside it, as `sha256sum -c` reads it.
 
-    Entries are sorted, without times, with the same permissions; npz and pictures are stored, the rest is
+    Entries are sorted, and have no times and equal permissions; npz and pictures are stored, the rest is
     deflated.
 
     Args:
-        release: its folder.
-        out: is made if it is not there.
+        release: the release's folder.
+        out: the folder for the archive, which is made if missing.
 
     Raises:
-        ReleaseError: no release there, or it must not be given away.
+        ReleaseError: there is no release, or it must not be distributed.
         StorageError: the disk is full or read-only.
     """
     info = ReleaseInfo.read(release)
@@ -84,7 +84,7 @@ def write_archive(release: Path, out: Path) -> Path:
 
 
 def _add(archive: zipfile.ZipFile, file: Path, name: str) -> None:
-    """Add one file in streaming."""
+    """Add one file without reading it into memory as a whole."""
     entry = zipfile.ZipInfo(name, MIDNIGHT)
     entry.create_system = 3  # Unix, on every system
     entry.external_attr = REGULAR_0644

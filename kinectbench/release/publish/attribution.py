@@ -1,4 +1,4 @@
-"""Licence and source of every recording, how to cite them, and what changed from version to version."""
+"""Licences and sources of recordings, citation, and changelog of a release."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo
 from kinectbench.settings.models import RecordingSettings
 from kinectbench.settings.publishing import ChangeSettings, CitationSettings
 
-# SPDX identifier -> what Hugging Face calls it.
+# SPDX identifier -> name of the licence on Hugging Face.
 HUGGING_FACE = {
     "Apache-2.0": "apache-2.0",
     "CC-BY-3.0": "cc-by-3.0",
@@ -30,10 +30,10 @@ HUGGING_FACE = {
 def reasons_against_distribution(
     recordings: Mapping[str, RecordingInfo | RecordingSettings],
 ) -> tuple[str, ...]:
-    """Why the data must not be distributed, one line each; empty if it may be.
+    """Return why the data must not be distributed, one line each; empty if distribution is allowed.
 
     Args:
-        recordings: by id, each with its licence and source.
+        recordings: {id: recording with its licence and source}.
     """
     reasons = []
     for key, word in (("license", "licence"), ("source", "source")):
@@ -48,34 +48,34 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """The common licence of all recordings, or `otherwise` if they differ."""
+    """Return the common licence of all recordings, or `otherwise` if they differ."""
     licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
 
 def license_url(license: str) -> str | None:
-    """The URL of a licence with an SPDX identifier; None for other texts."""
+    """Return the URL of a licence with an SPDX identifier; None for other texts."""
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
 
 
 def markdown_line(text: str) -> str:
-    """An untrusted text as a line of Markdown without tags, links or cells."""
+    """Return an untrusted text as a line of Markdown without tags, links or cells."""
     line = " ".join(text.split()).replace("<", "&lt;")
     return re.sub(r"[\\[|]", r"\\\g<0>", line)
 
 
 def without_tags(text: str) -> str:
-    """An author's Markdown text without HTML."""
+    """Return an author's Markdown text without HTML."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
 
 
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
-    """LICENSE: the licence, and of each recording its licence and source.
+    """Return the text of LICENSE: the licence, then licence and source of each recording.
 
     Args:
-        name: of the benchmark.
-        license: of the benchmark.
-        recordings: entries of benchmark.json, by id.
+        name: the benchmark's name.
+        license: the benchmark's licence.
+        recordings: {id: entry of benchmark.json}.
     """
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
@@ -91,12 +91,12 @@ def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo
 
 
 def citation_text(citation: CitationSettings, name: str, license: str) -> str:
-    """CITATION.cff (Citation File Format 1.2.0) of a dataset.
+    """Return the text of CITATION.cff (Citation File Format 1.2.0) of a dataset.
 
     Args:
-        citation: the benchmark's; its name replaces missing fields.
-        name: of the benchmark.
-        license: left out where it is no SPDX identifier, as the format asks for.
+        citation: the benchmark's citation; `name` replaces a missing title and authors.
+        name: the benchmark's name.
+        license: the licence; left out unless it is an SPDX identifier, which the format requires.
     """
     content: dict[str, object] = {
         "cff-version": "1.2.0",
@@ -118,12 +118,12 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
 
 
 def authors(citation: CitationSettings, name: str) -> list[str]:
-    """The authors, or a substitute if the benchmark names none."""
+    """Return the authors, or a substitute if the benchmark names none."""
     return citation.authors or [f"The makers of {name}"]
 
 
 def citation_line(citation: CitationSettings, name: str) -> str:
-    """A citation of the release in one line."""
+    """Return a citation of the release in one line."""
     parts = [", ".join(authors(citation, name))]
     if citation.date_released:
         parts[0] += f" ({citation.date_released[:4]})"
@@ -138,7 +138,7 @@ def citation_line(citation: CitationSettings, name: str) -> str:
 
 
 def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
-    """CHANGELOG.md, newest first, as given."""
+    """Return the text of CHANGELOG.md, newest change first, as given."""
     lines = [f"# Changes of {name}", ""]
     for change in changes or []:
         lines += [
@@ -153,6 +153,6 @@ def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
 
 
 def _author(author: str) -> dict[str, str]:
-    """`Family, Given` is a person, other names are groups."""
+    """Return an author as CITATION.cff has it: `Family, Given` is a person, another name a group."""
     family, comma, given = author.partition(", ")
     return {"family-names": family, "given-names": given} if comma else {"name": author}

@@ -1,4 +1,4 @@
-"""Texts of a release: the card README.md, and READING.md, which reads it without this package."""
+"""Texts of a release: the card README.md, and READING.md on how to read it without this package."""
 
 import re
 from collections import Counter
@@ -34,7 +34,7 @@ QUALITY = {
     "volume_m3": ("volume", "{:.1f} l", 1000.0),
     "good_frames": ("frames fused", "{:.0f}", 1.0),
 }
-# Key of a recording's reference -> what it is called.
+# Key of a recording's reference -> label.
 REFERENCE = {
     "f_score_5mm": "F at 5 mm to its reference",
     "f_score_10mm": "F at 10 mm to its reference",
@@ -45,9 +45,9 @@ ESTIMATES = ("estimated_iou", "estimated_iou_low", "estimated_iou_high")
 PASSED_OVER = (
     "Passed over: frames that did not do as a view, for which others were tried, and views without a pair."
 )
-# Entries that are a person's statement.
+# Label of a statement by a person.
 UNDERSIDE = "underside, as stated"
-# What the truth of a recording is, where it was not fused.
+# Label of the truth's kind, where the truth was not fused.
 KIND = "truth"
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**12, "n>1M"))
 TRUTH_LINES = """\
@@ -62,10 +62,10 @@ NO_TRUTH = "# No pair of this part has its truth."
 
 
 def quality_words(quality: QualityFile) -> dict[str, str]:
-    """Label of each known figure → value with unit, in a fixed order; last a person's statements.
+    """Return {label of a known figure: value with unit}, in a fixed order; a person's statements come last.
 
     Args:
-        quality: quality.json; without a figure where it is held back or the pairs come from elsewhere.
+        quality: quality.json; it has no figures if held back, or if the pairs come from elsewhere.
     """
     words = {
         label: form.format(factor * value)
@@ -73,14 +73,14 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
         if (value := getattr(quality, key)) is not None
     }
     estimate = quality.estimated_iou_words(3)
-    # With its interval, in the same place.
+    # The estimate with its interval replaces the estimate, in the same place.
     words |= {QUALITY["estimated_iou"][0]: estimate} if estimate else {}
     words |= {UNDERSIDE: quality.underside} if quality.underside else {}
     return words | ({KIND: quality.truth.kind} if quality.truth else {})
 
 
 def reference_words(info: RecordingInfo) -> dict[str, str]:
-    """The figures of a reference that fits and is another mesh: what each is called -> its value."""
+    """Return {label: figure} of a reference that fits and is not the truth itself."""
     if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
@@ -88,15 +88,15 @@ def reference_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def visible_words(info: RecordingInfo) -> dict[str, str]:
-    """How much of the true surface a view sees, if known."""
+    """Return the share of the true surface that a view sees, with its label, if known."""
     return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Who stated that undersides are closed or open, in one line; empty without a statement.
+    """Return one line on who stated that undersides are closed or open; empty without a statement.
 
     Args:
-        recordings: by id; held-back ones have no quality, and synthetic ones no word.
+        recordings: {id: entry}; held-back recordings have no quality, and synthetic ones no statement.
     """
     by_word = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
     if not by_word:
@@ -117,9 +117,9 @@ class CardTexts:
     """The texts of a card that depend on the origin of the pairs.
 
     Attributes:
-        source: end of the first sentence: "A benchmark for ... shape completion from".
-        beside: the content of the folders beside `pairs/`.
-        origin: source of a recording that states none; empty: it has to.
+        source: the end of the first sentence "A benchmark for ... shape completion from".
+        beside: what the folders beside `pairs/` contain.
+        origin: source of recordings that state none; empty: each has to state its own.
         pictured: whether previews/ has a picture of each pair.
     """
 
@@ -146,14 +146,14 @@ def card(
     license: str,
     texts: CardTexts = RECORDED,
 ) -> str:
-    """The card as Markdown, with the YAML head that Hugging Face reads.
+    """Return the card as Markdown, with the YAML head that Hugging Face reads.
 
     Args:
-        info: benchmark.json.
+        info: content of benchmark.json.
         targets: every pair.
-        warnings: one line each.
-        license: of all recordings.
-        texts: what depends on where the pairs come from.
+        warnings: warnings, one line each.
+        license: the licence of all recordings.
+        texts: the texts that depend on the origin of the pairs.
     """
     example = next((t for t in targets if t.split not in info.inputs_only), targets[0])
     hidden = example.split in info.inputs_only
@@ -179,14 +179,14 @@ def card(
 
 
 def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: bool) -> str:
-    """The card's YAML: https://huggingface.co/docs/hub/datasets-cards."""
+    """Return the card's YAML head: https://huggingface.co/docs/hub/datasets-cards."""
     known = HUGGING_FACE.get(license)
     content: dict[str, object] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
     if content["license"] == "other":
         content |= {"license_name": re.sub(r"[^a-z0-9.-]+", "-", license.lower()).strip("-")}
         content |= {"license_link": LICENSE}
     categories = sorted({target.category for target in targets})
-    # An isolated recording has no pictures; of a release that has none the tables of the splits are shown.
+    # An isolated recording has no pictures. A release without any picture shows the tables of the splits.
     shown = [t for t in targets if not info.isolates(t.recording)] if pictured else []
     path = f"{PREVIEWS}/{{}}/**" if shown else f"{SPLIT_TARGETS}/{{}}.csv"
     present = [split for split in SPLITS if any(t.split == split for t in shown or targets)]
@@ -195,7 +195,7 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: 
         "task_categories": ["image-to-3d"],
         "tags": ["3d", "shape-completion", "rgb-d", "voxels", "benchmark", *categories],
         "size_categories": [next(name for limit, name in SIZES if len(targets) < limit)],
-        # One table alone: `datasets` reads all tables of a card as it reads the first.
+        # Only one table: `datasets` reads all tables of a card like the first.
         "configs": [
             {
                 "config_name": "targets",
@@ -208,7 +208,7 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: 
 
 
 def _notice(info: ReleaseInfo) -> str:
-    """The notice at the top of the card; empty for a complete release that may be distributed."""
+    """Return the notice at the top of the card; empty for a complete release that may be distributed."""
     lines = []
     if info.distribution is not None and not info.distribution.allowed:
         lines += ["**Not for distribution.**", *(f"- {reason}" for reason in info.distribution.reasons), ""]
@@ -229,7 +229,7 @@ def _notice(info: ReleaseInfo) -> str:
 
 
 def counts_table(targets: Sequence[Target]) -> str:
-    """Pairs and objects per category and split."""
+    """Return the table of pairs and objects per category and split."""
     pairs = Counter((target.category, target.split) for target in targets)
     objects = Counter(category for category, _ in {(target.category, target.object) for target in targets})
     rows = [
@@ -240,7 +240,7 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Of each category how large its objects are, and medians of what is known; empty if nothing is."""
+    """Return the table of each category's object sizes and medians of known figures; empty without any."""
     category_of = {target.recording: target.category for target in targets}
     rows = []
     for category in sorted(set(category_of.values())):
@@ -260,7 +260,7 @@ def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """The figures of the table of categories, of one recording: label -> value, of what is known."""
+    """Return {label: value} of one recording's known figures in the table of categories."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))
@@ -269,7 +269,7 @@ def category_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def _ranges(sizes_m: Float64) -> str:
-    """Longer side, shorter side and height of boxes (n, 3), metres, each from the least to the most."""
+    """Return the ranges of longer side, shorter side and height of boxes (n, 3), metres."""
     if not len(sizes_m):
         return ""
     sides_m = np.column_stack([sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1), sizes_m[:, 2]])
@@ -278,7 +278,7 @@ def _ranges(sizes_m: Float64) -> str:
 
 
 def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
-    """Shares in percent, and an estimate with its interval; empty where a figure is not known."""
+    """Return visible and unknown share in percent, and the estimate with its interval; "" where not known."""
     visible, unknown, estimate, low, high = figures
     shares = ["" if share is None else f"{share:.1%}" for share in (visible, unknown)]
     interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
@@ -286,13 +286,13 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median of what is known."""
+    """Return the median of the known values."""
     known = [value for value in values if value is not None]
     return median(known) if known else None
 
 
 def card_figures(info: ReleaseInfo) -> str:
-    """Pairs, refused views and figures of each recording's quality.json, and the source of undersides."""
+    """Return each recording's pairs, refused views and figures of quality.json, and who stated undersides."""
     words = {
         name: quality_words(recording.quality) | reference_words(recording) | visible_words(recording)
         for name, recording in info.recordings.items()
@@ -309,7 +309,7 @@ def card_figures(info: ReleaseInfo) -> str:
 
 
 def flow_section(info: ReleaseInfo) -> str:
-    """The number of recordings tried, and left out at each step with the reason; empty without figures."""
+    """Return how many recordings were tried, and left out at each step and why; empty without figures."""
     flow = info.flow
     if flow is None:
         return ""
@@ -338,7 +338,7 @@ def flow_section(info: ReleaseInfo) -> str:
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Licence and source, as stated, of the recordings that share them: whom to name, and for what."""
+    """Return the table of licences and sources, each with the recordings that share them."""
     sharing: dict[tuple[str, str], list[str]] = {}
     for name, info in sorted(recordings.items()):
         sharing.setdefault((markdown_line(info.source), markdown_line(info.license)), []).append(name)
@@ -347,18 +347,18 @@ def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def reading(targets: Sequence[Target], held_back: Sequence[str], why: str = "held back") -> str:
-    """The page as Markdown; its example is the first pair with truth, if there is one.
+    """Return READING.md; its example is the first pair with truth, if there is one.
 
     Args:
         targets: every pair.
         held_back: splits with published inputs only.
-        why: they have no truth.
+        why: why these splits have no truth.
     """
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))

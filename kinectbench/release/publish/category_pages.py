@@ -1,4 +1,4 @@
-"""categories/<category>.html of a release: a picture of every object and the figures that people ask for."""
+"""Pages categories/<category>.html of a release: a picture of every object, with its main figures."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,8 +16,8 @@ from kinectbench.release.publish.card import category_words
 from kinectbench.release.publish.preview import BLUE, CLAY, enlarged, seen_from_the_front
 from kinectbench.settings.models import BenchmarkSettings
 
-# Of 256 cells every second one: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand objects
-# has 40 MB, of 64 MB that a page may have.
+# Every second of 256 cells is shown: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand
+# objects takes 40 of the 64 MB that a page may have.
 STEP, QUALITY = 2, 75
 
 
@@ -29,7 +29,7 @@ def write_category_pages(
     held_back: Sequence[str],
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write a page for each category of a release whose pairs exist; without pictures of isolated recordings.
+    """Write a page for each category of a release with existing pairs; isolated recordings have no pictures.
 
     Raises:
         PairError: a pair is damaged.
@@ -56,7 +56,7 @@ def write_category_pages(
 
 
 def _picture(folder: Path, target: Target, held_back: bool) -> Rgb:
-    """The shape as its first view sees it; of one that is held back what the view saw of it."""
+    """Return the shape as its first view sees it; if held back, only the part that the view saw."""
     path = folder / target.file
     if held_back:
         return enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))[::STEP, ::STEP]

@@ -1,4 +1,4 @@
-"""croissant.json: a release as machines read it, in Croissant 1.1 with its RAI fields (JSON-LD)."""
+"""croissant.json: machine-readable metadata of a release, in Croissant 1.1 with its RAI fields (JSON-LD)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -17,7 +17,7 @@ NPZ = "application/x-npz"
 TYPES |= {".md": "text/markdown", ".cff": "application/yaml"}
 PAIR_FILES, VIEW_LISTS = "pair-files", "view-lists"
 FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
-    # Readers that know no npz, mlcroissant for one, give the bytes of plain files, too.
+    # "text/plain", too: readers that do not know npz, such as mlcroissant, then give the bytes.
     PAIR_FILES: ("pairs/*/*.npz", [NPZ, "text/plain"], "the pairs: npz files of bit-packed grids"),
     "depth-images": ("views/*/*.depth.png", "image/png", "depth of each view, uint16 millimetres, 0 = none"),
     "masks": ("views/*/*.mask.png", "image/png", "255 = the object, in the pixels of depth"),
@@ -26,18 +26,18 @@ FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
     "objects": ("objects/*/*", "application/octet-stream", "floor, closed mesh and labelled volume"),
     "shown-objects": ("objects/*.glb", "model/gltf-binary", "each object for viewers, of fewer triangles"),
 }
-# pandas, which readers load the table with, would make a number of 007.
+# From the file name: pandas, with which readers load the table, would turn 007 into a number.
 VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
 RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
 
 
 def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS)) -> dict[str, object]:
-    """Content of croissant.json.
+    """Return the content of croissant.json.
 
     Args:
         about: the description of the release.
-        folder: the release, complete except for what holds hashes or describes it.
-        columns: of its targets.csv.
+        folder: the release, complete except for files that hold hashes or describe it.
+        columns: columns of its targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
@@ -68,7 +68,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
 
 def _file_objects(folder: Path) -> list[dict[str, object]]:
-    """The files at the top, each with its hash."""
+    """Return the files at the top of the release, each with its hash."""
     return [
         {
             "@type": "cr:FileObject",
@@ -84,7 +84,7 @@ def _file_objects(folder: Path) -> list[dict[str, object]]:
 
 
 def _file_sets(folder: Path) -> list[dict[str, object]]:
-    """Sets of files in folders, by pattern, if any exist."""
+    """Return the sets of files in folders, by pattern; only sets that have files."""
     return [
         {
             "@type": "cr:FileSet",
@@ -100,7 +100,7 @@ def _file_sets(folder: Path) -> list[dict[str, object]]:
 
 
 def _targets(columns: Sequence[str]) -> dict[str, object]:
-    """targets.csv as records."""
+    """Return targets.csv as a record set."""
     return {
         "@type": "cr:RecordSet",
         "@id": "targets",
@@ -112,7 +112,7 @@ def _targets(columns: Sequence[str]) -> dict[str, object]:
 
 
 def _pairs() -> dict[str, object]:
-    """The pair files as records: numpy.load(io.BytesIO(record["pairs/npz"])) has the arrays."""
+    """Return the pair files as a record set: numpy.load(io.BytesIO(record["pairs/npz"])) has the arrays."""
     arrays = "; ".join(f"{field.name}: {field.metadata['description']}" for field in fields(Pair))
     content = (
         "the bytes of an npz file, whose arrays are: "
@@ -132,7 +132,7 @@ def _pairs() -> dict[str, object]:
 
 
 def _cameras() -> dict[str, object]:
-    """views.json as records: the camera of each view."""
+    """Return views.json as a record set: the camera of each view."""
     parts: dict[str, tuple[str, str, dict[str, object]]] = {
         "view": ("zero-padded index", "sc:Text", {}),
         "K": ("intrinsics, pixels", "cr:Float64", {"isArray": True, "arrayShape": "3,3"}),
@@ -156,7 +156,7 @@ def _cameras() -> dict[str, object]:
 
 
 def _of_files(record_set: str, name: str, text: str, extract: dict[str, str], files: str) -> dict[str, Any]:
-    """A field that is read of each file of a file set."""
+    """Return a field that is read from each file of a file set."""
     return {
         "@type": "cr:Field",
         "@id": f"{record_set}/{name}",
@@ -188,7 +188,7 @@ def _creator(author: str) -> Mapping[str, str]:
 
 
 def _context() -> dict[str, object]:
-    """The context of Croissant 1.1, word for word; readers compare it."""
+    """Return the context of Croissant 1.1, word for word; readers compare it."""
     of_croissant = (
         "arrayShape citeAs column containedIn equivalentProperty extract field fileProperty fileObject "
         "fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet "

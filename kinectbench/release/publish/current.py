@@ -1,4 +1,4 @@
-"""Publishing a benchmark from its build folders, and knowing whether the release is still current."""
+"""Publish a benchmark from its build folders, unless the release is still current."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -29,17 +29,17 @@ def publish_if_stale(
     """Publish `build/` as `benchmark/`, unless the same release is there already.
 
     Args:
-        settings: the benchmark's.
-        root: the folder of benchmark.yaml.
-        recordings: ids of those built without failure.
+        settings: the benchmark's settings.
+        root: the folder that holds benchmark.yaml.
+        recordings: ids of the recordings built without failure.
         force: publish again in any case.
-        options: options beyond the settings; None: those of the last time.
-        wait: whether to wait for another run in this benchmark.
-        waiting: called with who holds it, before waiting.
+        options: options beyond the settings; None: the options of the last publication.
+        wait: whether to wait if another run holds this benchmark.
+        waiting: called before waiting, with the name of the run that holds it.
 
     Raises:
         ReleaseError: nothing was built, or `benchmark/` holds something else.
-        StorageError: the release cannot be written, or another run is at work here (without `wait`).
+        StorageError: the release cannot be written, or another run holds the benchmark (without `wait`).
     """
     build, out = root / "build", root / "benchmark"
     if not recordings:
@@ -47,7 +47,7 @@ def publish_if_stale(
             f"{build}: no recording was built, so there is nothing to publish", what="not-built"
         )
     with contextlib.ExitStack() as locks:
-        # No other run may change a pair between its checks and its copy.
+        # No other run may change a pair between its check and its copy.
         for folder in (build, *(build / name for name in sorted(recordings))):
             locks.enter_context(locked(folder, wait=wait, waiting=waiting))
         for folder in (out, out.with_name(out.name + PRIVATE)):
@@ -69,7 +69,7 @@ def publish_if_stale(
 def already_published(
     settings: BenchmarkSettings, root: Path, recordings: Sequence[str], options: PublishOptions | None
 ) -> PublishSummary | None:
-    """The current release that `publish_if_stale` would find; None if it would publish."""
+    """Return the current release that `publish_if_stale` would keep; None if it would publish."""
     build, out = root / "build", root / "benchmark"
     stamp = _stamp(build)
     asked = options or (stamp.options if stamp else NO_OPTIONS)
@@ -77,14 +77,14 @@ def already_published(
 
 
 def scoring_folder(root: Path) -> Path:
-    """The release below `root` that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
+    """Return the release that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
     out = root / "benchmark"
     private = out.with_name(out.name + PRIVATE)
     try:
         wanted = ReleaseInfo.read(out).private_benchmark_sha256
         if wanted is not None and ReleaseInfo.read(private).benchmark_sha256 == wanted:
             return private
-    except ReleaseError:  # whoever opens it will say so
+    except ReleaseError:  # whoever opens it reports it
         pass
     return out
 
@@ -110,7 +110,7 @@ def _fingerprint(
 
 
 def _stamp(build: Path) -> PublishStamp | None:
-    """The last publication; None if there was none or its record is unreadable."""
+    """Return the record of the last publication; None if there is none or it is unreadable."""
     try:
         return PublishStamp.read_if_there(build)
     except ReleaseError:
@@ -118,7 +118,7 @@ def _stamp(build: Path) -> PublishStamp | None:
 
 
 def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
-    """The release in `out`, if it is that of the stamp and matches the request."""
+    """Return the release in `out`, if it is the one of the stamp and matches the request."""
     if stamp is None or stamp.fingerprint != wanted:
         return None
     private = out.with_name(out.name + PRIVATE) if stamp.private_sha256 else None

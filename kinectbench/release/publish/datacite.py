@@ -1,6 +1,7 @@
-"""datacite.json: the metadata of a release as registries of DOIs take it, in DataCite's schema 4.
+"""datacite.json: the metadata of a release in DataCite's schema 4, for registries of DOIs.
 
-It is what `POST https://api.datacite.org/dois` takes as `attributes`, and what Zenodo and others export.
+The content can be sent as `attributes` to `POST https://api.datacite.org/dois`; Zenodo and others export the
+same.
 """
 
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED
@@ -12,7 +13,7 @@ FORMATS = ("application/x-npz", "image/png", "application/json", "model/gltf-bin
 
 
 def datacite(about: About) -> dict[str, object]:
-    """Content of datacite.json.
+    """Return the content of datacite.json.
 
     Source: DataCite Metadata Schema 4.5, https://datacite-metadata-schema.readthedocs.io/en/4.5/
     """
@@ -46,7 +47,7 @@ def _rights(license: str) -> dict[str, str]:
 
 
 def _creator(author: str) -> dict[str, str]:
-    """`Family, Given` is a person, other names are groups."""
+    """Return an author as DataCite has it: `Family, Given` is a person, another name a group."""
     family, comma, given = author.partition(", ")
     if not comma:
         return {"name": author, "nameType": "Organizational"}

@@ -38,7 +38,7 @@ FIGURES = {
 
 
 def unanswered(settings: BenchmarkSettings) -> list[str]:
-    """The unanswered questions of the datasheet, by key."""
+    """Return the unanswered questions of the datasheet, by key."""
     return [key for key, value in settings.publish.datasheet.model_dump().items() if not value]
 
 
@@ -51,14 +51,14 @@ def datasheet(
     held_back: Sequence[str] = (),
     isolated: Sequence[str] = (),
 ) -> str:
-    """The datasheet as Markdown.
+    """Return the datasheet as Markdown.
 
     Args:
-        settings: the benchmark's; `publish.datasheet` has the answers.
+        settings: the benchmark's settings; `publish.datasheet` has the answers.
         targets: every pair.
-        infos: by recording; held-back ones have no quality.
+        infos: {recording: entry}; held-back recordings have no quality.
         color: "left out", "published" or "none".
-        warnings: of the release.
+        warnings: warnings of the release.
         held_back: splits with published inputs only.
         isolated: recordings with a single published view.
     """
@@ -100,7 +100,7 @@ def datasheet(
 
 
 def _sources(infos: Mapping[str, RecordingInfo]) -> str:
-    """The sources of the recordings."""
+    """Return a list of the sources of the recordings."""
     by_source: dict[str, list[str]] = {}
     for name, info in sorted(infos.items()):
         by_source.setdefault(markdown_line(info.source), []).append(name)
@@ -108,7 +108,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def datasheet_figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Median and range of the figures, one line each; and who declared undersides closed."""
+    """Return median and range of each figure, one line each; and who declared undersides closed."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
         of_key = [getattr(info.quality, key) for info in infos.values()]

@@ -1,7 +1,7 @@
-"""Which recordings are published, by the rules of triage or a person's decision.
+"""Decide which recordings are published, by the rules of triage or a person's decision.
 
-`recordings[].review` accepts or rejects one recording with a reason, and `publish --allow-poor` lets all pass
-that were built; a release states the outcome of each, with the reason.
+`recordings[].review` accepts or rejects one recording with a reason, and `publish --allow-poor` accepts every
+built one; a release states the outcome for each recording, with the reason.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -18,30 +18,30 @@ REJECTED = "rejected by review: "
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
 # Replaces figures and a person's reason that would reveal held-back truth.
 WITHHELD = "why is held back, as its truth is"
-# Where no recording can be published, the reasons of so many are named.
+# If no recording can be published, at most so many reasons are shown.
 SHOWN_REASONS = 4
 WITHOUT_PAIR = "not a single view passed the checks of the pairs"
 OF_ONE_OBJECT = "with --isolate one view of its object is published, or it has no pair"
 
 
 def first_lines(lines: Sequence[str]) -> str:
-    """Lines as one, after semicolons: the first few, and a count of the others."""
+    """Join lines by semicolons: the first few, and a count of the rest."""
     more = [f"and {len(lines) - SHOWN_REASONS} more"] if len(lines) > SHOWN_REASONS else []
     return "; ".join([*lines[:SHOWN_REASONS], *more])
 
 
 def left_out_line(name: str, why: str) -> str:
-    """The card's line about a recording that is left out; may end with advice."""
+    """Return the card's line about a recording that is left out; advice may follow `why`."""
     return f"{name} is left out: {why}"
 
 
 def poor_line(name: str, limits: Sequence[str], why: str) -> str:
-    """The card's line about a published recording that violates some limits."""
+    """Return the card's line about a published recording that violates some limits."""
     return f"{name} is published all the same ({why}): {'; '.join(limits)}"
 
 
 def look_line(name: str, look: Sequence[str]) -> str:
-    """The card's line about a recording that a person should review."""
+    """Return the card's line about a recording that a person should review."""
     return f"{name} is published, and a person should look at it: {'; '.join(look)}"
 
 
@@ -50,15 +50,15 @@ class Gate:
     """The decisions on some recordings.
 
     Attributes:
-        published: ids, in the order given.
-        poor: of these, id -> limits that it does not keep, and why it is published all the same.
-        refused: id -> limits that it does not keep.
-        rejected: id -> a person's reason to leave it out.
-        failed: id -> why its build failed.
-        look: id of published recordings -> reasons for a review that is still missing.
-        not_built: how many of the benchmark are not built, or not asked for.
-        without_pair: ids of those that would be published, and have no pair.
-        of_one_object: ids of those whose object another recording shows, by `--isolate`.
+        published: ids of published recordings, in the given order.
+        poor: {published id: (limits that it violates, why it is published nevertheless)}.
+        refused: {id: limits that it violates}.
+        rejected: {id: a person's reason to leave it out}.
+        failed: {id: why its build failed}.
+        look: {published id: reasons for a review that is still missing}.
+        not_built: number of the benchmark's recordings that are not built, or not requested.
+        without_pair: ids of recordings that passed but have no pair.
+        of_one_object: ids left out by `--isolate`, because another recording shows the same object.
         twice: lines about published recordings that hold the same frames.
     """
 
@@ -75,7 +75,7 @@ class Gate:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Id -> why it is not in the release, in a line."""
+        """Return {id: why it is not in the release}, a line each."""
         return {
             **{name: "; ".join(limits) for name, limits in self.refused.items()},
             **{name: f"{REJECTED}{reason}" for name, reason in self.rejected.items()},
@@ -86,7 +86,7 @@ class Gate:
 
     @property
     def flow(self) -> Flow:
-        """The number of recordings tried, and their outcomes."""
+        """Return the number of recordings tried, and their outcomes."""
         in_release = set(self.published) - set(self.left_out)
         return Flow(
             tried=len(in_release) + len(self.left_out) + self.not_built,
@@ -102,7 +102,7 @@ class Gate:
         )
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
-        """A copy without figures and reasons of recordings with held-back truth."""
+        """Return a copy without figures and reasons of recordings with held-back truth."""
         poor = {name: ((WITHHELD,), WITHHELD) if name in hidden else it for name, it in self.poor.items()}
         refused = {name: (WITHHELD,) if name in hidden else it for name, it in self.refused.items()}
         rejected = {name: WITHHELD if name in hidden else it for name, it in self.rejected.items()}
@@ -111,30 +111,30 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """A copy in which `say` rewrites each line about the build."""
+        """Return a copy in which `say` rewrites each line about the build."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """A copy that leaves out recordings without a pair, whatever their quality."""
+        """Return a copy that leaves out recordings without a pair, whatever their quality."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Why none is in the release: the first few with reasons, a count of the others, and what to do."""
+        """Return why no recording is in the release: the first reasons, a count of the rest, advice."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 
     def reasons(self) -> Iterator[str]:
-        """Why each of those that are not in the release is not, a line each."""
+        """Yield a line for each recording that is not in the release, with the reason."""
         for name, why in self.left_out.items():
             yield f"{left_out_line(name, why)}{ADVICE if name in self.refused else ''}"
 
     def lines(self) -> Iterator[str]:
-        """The card's lines: the number left out, with reasons, and published poor recordings."""
+        """Yield the card's lines: number and reasons of left-out recordings, and poor published ones."""
         if count := len(self.left_out):
             yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
         yield from self.reasons()
@@ -149,13 +149,13 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
     """Decide which recordings of a benchmark are published.
 
     Args:
-        settings: the benchmark's: limits, and what people decided.
-        build: holds a folder per recording.
-        recordings: ids of those that were built.
-        allow_poor: whether those that do not keep the limits pass, too.
+        settings: the benchmark's settings, with limits and people's decisions.
+        build: the folder with a subfolder for each recording.
+        recordings: ids of the built recordings.
+        allow_poor: whether recordings that violate limits pass, too.
 
     Raises:
-        ReleaseError: one recording is published in two splits, under two ids.
+        ReleaseError: the same recording would be published in two splits, under two ids.
         StorageError: a built file is damaged.
     """
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()

@@ -7,23 +7,23 @@ from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 
-# What a person says of a recording, and with it of its truth: the object's size, what to think of it, what of
-# it is solid.
+# Statements of a person that reveal the truth: the object's size, a review, and whether its underside is
+# solid.
 SAID_OF_TRUTH = ("box", "review", "underside")
 VIEW_KEYS = ("view", "K", "width", "height", "pair")
 STEEP = 1e-6
-# Matrices are rounded: the last bits of a product differ between processors.
+# Matrices are rounded, because the last bits of a product differ between processors.
 DECIMALS = 12
 
 
 def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
-    """The input of a pair, in a world of the view's own.
+    """Return the input of a pair, in a world frame of its own.
 
-    In the true world the views of an object lie side by side, and together they are its shape.
+    In the common world frame, the views of an object together would reveal its shape.
 
     Args:
-        pair: complete.
-        T_floor_world: (4, 4), of the recording.
+        pair: the complete pair.
+        T_floor_world: (4, 4) of the recording.
     """
     T_own_world = own_world(T_floor_world @ pair.T_world_camera) @ T_floor_world
     values = {key: getattr(pair, key) for key in INPUT_KEYS}
@@ -33,10 +33,10 @@ def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
 
 
 def own_world(T_floor_camera: Float64) -> Float64:
-    """T_own_floor (4, 4): the floor's frame moved and turned about the vertical.
+    """Return T_own_floor (4, 4): it shifts the floor's frame and turns it about the vertical.
 
-    The camera is above the origin and looks along x; one that looks straight down has the top of its image
-    there.
+    Afterwards the camera is above the origin and looks along x. If it looks straight down, the top of its
+    image points along x.
     """
     forward, image_up = T_floor_camera[:2, 2], -T_floor_camera[:2, 1]
     along = forward if np.hypot(*forward) > STEEP else image_up
@@ -48,7 +48,7 @@ def own_world(T_floor_camera: Float64) -> Float64:
 
 
 def own_floor(floor: FloorFile) -> FloorFile:
-    """floor.json of these worlds: z up, floor at z = 0; without other planes of the scene."""
+    """Return floor.json for these worlds: z up, floor at z = 0; without other planes of the scene."""
     kept = floor.model_copy(
         update={"plane_world": np.array([0.0, 0.0, 1.0, 0.0]), "T_floor_world": np.eye(4)}
     )
@@ -56,6 +56,6 @@ def own_floor(floor: FloorFile) -> FloorFile:
 
 
 def own_views(views: ViewsFile) -> ViewsFile:
-    """views.json without frames, poses and the fit to the shape."""
+    """Return views.json without frames, poses and the fit to the shape."""
     rows = tuple(ViewRow(**{key: getattr(row, key) for key in VIEW_KEYS}) for row in views.views if row.pair)
     return views.model_copy(update={"views": rows, "refused": (), "warnings": ()})

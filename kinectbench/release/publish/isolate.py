@@ -1,8 +1,8 @@
 """`publish --isolate`: one view of each object with held-back truth, and nothing else that reveals it.
 
-Views of one object can be registered with each other, and together they are its shape. What the other views
-show of the object, or of where this one was taken, is not published with it either: the floor, the pose,
-the background, the outline where the view has no depth, frames, stamps, hashes and settings.
+Several views of an object can be registered, and together reveal its shape. So everything that other views or
+the camera's place determine is left out, too: the floor, the pose, the background, the outline where the view
+has no depth, frames, stamps, hashes and settings.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -27,11 +27,11 @@ from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
 Row = TypeVar("Row", PairRow, ViewRow)
-# Every isolated view has this name: the one it had says which in the order of the sampling it was.
+# Name of every isolated view: the original name would tell its place in the order of sampling.
 VIEW = "000"
-# Published keys of the recording of an isolated view.
+# Keys of an isolated view's recording that are published.
 SETTINGS_KEYS = ("id", "object", "category", "split", "license", "source")
-# Of the colour image, which is encoded again. Chosen by hand.
+# Quality of the colour image, which is encoded again. Chosen by hand.
 JPEG_QUALITY = 95
 
 
@@ -40,15 +40,15 @@ class Isolated:
     """What `--isolate` publishes of the recordings with held-back truth.
 
     Attributes:
-        views: recording -> its one view, as the build names it.
-        left_out: recordings of the same objects, and those without a pair.
+        views: {recording: the build's name of its published view}.
+        left_out: other recordings of the same objects, and recordings without a pair.
     """
 
     views: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def lines(self) -> Iterator[str]:
-        """Lines for the publisher: what was left out."""
+        """Yield lines for the publisher on what was left out."""
         if self.left_out:
             yield (
                 f"--isolate: {listed(self.left_out)} left out: one view of an object is published, which is "
@@ -57,7 +57,7 @@ class Isolated:
 
 
 def refuse_framing(settings: BenchmarkSettings) -> None:
-    """Refuse pairs whose cube tells of the hidden part.
+    """Refuse a framing by which a pair's cube reveals the hidden part.
 
     Raises:
         SettingsError: the framing is `object`.
@@ -72,12 +72,12 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
     """Choose one view of each object, over all of its recordings, with equal probability.
 
-    The draw is SHA-256 of `views.seed` and the object's name, so that other objects do not change it.
+    The draw uses the SHA-256 of `views.seed` and the object's name, so it does not depend on other objects.
 
     Args:
-        settings: the benchmark's.
-        build: holds a folder per recording.
-        recordings: ids of those whose truth is held back.
+        settings: the benchmark's settings.
+        build: the folder with a subfolder for each recording.
+        recordings: ids of recordings whose truth is held back.
     """
     by_id, candidates = settings.by_id(), dict[str, list[tuple[str, str]]]()
     for name in sorted(recordings):
@@ -93,25 +93,25 @@ def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str
 
 
 def only_view(rows: Sequence[Row], view: str) -> tuple[Row, ...]:
-    """The row of the one view that is published, under its public name."""
+    """Return the row of the published view, under its public name."""
     return tuple(row.model_copy(update={"view": VIEW}) for row in rows if row.view == view)
 
 
 def isolated_view(view: PosedView) -> PosedView:
-    """The view of the object alone: no depth outside the mask, and no mask without depth.
+    """Return the view with the object alone: no depth outside the mask, and no mask without depth.
 
-    The mask of a view also has what has no depth of the object as it was rebuilt of all views.
+    A view's mask also covers pixels without depth, from the object fused from all views.
     """
     mask = view.mask & (view.depth_m > 0)
     return replace(view, depth_m=np.where(mask, view.depth_m, np.float32(0)), mask=mask)
 
 
 def isolated_input(pair: Pair, view: PosedView) -> PairInput:
-    """The input of a pair in the camera's frame; `seen` is from the isolated view alone.
+    """Return the input of a pair in the camera frame; `seen` is computed from the isolated view alone.
 
     Args:
-        pair: complete, of framing `view`.
-        view: isolated.
+        pair: the complete pair, of framing `view`.
+        view: the isolated view.
     """
     values = {key: getattr(pair, key) for key in INPUT_KEYS}
     T_camera_grid = np.round(invert_rigid(pair.T_world_camera) @ pair.T_world_grid, DECIMALS) + 0.0  # no -0
@@ -125,9 +125,9 @@ def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> 
     """Write depth and mask of an isolated view, and colour on the object, encoded again.
 
     Args:
-        view: isolated.
-        color: its colour image; None, or one of another size than the depth: no colour is written.
-        folder: of the recording's views in the release.
+        view: the isolated view.
+        color: its colour image; no colour is written if None, or if its size differs from the depth's.
+        folder: the folder of the recording's views in the release.
 
     Raises:
         StorageError: the colour image is damaged.
@@ -142,7 +142,7 @@ def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> 
 
 
 def isolated_line(isolated: Sequence[str]) -> str:
-    """The line of card and datasheet about the isolated recordings."""
+    """Return the line of card and datasheet about the isolated recordings."""
     return (
         f"Of each object whose truth is held back one view is published, named {VIEW}. It is drawn by "
         "`views.seed`, and shows the object without its background. Its cube is fitted to it alone. Nothing "

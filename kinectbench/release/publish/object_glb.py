@@ -1,7 +1,7 @@
 """`objects/<recording>.glb`: a small version of an object for viewers; mesh.ply is the truth.
 
-glTF 2.0 in its binary form, by trimesh: metres, y up, the floor at y = 0. Where mesh.ply has more triangles
-than a viewer needs, they are fewer here, and the file says how far its surface is from that of mesh.ply.
+Binary glTF 2.0, written by trimesh: metres, y up, the floor at y = 0. If mesh.ply has more triangles than a
+viewer needs, the GLB has fewer, and states the distance of its surface from mesh.ply.
 """
 
 from collections.abc import Iterable
@@ -16,15 +16,15 @@ from kinectbench.core.turntable import surface_colors
 from kinectbench.core.types import MM_PER_M, Float64, Rgb
 from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
 
-# Of a build, the mesh of all that was recorded.
+# The mesh of the whole scene in a build folder.
 SCENE = "reconstruction/mesh.ply"
-# 24 bytes a triangle of a closed mesh: 1.44 MB; and those of the smallest closed mesh.
+# Most triangles: 24 bytes each in a closed mesh, 1.44 MB in all. Fewest: the smallest closed mesh.
 MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
-# x stays, z becomes y.
+# Keeps x; z becomes y.
 T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-# Vertices whose distance is measured; of 60,000 triangles all of them took half the file's time.
+# Number of vertices whose distance is measured; all of 60,000 triangles took half the file's time.
 MEASURED = 5000
-# Decimals of texts in the file: matrices, and thousandths of a millimetre.
+# Decimals of texts in the file: of matrices, and of millimetres.
 MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
@@ -32,9 +32,9 @@ def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = No
     """Write the GLB of each recording with a mesh in a release's folder; held-back ones have none.
 
     Args:
-        folder: of the release.
+        folder: the release's folder.
         recordings: ids.
-        scenes: `build/`, whose scenes colour the objects; None where no colour is published.
+        scenes: `build/`, whose scenes give the objects' colours; None if no colour is published.
 
     Raises:
         StorageError: a mesh or a floor is damaged.
@@ -52,22 +52,22 @@ def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = No
 
 
 def colored_scene(built: Path | None) -> TriangleMesh | None:
-    """All that was recorded, in the world, with colours; None without a build folder, mesh or colour."""
+    """Return the scene's mesh in the world with colours; None without a build folder, mesh or colour."""
     path = built and built / SCENE
     scene = read_own_ply(path, colors=True) if path and path.is_file() else None
     return scene if scene and scene.colors is not None else None
 
 
 def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64, scene: TriangleMesh | None = None) -> bytes | None:
-    """The content of a GLB of at most 2 MB; the same bytes for the same mesh.
+    """Return the content of a GLB of at most 2 MB; the same bytes for the same mesh.
 
-    None where there is nothing to show: no triangle, or so many that share no corner that none of them can
-    be joined to fewer.
+    None if there is no triangle, or if there are too many and they cannot be simplified because they share no
+    vertices.
 
     Args:
-        mesh: in the world, metres.
+        mesh: the object in the world, metres.
         T_floor_world: (4, 4), z up, floor at z = 0.
-        scene: in the world, with colours, which the vertices then have; None: they have none.
+        scene: coloured mesh in the world, which gives the vertices their colours; None: no colours.
     """
     T_gltf_world = T_GLTF_FLOOR @ T_floor_world
     most = MOST_TRIANGLES
@@ -103,9 +103,9 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Mean and largest distance of vertices of one mesh from the surface of another, millimetres.
+    """Return mean and largest distance of one mesh's vertices from another mesh's surface, millimetres.
 
-    Of about `MEASURED` vertices, evenly over their order.
+    About `MEASURED` vertices are measured, spread evenly over their order.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

@@ -1,4 +1,4 @@
-"""index.html of a release, one file: every object with pictures, quality and warnings; of a large one some.
+"""index.html of a release, one file: objects with pictures, quality and warnings; some objects if many.
 
 A large release's page lists all recordings, and shows some of them, spread evenly, with the pictures of one
 view. Scripts turn the objects and search the list.
@@ -30,7 +30,7 @@ from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
 VIEWS = 3
-# Lines of warnings at the page's head; a large release has one for each recording.
+# Most warnings at the page's head; a large release has one for each recording.
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "passed over")
 FILTERS = (2, 3, 4)
@@ -38,7 +38,7 @@ PAPER = (243, 242, 238)
 CLAY = (205, 186, 160)
 BLUE = (118, 160, 205)
 UNKNOWN = (228, 214, 170)
-# Towards the light: right, down and towards the viewer.
+# Direction towards the light: right, down and towards the viewer.
 LIGHT = (-0.45, -0.6, 0.66)
 BLUR_CELLS = 2
 
@@ -53,9 +53,9 @@ def write_preview(
     build: Path | None = None,
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write index.html of a release whose pairs and views exist; without isolated ones.
+    """Write index.html of a release with existing pairs and views; isolated recordings are left out.
 
-    Objects have the colours of the scene in `build`, if colour is published.
+    If colour is published, objects get the colours of the scene in `build`.
 
     Raises:
         PairError: a pair is damaged.
@@ -92,7 +92,7 @@ def write_preview(
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
-    """All recordings as a table; those shown below it are links."""
+    """Return the table of all recordings; recordings shown on the page are links."""
     rows = [
         (
             name,
@@ -119,7 +119,7 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """One recording on the page, with this many of its pairs, evenly spread."""
+    """Return one recording's part of the page, with this many of its pairs, evenly spread."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
@@ -132,7 +132,7 @@ def _part(
 
 
 def _turntable(objects: Path, built: Path | None) -> str | None:
-    """Pictures of the object from all around, as a `data:` address; None if held back or without surface."""
+    """Return pictures of the object from all around, as a `data:` address; None without a public surface."""
     if not (objects / OBJECT_FILES[0]).is_file():
         return None
     mesh = read_own_ply(objects / OBJECT_FILES[0])
@@ -144,9 +144,9 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
-    """Captions and `data:` addresses: depth with the mask, visible shape, and the truth if published."""
+    """Return captions and `data:` addresses: depth with mask, visible shape, and the truth if published."""
     pair = (read_input if held_back else read_pair)(folder / target.file)
-    # The input as it is, each of its cells as 4 x 4 pixels.
+    # The input itself; each of its cells is 4 x 4 pixels.
     partial = unpack(pair.partial)
     pictures = [
         ("depth and mask", _png(depth_with_mask(folder / "views" / target.recording, target.view))),
@@ -164,50 +164,50 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
 
 
 def _png(picture: NDArray[np.uint8]) -> str:
-    """RGB (height, width, 3) as a `data:` address."""
+    """Return an RGB picture (height, width, 3) as a `data:` address."""
     return png_uri(png(picture[..., ::-1]))
 
 
 def seen_from_the_front(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """A grid (x right, y down, z forward) from the camera's side: (ny, nx, 3) uint8 RGB."""
+    """Draw a grid (x right, y down, z forward) from the camera's side: (ny, nx, 3) uint8 RGB."""
     return _shaded(cells.transpose(1, 0, 2), color)
 
 
 def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """A grid from the camera's right: (ny, nz, 3) uint8 RGB; the camera is on the left."""
+    """Draw a grid from the camera's right: (ny, nz, 3) uint8 RGB; the camera is on the left."""
     return _shaded(cells[::-1].transpose(1, 2, 0), color)
 
 
 def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
-    """A cut along the view through the middle of the shape: (ny, nz, 3) uint8 RGB; the camera is on the left.
+    """Draw a cut along the view through the shape's middle: (ny, nz, 3) uint8 RGB; the camera is on the left.
 
-    The solid is clay, what the view saw of it blue, and unknown parts yellow.
+    The solid is clay-coloured, its part that the view saw blue, and unknown cells yellow.
     """
     filled = np.flatnonzero(full.any(axis=(1, 2)))
     middle = int(filled[0] + filled[-1]) // 2 if len(filled) else len(full) // 2
     picture = np.broadcast_to(np.array(PAPER, np.uint8), (*full.shape[1:], 3)).copy()
     picture[~known[middle]] = UNKNOWN
     picture[full[middle]] = CLAY
-    # A layer of single cells would hardly show.
+    # A layer of one cell would hardly be visible.
     near = partial[max(0, middle - 1) : middle + 2].any(axis=0)
     picture[ndimage.binary_dilation(near)] = BLUE
     return picture
 
 
 def enlarged(picture: Rgb) -> Rgb:
-    """A picture of 64-cells enlarged to the size of one of 256-cells."""
+    """Return a picture of 64-cells, enlarged to the size of a picture of 256-cells."""
     return picture.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
 
 
 def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """(rows, columns, away from the viewer) as a shaded relief."""
+    """Draw cells (rows, columns, away from the viewer) as a shaded relief."""
     covered = np.asarray(cells.any(axis=2))
     depth = _nearest(cells)
     smooth = _blurred(depth, covered)
     down, right = np.zeros_like(smooth), np.zeros_like(smooth)
     down[1:-1] = (smooth[2:] - smooth[:-2]) / 2
     right[:, 1:-1] = (smooth[:, 2:] - smooth[:, :-2]) / 2
-    # A depth edge is no steep slope.
+    # A depth edge is not shaded as a steep slope.
     down, right = (np.where(np.abs(slope) < 6, slope, 0.0) for slope in (down, right))
     facing = (LIGHT[0] * right + LIGHT[1] * down + LIGHT[2]) / np.sqrt(right * right + down * down + 1)
     far = depth / cells.shape[2]
@@ -217,10 +217,10 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 
 
 def _nearest(cells: Bools) -> Float64:
-    """Index of the first filled cell along the last axis; 0 without one.
+    """Return the index of the first filled cell along the last axis; 0 without one.
 
-    Where that axis is not the one that runs fastest in memory, argmax takes 14 times as long as going through
-    the layers (54 ms and 4 ms of 256^3 cells).
+    If that axis is not the fastest in memory, argmax takes 14 times as long as a loop over layers (54 ms
+    instead of 4 ms for 256^3 cells).
     """
     if cells.strides[2] == min(cells.strides, key=abs):
         return np.where(cells.any(axis=2), cells.argmax(axis=2), 0).astype(np.float64)
@@ -231,7 +231,7 @@ def _nearest(cells: Bools) -> Float64:
 
 
 def _blurred(depth: Float64, covered: Bools) -> Float64:
-    """Mean depth over the covered cells around each cell, so that the relief has no steps."""
+    """Return the mean depth over the covered cells around each cell, so that the relief has no steps."""
     around = np.ones((2 * BLUR_CELLS + 1,) * 2)
     total = ndimage.convolve(np.where(covered, depth, 0.0), around, mode="constant")
     count = ndimage.convolve(covered.astype(np.float64), around, mode="constant")

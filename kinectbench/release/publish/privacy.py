@@ -14,12 +14,12 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import pretty_json
 
-# Keys of JSON files whose values are removed, whatever they hold.
+# Keys of JSON files whose values are always removed.
 KEYS = re.compile(
     r"(?i)(^|_)(gps|latitude|longitude|altitude|location|serial|serial_number|serialnumber|device_id|imei|"
     r"mac_address|hostname|user|username|owner|email|phone)($|_)"
 )
-# Places on somebody's disk, which name people: only the last part is kept.
+# Paths on somebody's disk, which name people: only the last part is kept.
 PATHS = re.compile(
     r"(?:(?<![\w./])/(?:home|Users|root|tmp|mnt|media|data|work|var|opt|srv|private|Volumes)|\b[A-Za-z]:\\)"
     r"[^\s\"'<>|:;,]*"
@@ -45,7 +45,7 @@ KEPT = (
     "depth images and masks: they show the shape of whatever stood before the camera",
 )
 Order = Literal["little", "big"]
-# Kept: JFIF, the colour profile and Adobe's mark, which say how the pixels are meant.
+# Kept segments: JFIF, the colour profile and Adobe's mark, which say how pixels are decoded.
 KEPT_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
 NAMES = ((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC"))
 APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
@@ -53,14 +53,14 @@ ALONE = (0x01, *range(0xD0, 0xD9))
 
 
 def scrubbed(value: object, file: str, removals: list[Removed], model: object = None) -> Any:
-    """A JSON value without private facts; removals are recorded.
+    """Return a JSON value without private facts; removals are recorded.
 
     Args:
-        value: as JSON has it.
-        file: of the release, that it is for.
-        removals: collects removed private facts.
-        model: the typed value that it is of, or None: keys that its types declare are ours, and keys of a
-            mapping that they declare are data, such as categories; neither is removed for its name.
+        value: a JSON value.
+        file: the release's file that will hold the value.
+        removals: a list to which removed facts are added.
+        model: the typed value behind `value`, or None. Keys that its types declare, and keys of its declared
+            mappings (data, such as categories), are never removed because of their names.
     """
     removed: list[str] = []
     result = _scrubbed(value, "", removed, model)
@@ -69,10 +69,10 @@ def scrubbed(value: object, file: str, removals: list[Removed], model: object = 
 
 
 def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> StoredFile:
-    """A stored file without private facts; removals are recorded.
+    """Return a stored file without private facts; removals are recorded.
 
     Raises:
-        ReleaseError: the file is invalid without it.
+        ReleaseError: the file is invalid without these facts.
     """
     removed: list[str] = []
     value = _scrubbed(stored.json_value(), "", removed, stored)
@@ -81,10 +81,10 @@ def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> Sto
 
 
 def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
-    """A JPEG file without metadata; removals are recorded.
+    """Return a JPEG file without metadata; removals are recorded.
 
     Raises:
-        ReleaseError: it is not a whole JPEG file.
+        ReleaseError: the data is no complete JPEG file.
     """
     try:
         clean, removed = without_metadata(data)
@@ -97,11 +97,11 @@ def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
 
 
 def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
-    """The content of privacy.json.
+    """Return the content of privacy.json.
 
     Args:
         color: "left out", "published" or "none".
-        removals: collects removed private facts.
+        removals: the removed private facts.
     """
     return Privacy(
         format_version=1,
@@ -114,18 +114,18 @@ def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
 
 
 def removed_lines(rows: list[Removed]) -> Iterator[str]:
-    """One line for each kind of removed fact, with the number of files."""
+    """Yield one line for each kind of removed fact, with the number of files."""
     for what, count in Counter(row.what for row in rows).items():
         yield f"removed from {count} file{'s' if count > 1 else ''}: {what}"
 
 
 def _rows(file: str, removed: list[str]) -> list[Removed]:
-    """The kinds of facts removed from a file of the release."""
+    """Return the kinds of facts removed from a file of the release."""
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
 def _scrubbed(value: object, key: str, removed: list[str], model: object) -> object:
-    """The value of a key without private facts; adds removals to `removed`."""
+    """Return the value of a key without private facts; add removals to `removed`."""
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
         for name, child in value.items():
@@ -149,7 +149,7 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
 
 
 def _declared(model: object) -> Mapping[str, object]:
-    """The keys of JSON that a typed value declares, and the typed values below them."""
+    """Return the keys of JSON that a typed value declares, and the typed values below them."""
     if isinstance(model, BaseModel):
         fields = type(model).model_fields.items()
         return {field.serialization_alias or name: _below(getattr(model, name)) for name, field in fields}
@@ -164,7 +164,7 @@ class _Entries:
 
 
 def _below(value: object) -> object:
-    """The value of a declared key: of a mapping, the keys are declared, too, but not those below them."""
+    """Return the value of a declared key; a mapping's own keys count as declared, keys below them do not."""
     return _Entries(value) if isinstance(value, Mapping) else value
 
 
@@ -172,13 +172,14 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     """Remove application segments and comments from a JPEG file; its pixels are unchanged.
 
     Args:
-        data: the file.
+        data: bytes of the file.
 
     Returns:
-        The file without them, and the removals in order, such as "EXIF (GPS position)".
+        The file without these segments, and the names of removed ones in order, such as "EXIF (GPS
+        position)".
 
     Raises:
-        ValueError: it is not a JPEG file, or ends too early.
+        ValueError: the data is no JPEG file, or ends too early.
 
     Source: ITU-T T.81, annex B (markers); Exif 2.32 (tags).
     """
@@ -193,7 +194,7 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """(marker, first byte, byte after the last, payload) of every segment; the scans are the last one."""
+    """Yield (marker, first byte, byte after the last, payload) of every segment; the scans come last."""
     if data[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
     at = 2
@@ -201,7 +202,7 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
         start = at
         if data[at : at + 1] != b"\xff":
             raise ValueError("damaged or cut off")
-        while data[at : at + 1] == b"\xff":  # markers may be padded
+        while data[at : at + 1] == b"\xff":  # extra 0xff bytes may precede a marker
             at += 1
         marker = data[at] if at < len(data) else 0
         at += 1
@@ -219,7 +220,7 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 def _name(marker: int, payload: bytes) -> str:
-    """The name of a segment, and the private facts in it."""
+    """Return the name of a segment, and the private facts in it."""
     if marker == COMMENT:
         return "comment"
     name = next((name for head, name in NAMES if payload.startswith(head)), f"APP{marker - APP0}")
@@ -228,7 +229,7 @@ def _name(marker: int, payload: bytes) -> str:
 
 
 def _exif_facts(tiff: bytes) -> list[str]:
-    """The private facts in a block of EXIF, by their tags."""
+    """Return the private facts in a block of EXIF, by their tags."""
     order: Order = "little" if tiff[:2] == b"II" else "big"
     tags = {0x8825: "GPS position", 0xA431: "serial number", 0xA435: "serial number", 0xA430: "owner"}
     facts = [name for tag, name in tags.items() if tag.to_bytes(2, order) in _tags(tiff, order)]
@@ -236,7 +237,7 @@ def _exif_facts(tiff: bytes) -> list[str]:
 
 
 def _tags(tiff: bytes, order: Order) -> set[bytes]:
-    """Tags of the first directory and of the EXIF directory below it; empty if damaged."""
+    """Return the tags of the first directory and of the EXIF directory below it; empty if damaged."""
 
     def number(part: bytes) -> int:
         return int.from_bytes(part, order)

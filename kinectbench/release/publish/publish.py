@@ -41,7 +41,7 @@ from kinectbench.settings.models import BenchmarkSettings
 from kinectbench.settings.words import listed
 
 PRIVATE = "-private"
-SHOWN_VIEWS = 6  # of a recording, in a warning
+SHOWN_VIEWS = 6  # most views of a recording in a warning
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class PublishSummary:
 
     Attributes:
         folder: the release, or its public part.
-        benchmark_sha256: its identity.
+        benchmark_sha256: the identity of that release.
         pairs: number of pairs.
-        recordings: those published, in the order given.
-        warnings: one line each; the card has them too, except reasons that reveal held-back truth.
-        private: the part that scores, where something is held back.
-        private_sha256: its identity.
+        recordings: ids of the published recordings, in the given order.
+        warnings: one line each; the card has the same, except reasons that reveal held-back truth.
+        private: the private part for scoring, if truth is held back.
+        private_sha256: the identity of the private part.
         removed: removed private facts, one line each.
         unanswered: questions of the datasheet, by key.
-        refused: ids of those that did not keep the limits of `publish.gate`.
+        refused: ids of recordings that violate limits of `publish.gate`.
     """
 
     folder: Path
@@ -78,10 +78,10 @@ class PublishSummary:
         return self.private or self.folder
 
 
-# Files of recordings that lineage.json names one by one: 100,000 take 11 MB of it, and the memory of as many
-# keys, of which a JSON file may have three times as many.
+# Most files of recordings that lineage.json lists one by one: 100,000 take 11 MB there, and count as many
+# JSON keys; a JSON file may have three times as many.
 MOST_NAMED_FILES = 100_000
-# Files and folders of a recording in a release beside those of its pairs: three folders, mesh, volume, GLB,
+# Files and folders of a recording in a release, besides its pairs' files: three folders, mesh, volume, GLB,
 # floor, quality and views.json.
 FILES_OF_RECORDING = 9
 NO_OPTIONS = PublishOptions(hold_back=(), thresholds=None)
@@ -94,21 +94,21 @@ def publish(
     recordings: Sequence[str],
     options: PublishOptions = NO_OPTIONS,
 ) -> PublishSummary:
-    """Write a release from the build folders of some recordings, replacing an earlier one.
+    """Write a release from the build folders of some recordings, replacing an earlier release.
 
     Args:
-        settings: the benchmark's.
-        build: holds a folder per recording.
-        out: the release's folder; with `hold_back` its public part, beside which `<out>-private` is written.
-        recordings: ids, all of them built; one without a single pair, or that does not pass the gate, is left
-            out with a warning.
+        settings: the benchmark's settings.
+        build: the folder with a subfolder for each recording.
+        out: the release's folder; with `hold_back` its public part, and `<out>-private` is written, too.
+        recordings: ids of built recordings; one without a pair, or that fails the gate, is left out with a
+            warning.
         options: thresholds, held-back splits, and whether poor recordings pass the gate.
 
     Raises:
-        ReleaseError: a built file is missing, a pair is not of the benchmark's framing and partial rule, no
-            recording passes the gate, one is in two splits, there is no pair at all or none to be held back,
+        ReleaseError: a built file is missing, a pair has another framing or partial rule than the benchmark,
+            no recording passes the gate, one is in two splits, there is no pair at all or none to hold back,
             a file is larger than `verify` accepts, or a folder holds something else.
-        SettingsError: views are to be isolated, and the framing is `object`.
+        SettingsError: views are isolated, but the framing is `object`.
         StorageError: the disk is full or read-only.
     """
     if options.isolate:
@@ -141,7 +141,7 @@ def publish(
         note_in_benchmark_json(hidden, public_benchmark_sha256=public.benchmark_sha256)
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
         info = ReleaseInfo.read(folder)
-    # The publisher gets the reasons, too.
+    # The publisher also gets the reasons that reveal held-back truth.
     named = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
     warnings = tuple(dict.fromkeys((*named, *isolated.lines())))
     return replace(
@@ -150,7 +150,7 @@ def publish(
 
 
 def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[str]:
-    """Ids of the recordings whose truth is held back."""
+    """Return the ids of recordings whose truth is held back."""
     return frozenset(each.id for each in settings.recordings if each.split in options.hold_back)
 
 
@@ -198,7 +198,7 @@ def _write(
     options: PublishOptions,
     isolated: Isolated,
 ) -> PublishSummary:
-    """Fill one folder."""
+    """Write one release into a folder."""
     removals = list[Removed]()
     passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, removals)["left_out"])
     made = _pairs(settings, build, folder, passed, options, isolated, removals)
@@ -206,7 +206,7 @@ def _write(
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}", what="no-pairs")
     infos = {name: published.info for name, published in made.items()}
-    # First possible harm, then faults of the truth, and last its use.
+    # Possible harm first, then faults of the truth, then limits of its use.
     warnings = [
         *reasons_against_distribution(infos),
         *_gives_away(settings, options.hold_back, infos, isolated),
@@ -232,7 +232,7 @@ def _write(
         flow=passed.flow,
         isolated=alone,
     )
-    refuse_large(folder)  # before other files are made of them
+    refuse_large(folder)  # before other files are made of these
     bare = alone if options.hold_back else ()
     write_view_pictures(folder, [target for target in targets if target.recording not in bare])
     write_preview(folder, settings, targets, infos, warnings, options.hold_back, build, bare)
@@ -261,7 +261,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the pairs of each recording; returns those with a pair, by id."""
+    """Write the pairs of each recording; return the recordings with a pair, by id."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
@@ -275,7 +275,7 @@ def _pairs(
 
 
 def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
-    """A published recording with the limits that it violates and reasons to review it."""
+    """Return a published recording with the limits that it violates and the reasons to review it."""
     changes = dict[str, object]()
     if name in passed.poor:
         changes["poor"], changes["accepted"] = passed.poor[name]
@@ -319,7 +319,7 @@ def _gives_away(
     infos: Mapping[str, RecordingInfo],
     isolated: Isolated,
 ) -> list[str]:
-    """Published facts that may be meant to stay hidden: people, and parts of held-back shapes."""
+    """Return lines about published facts that may have to stay hidden: people, parts of held-back shapes."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
@@ -334,7 +334,7 @@ def _gives_away(
 
 
 def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """A line if nothing is published of a split on which methods could choose their thresholds."""
+    """Return a line if no published split can choose the methods' thresholds."""
     names = [recording.id for recording in settings.recordings if recording.split == "validation"]
     if any(name in infos for name in names):
         return []
@@ -343,7 +343,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """A line for each recording with warnings of its object or trajectory; the datasheet has all of them."""
+    """Return a line for each recording with warnings on object or trajectory; the datasheet has all."""
     lines = []
     for name, info in infos.items():
         warnings = info.quality.warnings
@@ -353,7 +353,7 @@ def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
 
 
 def _unknown(made: Mapping[str, Published]) -> list[str]:
-    """A line for each recording with pairs of whose true shape nothing is known."""
+    """Return a line for each recording with pairs whose true shape is entirely unknown."""
     return [
         f"{name}: nothing of the true shape is known in {'1 pair' if len(of) == 1 else f'{len(of)} pairs'} "
         f"({', '.join(of[:SHOWN_VIEWS])}{', …' if len(of) > SHOWN_VIEWS else ''}); the protocol `known` "
@@ -364,7 +364,7 @@ def _unknown(made: Mapping[str, Published]) -> list[str]:
 
 
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:
-    """The outcome for colour."""
+    """Return whether colour exists and is published."""
     if not any(published.has_color for published in made.values()):
         return "none"
     return "published" if settings.publish.color else "left out"
@@ -373,9 +373,9 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 def _public_settings(
     settings: BenchmarkSettings, hold_back: Sequence[str], removals: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
-    """The settings without the paths of the machine they were used on; without what tells of a hidden truth.
+    """Return the settings without this machine's paths, and without keys that reveal held-back truth.
 
-    Each recording has the word about its underside itself: not all of a category need be published.
+    Each recording states its underside itself, because recordings of its category may be unpublished.
     """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):

@@ -1,4 +1,4 @@
-"""The files of one recording in a release: pairs, views and object, or only inputs if held back."""
+"""Write the files of one recording in a release: pairs, views and object, or only inputs if held back."""
 
 import shutil
 from collections.abc import Sequence
@@ -54,12 +54,12 @@ class Built:
     """A recording to publish.
 
     Attributes:
-        settings: the benchmark's.
-        recording: one of them.
+        settings: the benchmark's settings.
+        recording: the recording's settings.
         folder: `build/<recording>/`.
-        hidden: whether its truth is held back.
-        most_named: of its files that lineage.json names one by one; of more it has one hash over all.
-        only: with `--isolate` the one view that is published, as the build names it; None: all of them.
+        hidden: whether the recording's truth is held back.
+        most_named: most files that lineage.json lists one by one; for more files it has one hash over all.
+        only: with `--isolate`, the build's name of the one published view; None: all views are published.
     """
 
     settings: BenchmarkSettings
@@ -71,16 +71,16 @@ class Built:
 
     @property
     def isolated(self) -> bool:
-        """Whether nothing but one view is published of it."""
+        """Whether only one view of the recording is published."""
         return self.hidden and self.only is not None
 
     def built_name(self, view: str) -> str:
-        """The build's name of a published view."""
+        """Return the build's name of a published view."""
         return view if self.only is None else self.only
 
     @cached_property
     def pairs(self) -> PairsFile:
-        """Its pairs, and the views without one; cached like the other two."""
+        """The recording's pairs, and its views without one; cached, like `views` and `camera`."""
         pairs = PairsFile.read(self.folder / "pairs")
         if self.only is None:
             return pairs
@@ -88,7 +88,7 @@ class Built:
 
     @cached_property
     def views(self) -> ViewsFile:
-        """Its views."""
+        """The recording's views."""
         views = ViewsFile.read(self.folder / "views")
         if self.only is None:
             return views
@@ -96,12 +96,12 @@ class Built:
 
     @cached_property
     def camera(self) -> Camera:
-        """The depth camera of all its views."""
+        """The depth camera of all views."""
         return CameraFile.read(self.folder / "sequence").camera
 
     @cached_property
     def posed_views(self) -> dict[str, PosedView]:
-        """Its views with a pair, by their published names; isolated: the object alone."""
+        """Return the views with a pair, by published name; an isolated view shows the object alone."""
         published = {row.view for row in self.pairs.pairs}
         return {row.view: self._posed(row) for row in self.views.views if row.view in published}
 
@@ -116,7 +116,7 @@ class Built:
 
     @cached_property
     def quality(self) -> QualityFile:
-        """The quality of its object."""
+        """The quality of the recording's object."""
         return QualityFile.read(self.folder / "object")
 
 
@@ -125,11 +125,11 @@ class Published:
     """The published part of a recording.
 
     Attributes:
-        targets: its pairs; none: nothing was published.
-        info: its entry in benchmark.json.
-        lineage: its entry in lineage.json.
+        targets: the recording's pairs; empty: nothing was published.
+        info: the recording's entry in benchmark.json.
+        lineage: the recording's entry in lineage.json.
         has_color: whether its views have colour, published or not.
-        all_unknown: views of whose true shape nothing is known; none are stated where the truth is held back.
+        all_unknown: views whose true shape is entirely unknown; empty if the truth is held back.
     """
 
     targets: tuple[Target, ...]
@@ -144,11 +144,11 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
 
     Args:
         built: the recording.
-        folder: the release's.
-        removals: collects removed private facts.
+        folder: the release's folder.
+        removals: a list to which removed private facts are added.
 
     Raises:
-        ReleaseError: a file is missing or damaged, or a pair is not of the benchmark's framing and rule.
+        ReleaseError: a file is missing or damaged, or a pair has another framing or rule than the benchmark.
     """
     names = sorted(row.view for row in built.pairs.pairs)
     if not names:
@@ -166,7 +166,7 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
 
 
 def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
-    """A built pair and its file's bytes; one benchmark has one framing and one partial rule."""
+    """Read a built pair and its file's bytes; its framing and partial rule must be the benchmark's."""
     path = built.folder / "pairs" / f"{built.built_name(view)}.npz"
     try:
         content = pair_content(path)
@@ -183,10 +183,11 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
 
 
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, float]:
-    """Write a pair as built, or its input alone.
+    """Write a pair as built, or only its input.
 
     Returns:
-        The pair, whether its true shape is entirely unknown, and the visible share of the true surface.
+        The pair's target, whether its true shape is entirely unknown, and the visible share of the true
+        surface.
     """
     recording = built.recording
     content, pair = _read_pair(built, view)
@@ -212,7 +213,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, 
 
 
 def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:
-    """Copy the object's files; of a held-back one the floor only."""
+    """Copy the object's files; if its truth is held back, only the floor."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     for file in OBJECT_FILES if not built.hidden else ():
@@ -224,13 +225,13 @@ def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None
 
 
 def _publish_views(built: Built, targets: Sequence[Target], folder: Path, removals: list[Removed]) -> bool:
-    """Copy depth and mask of every view with a pair, and available colour if requested.
+    """Copy depth and mask of every view with a pair, and colour if requested; return whether there is colour.
 
     Args:
         built: the recording.
-        targets: its pairs.
-        folder: the release's.
-        removals: collects removed private facts.
+        targets: the recording's pairs.
+        folder: the release's folder.
+        removals: a list to which removed private facts are added.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
@@ -256,7 +257,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """views.json with the camera of each view, all of a recording's are from one, and its pair's unknown."""
+    """Return views.json with the camera in each view's row, and the unknown share of the view's pair."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []
@@ -269,7 +270,7 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
 
 
 def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]) -> RecordingInfo:
-    """The facts about a recording for benchmark.json."""
+    """Return the facts about a recording for benchmark.json."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
@@ -293,20 +294,20 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
-    """The part of quality.json for benchmark.json: without the method, which is long and equal for all."""
+    """Return quality.json for benchmark.json, without the method, which is long and equal for all."""
     kept = quality.model_fields_set - {"method"}
     return QualityFile.model_construct(kept, **{key: getattr(quality, key) for key in kept})
 
 
 def _write(stored: Stored, folder: Path, name: str, removals: list[Removed]) -> None:
-    """Write a file without private facts into a folder of the release."""
+    """Write a file without its private facts into a folder of the release."""
     scrubbed_file(stored, f"{name}/{stored.FILE}", removals).write(folder / name)
 
 
 def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
-    """The origin of a recording's pairs; without views and a given box if held back.
+    """Return the origin of a recording's pairs; if its truth is held back, without views and a given box.
 
-    Of an isolated one only who made it, and its licence.
+    For an isolated recording only its author and licence are returned.
     """
     if built.isolated:
         return LineageRecording(
@@ -315,7 +316,7 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
             files={},
             stages={},
         )
-    # A recording that is one file has no name below itself.
+    # A recording that is a single file has no names below itself.
     files = {
         name or Path(built.recording.path).name: digest
         for name, digest in sorted(Sources.read(built.folder).sha256.items())
@@ -336,7 +337,7 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
 
 
 def _frame(row: ViewRow) -> LineageView:
-    """The recorded frame of a view."""
+    """Return the recorded frame of a view."""
     if row.frame is None or row.stamp_ns is None:
         raise ReleaseError(
             f"view {row.view}: views.json does not say of which frame it is; build it again", what="not-built"
@@ -345,7 +346,7 @@ def _frame(row: ViewRow) -> LineageView:
 
 
 def _stage(folder: Path, hidden: bool) -> LineageStage:
-    """A stage's manifest; without a person's statements about the object if it is hidden."""
+    """Return a stage's manifest; without a person's statements about the object if it is hidden."""
     manifest = Manifest.read(folder)
     return LineageStage(
         package_version=manifest.package_version,
@@ -361,7 +362,7 @@ def _copy_built(source: Path, target: Path) -> None:
     """Copy one built file's bytes.
 
     Raises:
-        ReleaseError: it is missing.
+        ReleaseError: the file is missing.
     """
     if not source.is_file():
         raise ReleaseError(f"{source}: missing; run the build again", what="not-built")

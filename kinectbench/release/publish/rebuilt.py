@@ -1,8 +1,8 @@
 """How well public views can rebuild a held-back truth: a solid carved at their poses.
 
-Whoever has the views can register them with each other. A registration cannot find better poses than the true
-ones, so what is rebuilt with these says about how much an attack can reach. The benchmark `held_back_attack`
-compares both: registered views of a real cabinet came 0.02 below it (8 views) and 0.01 above it (5 views).
+Whoever has the views can register them. No registration finds better poses than the true ones, so the solid
+carved at the true poses shows about how much an attack can reach. The benchmark `held_back_attack` compares
+both: registered views of a real cabinet were 0.02 below this IoU (8 views) and 0.01 above it (5 views).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,15 +21,16 @@ from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, unpack
 from kinectbench.core.voxels.view_grids import depth_cells
 
-# Of so many views, evenly spread, the cubes are filled: of 8 views of a real cabinet the means
-# over 4 cubes and over all differ by at most 0.01, and 4 take 8 s of two cores that others share.
+# Number of views, evenly spread, whose cubes are filled. For 8 views of a real cabinet, the means over 4
+# cubes and over all differ by at most 0.01, and 4 take 8 s of two shared cores.
 CUBES = 4
-# One view in so many may err at a pixel before a cell that it sees through is empty: of 8 views
-# of a real cabinet, carved within their hull, all together give an IoU of 0.84, all but one 0.96.
+# A cell is empty only if more than one view in so many sees through it, since depth may be wrong at a pixel.
+# For 8 views of a real cabinet, carved within their hull, requiring a single view gives an IoU of 0.84, more
+# than one view 0.96.
 VIEWS_PER_ERROR = 8
-# The cell that represents each block of a cube.
+# Selects the cell that represents each block of a cube.
 MIDDLE = slice(BLOCK // 2, None, BLOCK)
-# A figure that says "up to about", from a few cubes.
+# Decimals of a figure that says "up to about", from a few cubes.
 DECIMALS = 2
 
 
@@ -40,7 +41,7 @@ class PosedView:
     Attributes:
         depth_m: (height, width) float32, metres, 0 = none.
         mask: (height, width) bool, the object.
-        camera: of the depth.
+        camera: the depth camera.
         T_world_camera: (4, 4).
     """
 
@@ -52,11 +53,11 @@ class PosedView:
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """IoU with the known truth, in [0, 1]: the mean over some of the views' cubes.
+    """IoUs of rebuilt solids with the known truth, in [0, 1]: means over some of the views' cubes.
 
     Attributes:
-        iou: of the solid rebuilt from all views.
-        single_iou: of the solid rebuilt from the one view of each cube.
+        iou: IoU of the solid rebuilt from all views.
+        single_iou: IoU of the solid rebuilt only from the view of each cube.
     """
 
     iou: float
@@ -64,7 +65,7 @@ class Rebuilt:
 
 
 def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """How well held-back truth can be rebuilt at most, and the remedy; None without held-back truth.
+    """Return how well held-back truth can be rebuilt, and the remedy; None without held-back truth.
 
     Args:
         infos: entries of benchmark.json.
@@ -97,11 +98,11 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 
 
 def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> Rebuilt:
-    """How well the truth of one object can be rebuilt, by the best method of `solids`.
+    """Return how well the truth of one object can be rebuilt, by the best method of `solids`.
 
     Args:
-        views: its public ones by name.
-        pair_of: gives the pair of a view.
+        views: {name: public view} of the object.
+        pair_of: returns the pair of a view.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
@@ -110,34 +111,34 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> R
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
-    """IoU of each of the solids of `solids` in a pair's cube."""
+    """Return the IoU of each of the solids of `solids` in a pair's cube."""
     return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 
 
 def sampled_known_iou(solid: Bools, pair: Pair) -> float:
-    """IoU of a solid (64, 64, 64), of `sampled` cells, with the known truth; 1 if both are empty."""
+    """Return the IoU of a solid (64, 64, 64) with `every_fourth` known cell of the truth; 1 if both empty."""
     full, known = every_fourth(unpack(pair.full)), every_fourth(unpack(pair.known))
     union = int(((solid | full) & known).sum())
     return int((solid & full & known).sum()) / union if union else 1.0
 
 
 def every_fourth(cells: Bools) -> Bools:
-    """One cell of each 4 x 4 x 4 of a grid (256, 256, 256): (64, 64, 64)."""
+    """Return one cell of each 4 x 4 x 4 of a grid (256, 256, 256): (64, 64, 64)."""
     return cells[MIDDLE, MIDDLE, MIDDLE]
 
 
 def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]:
-    """Solids from some views: carved, convex hull of points, and their intersection.
+    """Return solids from some views: carved, convex hull of the points, and their intersection.
 
-    A cell is empty if more than one view in eight sees through it: it lies beside that view's mask, or in
-    front of its depth. A view knows nothing of cells outside its image.
+    A view sees through a cell that lies outside its mask or in front of its depth. A cell is empty if more
+    than one view in eight sees through it. A view says nothing about cells outside its image.
 
     Args:
-        grid: of 256 cells a side.
-        views: at least one.
+        grid: a grid of 256 cells a side.
+        views: the views, at least one.
 
     Returns:
-        Three times (64, 64, 64) bool, of `sampled` cells.
+        Three (64, 64, 64) bool grids, of `every_fourth` cell.
     """
     side = np.arange(grid.shape[0])[MIDDLE]
     cells = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -154,7 +155,7 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
 
 
 def _seen_through(points_world: Float64, view: PosedView, margin_m: float) -> Bools:
-    """Points (n, 3) outside a view's mask, or in front of its depth by more than a margin and noise."""
+    """Return which points (n, 3) lie outside a view's mask, or before its depth beyond margin and noise."""
     points = transform_points(invert_rigid(view.T_world_camera), points_world)
     ahead = np.where(points[:, 2:] > 0, points, np.array([0.0, 0.0, 1.0]))
     column, row = np.rint(view.camera.project(ahead)).T.astype(np.int64)

@@ -1,4 +1,4 @@
-"""One recording under two ids: what is tested must not be what was learnt from."""
+"""Find recordings that are declared under two ids: test data must not be training data."""
 
 import heapq
 from collections import defaultdict
@@ -10,31 +10,32 @@ from kinectbench.core.artefacts.manifest import SourceFile, Sources
 from kinectbench.core.errors import ReleaseError
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
-# Two recordings hold the same frames if files of this share of the smaller one's bytes are equal: a frame
-# without depth, or the intrinsics, are equal in many. Chosen by hand.
+# Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files.
+# Single files, such as empty frames or intrinsics, are equal in many recordings. Chosen by hand.
 SAME_SHARE = 0.5
-# Files of each recording, those with the smallest hashes, that are looked for among all files of the others:
-# of two that share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
+# Of each recording, so many files with the smallest hashes are looked up among the files of all others. If
+# two recordings share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
 LOOKED_FOR = 16
 
 
 @dataclass(frozen=True)
 class SameFrames:
-    """Two entries of benchmark.yaml that choose the same object in the same frames, under two names."""
+    """Two entries of benchmark.yaml that select the same object in the same frames, under two names."""
 
     first: RecordingSettings
     second: RecordingSettings
 
 
 def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> Iterator[SameFrames]:
-    """Recordings of different objects with the same frames, in pairs, in their order.
+    """Yield pairs of recordings that hold the same frames but name different objects, in their order.
 
-    Entries that choose by different boxes, clicks or masks are different objects of one recording.
+    Entries that select by different boxes, clicks or masks are different objects of one recording.
 
     Args:
-        settings: the benchmark's.
-        build: holds a folder per recording; one without sources.json, as of imported pairs, is passed over.
-        recordings: ids.
+        settings: the benchmark's settings.
+        build: the folder with a subfolder for each recording; one without sources.json (imported pairs) is
+            skipped.
+        recordings: ids of recordings.
     """
     by_id = settings.by_id()
     chosen_by = {name: _chosen_by(by_id[name]) for name in recordings}
@@ -56,7 +57,7 @@ def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[s
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Lines about recordings that count twice.
+    """Return lines about recordings that are published twice.
 
     Raises:
         ReleaseError: two ids of one recording are in different splits.
@@ -79,25 +80,25 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
 
 
 def _files(folder: Path) -> Mapping[str, SourceFile]:
-    """Files of a recording; none if nothing was noted of them."""
+    """Return the files of a recording; none if sources.json is missing."""
     sources = Sources.read_if_there(folder)
     return {} if sources is None else sources.files
 
 
 def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """The smallest hashes of its files that are no smaller than the mean: of pictures, or the bag."""
+    """Return the smallest hashes of files no smaller than the mean size: pictures, or the bag."""
     mean = sum(file.size for file in files.values()) / max(1, len(files))
     return heapq.nsmallest(LOOKED_FOR, {file.sha256 for file in files.values() if file.size >= mean})
 
 
 def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
-    """The share of equal files, by their bytes, of the smaller recording."""
+    """Return the share of the smaller recording's bytes that is in equal files."""
     sizes, others_sizes = ({file.sha256: file.size for file in each.values()} for each in (files, others))
     equal = sum(size for digest, size in sizes.items() if digest in others_sizes)
     return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))
 
 
 def _chosen_by(recording: RecordingSettings) -> str:
-    """How an entry chooses its object in the frames, as text."""
+    """Return as text how an entry selects its object in the frames."""
     mask_object = recording.camera.mask_object if recording.camera else None
     return repr((recording.box, recording.pick, recording.masks, recording.segment_by, mask_object))

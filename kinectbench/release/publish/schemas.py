@@ -1,9 +1,10 @@
 """The schemas of a release: the content of every file, for readers without this package.
 
-They lie in `schemas/` beside this file as they are published, so that the bytes of a release do not depend on
-the version of pydantic; a test makes them again from the models and compares. The schema of scores.json lies
-there too, and is not published. After a change of the models, in a checkout,
-`python -m kinectbench.release.publish.schemas` writes all of them, and the copy of the last one in docs/.
+They are stored in `schemas/` beside this file in their published form, so that the bytes of a release do not
+depend on the version of pydantic; a test compares them with the models. The schema of scores.json is stored
+there, too, but not published. After a change of the models, run `python -m
+kinectbench.release.publish.schemas` in a checkout: it writes all schemas, and the copy of that of scores.json
+in docs/.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -43,7 +44,7 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.release.contents import SCHEMAS
 
-# Schema's name → (files of the release, model).
+# {schema's name: (files of the release, model)}.
 JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
     "benchmark": ("benchmark.json", ReleaseInfo),
     "splits": ("splits.json", Splits),
@@ -57,14 +58,14 @@ JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
 TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
 SCORES_SCHEMA = "scores.schema.json"
-# Of an error's words, characters, and of the errors in one file.
+# Most characters of an error message, and most errors that are reported for one file.
 MOST_CHARACTERS, MOST_FAULTS = 200, 50
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
 
 
 def schema_texts() -> dict[str, str]:
-    """Every schema as a text by its file's name, from the models."""
+    """Return {file name: text} of every schema, made from the models."""
     schemas = {
         f"{name}.schema.json": {"$schema": DIALECT, "$comment": files}
         | model.model_json_schema(by_alias=True)
@@ -78,8 +79,8 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
     """Write the schemas of the files that a release holds so far; benchmark.json comes last.
 
     Args:
-        folder: of the release.
-        columns: of its targets.csv.
+        folder: the release's folder.
+        columns: columns of its targets.csv.
     """
     (folder / SCHEMAS).mkdir()
     stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
@@ -93,11 +94,11 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
-    """The schema violations of a JSON file of a release, a clause each; none without a schema.
+    """Yield the schema violations of a JSON file of a release, a clause each; none without a schema.
 
     Args:
-        name: of the file, relative to the release.
-        text: its content.
+        name: the file's name, relative to the release.
+        text: the file's content.
     """
     for files, model in JSON_FILES.values():
         if fnmatchcase(name, files):
@@ -114,7 +115,7 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
 
 
 def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
-    """A table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
+    """Return a table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
     rows: list[dict[str, object]] = []
     for column in columns:
         if column == TRUTH_COLUMN:  # the table of a split without such a truth lacks it
@@ -135,7 +136,7 @@ def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
 
 
 def _pair() -> dict[str, object]:
-    """The keys of a pair file."""
+    """Return the description of the keys of a pair file."""
     keys = []
     about = {field.name: field.metadata["description"] for field in fields(Pair)}
     about["format_version"] = str(FORMAT_VERSION)

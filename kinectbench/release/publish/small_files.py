@@ -68,16 +68,16 @@ class Head:
     """The first keys of benchmark.json.
 
     Attributes:
-        name: of the benchmark.
-        license: of the data.
-        framing: of every pair.
-        partial_rule: of every pair.
-        settings: the settings of its making, as plain JSON values, without paths of the machine.
-        texts: texts of the card.
-        citation: how it is cited.
+        name: the benchmark's name.
+        license: licence of the data.
+        framing: framing of every pair.
+        partial_rule: partial rule of every pair.
+        settings: the settings that made the release, as plain JSON values, without paths of the machine.
+        texts: the card's texts.
+        citation: how the release is cited.
         held_back: splits with published inputs only.
-        left_out: recording that was built, or failed, and is not published -> why.
-        flow: how many were tried, and what became of them; None: it is not made from recordings.
+        left_out: {recording: why it is not published}, for built and failed recordings.
+        flow: number of recordings tried, and their outcomes; None: the pairs are not made from recordings.
         isolated: recordings with a single published view.
         surface_truth: splits whose truth is an open mesh.
     """
@@ -104,15 +104,15 @@ def write_small_files(
     warnings: Sequence[str],
     scenes: Path | None = None,
 ) -> str:
-    """Write the small files of an otherwise complete release folder; returns its identity.
+    """Write the small files of an otherwise complete release folder; return its identity.
 
     Args:
-        head: what benchmark.json begins with.
-        folder: of the release.
+        head: the first keys of benchmark.json.
+        folder: the release's folder.
         targets: every pair, sorted.
-        infos: recording -> its entry in benchmark.json.
+        infos: {recording: its entry in benchmark.json}.
         warnings: one line each, for the card.
-        scenes: as of `write_glbs`.
+        scenes: see `write_glbs`.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
     info = _info(head, infos)
@@ -134,7 +134,7 @@ def write_small_files(
 
 
 def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> About:
-    """The metadata of a release for other catalogues."""
+    """Return the metadata of a release for other catalogues."""
     published = head.settings.get("publish")
     options = PublishSettings() if published is None else PublishSettings.model_validate(published)
     return About(
@@ -161,14 +161,14 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
 
 
 def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
-    """A recording with the benchmark's licence and source in place of missing ones."""
+    """Return a recording with the benchmark's licence and source in place of missing ones."""
     defaults = {"license": head.license, "source": head.texts.origin}
     update = {key: value for key, value in defaults.items() if value and getattr(info, key) == UNSPECIFIED}
     return info.model_copy(update=update)
 
 
 def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
-    """benchmark.json without the identity; keys of missing parts are left out."""
+    """Return benchmark.json without the identity; keys of missing parts are left out."""
     reasons = reasons_against_distribution(infos)
     info = ReleaseInfo(
         name=head.name,
@@ -196,7 +196,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
 
 
 def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
-    """targets.csv, a table of each split that has any, and splits.json."""
+    """Write targets.csv, a table for each split with pairs, and splits.json."""
     (folder / TARGETS_CSV).write_text(targets_text(targets), encoding="utf-8")
     (folder / SPLIT_TARGETS).mkdir()
     for split in SPLITS:
@@ -207,7 +207,7 @@ def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
 
 
 def _seal(folder: Path, info: ReleaseInfo) -> str:
-    """Write benchmark.json and the checksums; returns the release's identity."""
+    """Write benchmark.json and the checksums; return the release's identity."""
     sums = {path.relative_to(folder).as_posix(): sha256_file(path) for path in release_files(folder)}
     identity = benchmark_sha256(sums_text(sums), info.text())
     info.model_copy(update={"benchmark_sha256": identity}).write(folder)
@@ -217,6 +217,6 @@ def _seal(folder: Path, info: ReleaseInfo) -> str:
 
 
 def data_package_versions() -> dict[str, str]:
-    """Versions of Python and of the packages that the data was computed with; "unknown" if not installed."""
+    """Return the versions of Python and of the packages that compute the data; "unknown" if not installed."""
     versions = {name: package_version(name) or "unknown" for name in PACKAGES}
     return {"python": platform.python_version(), **versions}

@@ -22,7 +22,7 @@ from kinectbench.release.publish.publish import PRIVATE, PublishSummary
 from kinectbench.release.put import put_release
 
 RELEASE = "benchmark"
-# Of each stage the files that a release is made of; None: all.
+# {stage: its files that a release is made from; None: all}.
 READ: Mapping[str, tuple[str, ...] | None] = {
     "ingest": (Manifest.FILE, CameraFile.FILE),
     "track": (Manifest.FILE, TrajectoryHealth.FILE),
@@ -39,17 +39,17 @@ def publish_stored(
     options: PublishOptions | None = None,
     progress: Progress | None = None,
 ) -> PublishSummary:
-    """`publish_if_stale` for a benchmark in a store, as `benchmark/` there.
+    """Publish a benchmark in a store as `benchmark/` there; see `publish_if_stale`.
 
     Args:
-        jobs: the recordings, at least one, all of them built.
+        jobs: the built recordings, at least one.
         force: publish again in any case.
-        options: as of `publish_if_stale`.
+        options: see `publish_if_stale`.
         progress: called with (recordings fetched, recordings in all).
 
     Raises:
-        ReleaseError: as `publish_if_stale`.
-        StorageError: the store fails; the release that lay there may be incomplete until the next run.
+        ReleaseError: as in `publish_if_stale`.
+        StorageError: the store fails; the release in the store may be incomplete until the next run.
     """
     settings, place = jobs[0].settings, jobs[0].root
     url = url_of(place) or ""
@@ -87,7 +87,7 @@ def _fetch_state(store: Store, root: Path) -> None:
 
 
 def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
-    """Fetch why some recordings are not built."""
+    """Download the reasons why some recordings are not built."""
     for name, content in zip(
         names,
         in_parallel(partial(store.read_if_there, f"build/{name}/{Failed.FILE}") for name in names),
@@ -102,7 +102,7 @@ def _fetch_pairs_manifest(copy: Checkout) -> None:
 
 
 def _fetch_read(copy: Checkout) -> None:
-    """Download the files that a release is made of."""
+    """Download the files that a release is made from."""
     recording = copy.job.recording.id
     for stage, files in READ.items():
         if files is None:

@@ -1,8 +1,8 @@
 """previews/: a small picture of each pair's view, and the tables for viewers of datasets.
 
-A folder for each split, as `ImageFolder` of Hugging Face's `datasets` reads it: `metadata.jsonl` has a line
-for each pair, whose `file_name` is the picture, relative to it.
-Source: https://huggingface.co/docs/datasets/image_dataset
+Each split has a folder that `ImageFolder` of Hugging Face's `datasets` can read: `metadata.jsonl` has a line
+for each pair, with its picture's path in `file_name`. Source:
+https://huggingface.co/docs/datasets/image_dataset
 """
 
 import json
@@ -17,24 +17,24 @@ from kinectbench.core.storage import write_below
 from kinectbench.core.types import Rgb
 from kinectbench.release.contents import PREVIEWS, ROWS
 
-# Half of a Kinect's image.
+# Half the width of a Kinect's image.
 WIDTH_PX = 320
 
 
 def row_picture(target: Target) -> str:
-    """`file_name` in the row of a pair."""
+    """Return `file_name` in the row of a pair."""
     return f"{target.recording}/{target.view}.jpg"
 
 
 def rows_text(targets: Sequence[Target]) -> str:
-    """metadata.jsonl of the pairs of one split: the columns of targets.csv, behind `file_name`."""
+    """Return metadata.jsonl of the pairs of one split: `file_name`, then the columns of targets.csv."""
     names = columns_of(targets)
     rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in names} for t in targets]
     return "".join(json.dumps(row) + "\n" for row in rows)
 
 
 def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
-    """Write previews/ of a release with existing views; shows nothing that `views/` does not.
+    """Write previews/ of a release with existing views; the pictures show nothing that `views/` lacks.
 
     Raises:
         StorageError: an image is damaged.
@@ -49,7 +49,7 @@ def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
 
 
 def view_picture(views: Path, view: str) -> Rgb:
-    """Depth with the mask's outline, and to its right colour if published."""
+    """Draw depth with the mask's outline, and to its right colour if published."""
     picture = depth_with_mask(views, view)
     path = views / f"{view}.color.jpg"
     if not path.is_file():
@@ -61,7 +61,7 @@ def view_picture(views: Path, view: str) -> Rgb:
 
 
 def depth_with_mask(views: Path, view: str) -> Rgb:
-    """The depth image with the mask's outline, thinned to a small picture."""
+    """Draw the depth image with the mask's outline, thinned to a small picture."""
     depth_mm = images.read_gray(views / f"{view}.depth.png")
     mask = images.read_gray(views / f"{view}.mask.png") > 0
     step = max(1, round(depth_mm.shape[1] / WIDTH_PX))

@@ -1,1 +1,1 @@
-"""Which recordings of a build are trustworthy, which need a review, and which show one object."""
+"""Triage: which recordings of a build are trustworthy, need a review, or show the same object."""

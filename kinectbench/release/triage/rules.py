@@ -1,8 +1,8 @@
 """Reasons against a recording: violated limits, and reasons for a review.
 
-Limits are `publish.gate` of benchmark.yaml: a recording that does not keep one is rejected. What is to be
-looked at is published, and the release says so. docs/evidence/releases.md has the decisions beside the truth
-of simulated recordings.
+The limits are `publish.gate` of benchmark.yaml: a recording that violates one is rejected. A recording with
+reasons for a review is published, and the release states the reasons. docs/evidence/releases.md compares the
+decisions with the truth of simulated recordings.
 """
 
 from collections.abc import Collection, Iterator
@@ -21,26 +21,27 @@ from kinectbench.release.triage.stands_alone import part_that_stands_alone
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
 
-# A warning gives advice after this.
+# Separates a warning from its advice.
 END_OF_WARNING = ";"
-# A person should look at a truth whose known voxels are estimated to be worse (docs/evidence/releases.md).
+# A person should look at a truth whose known voxels have a lower estimated IoU (docs/evidence/releases.md).
 LEAST_KNOWN = 0.8
-# Shares beyond which a person should look (chosen by hand on 18 simulated recordings; of forty others a table
-# 1 m off and an open box with an IoU on known voxels of 0.46 are named by the first).
+# Shares beyond which a person should look (chosen by hand on 18 simulated recordings; among forty others the
+# first names a table 1 m off, and an open box whose known voxels have an IoU of 0.46).
 MOST_MOVING, MOST_BEYOND = 0.1, 0.02
-# A person should look at a path with fewer poses: of forty simulated scans one, lost while a person walked by
-# and joined again 0.18 m off, had 75 % and was `fair`; the other published ones have 97 % and more.
+# A person should look at a trajectory if a smaller share of frames has a pose. Of forty simulated scans, one
+# had 75 % and was `fair`: it was lost while a person walked by, and joined again 0.18 m off; other published
+# scans have 97 % and more.
 LEAST_TRACKED = 0.9
-# What lies behind openings is much if it has half of the solid's volume, unknown voxels if they are a third
-# (chosen by hand: they decide nothing).
+# The space behind openings is large if it has half of the solid's volume; unknown voxels are many if they are
+# a third (chosen by hand: they decide nothing).
 MOST_BEHIND, MOST_UNKNOWN = 0.5, 0.33
-# Of all directions around the object, that no camera looked from: beyond a third of the way a whole side of
-# a box is seen from nowhere.
+# Widest gap between camera directions around the object: beyond a third of a turn no camera sees a whole side
+# of a box.
 MOST_UNSEEN_RAD = 2.1
-# F at 10 mm of a reference that fits: below it a person should look. Simulated objects and their own meshes
-# have 0.97 or more (docs/evidence/ground-truth.md).
+# F-score at 10 mm of a reference that fits: below it a person should look. Simulated objects reach 0.97 or
+# more against their own meshes (docs/evidence/ground-truth.md).
 LEAST_REFERENCE_F = 0.9
-# Words of the warnings of ingest that say that frames are missing.
+# Words in warnings of ingest that say that frames are missing.
 DAMAGED = ("is cut off", "is damaged", "frame left out", "depth images are empty")
 NOT_BUILT = "not built, or not asked for"
 
@@ -50,12 +51,12 @@ class Judged:
     """Reasons against one recording, a line each.
 
     Attributes:
-        recording: its settings, with the review of a person.
-        failure: why it is not built; None: it is.
-        limits: those of `publish.gate` that it does not keep.
+        recording: the recording's settings, with a person's review.
+        failure: why the recording is not built; None: it is built.
+        limits: limits of `publish.gate` that it violates.
         look: reasons for a review.
-        incomplete: parts that nobody saw: the release states them, scores leave them out, and they decide
-            nothing.
+        incomplete: parts that no camera saw. The release states them, scores leave them out; they do not
+            affect the decision.
     """
 
     recording: RecordingSettings
@@ -76,12 +77,12 @@ class Judged:
 
 
 def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
-    """Judge every recording of a benchmark, in the order of its settings; ignores unknown figures.
+    """Judge every recording of a benchmark, in the order of the settings; unknown figures are ignored.
 
     Args:
-        settings: the benchmark's: limits, and what people decided.
-        build: holds a folder per recording.
-        built: ids of those that have everything up to the pairs.
+        settings: the benchmark's settings, with limits and people's decisions.
+        build: the folder with a subfolder for each recording.
+        built: ids of recordings whose pairs are built.
 
     Raises:
         StorageError: a built file is damaged.
@@ -98,16 +99,16 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
         look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
-        # A warning is not repeated.
+        # A violated limit is not repeated as a reason for a review.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look, incomplete=tuple(_incomplete(quality)))
 
 
 def failure(folder: Path) -> str:
-    """Why `build/<recording>/` is not complete, in a line."""
+    """Return why `build/<recording>/` is not complete, in a line."""
     try:
         failed = Failed.read_if_there(folder)
-    except StorageError:  # damaged: nobody can read the reason
+    except StorageError:  # damaged: the reason is unreadable
         failed = None
     if failed is None:
         return NOT_BUILT
@@ -117,9 +118,9 @@ def failure(folder: Path) -> str:
 def _beyond(
     limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
 ) -> Iterator[str]:
-    """The violated limits, with the figures."""
+    """Yield the violated limits, with the figures."""
     grade = None if health is None else health.grade
-    # The estimate counts errors of the poses: if the trajectory is not good, use its lower end.
+    # The estimate may be wrong if poses are: unless the trajectory is good, take its lower end.
     value, low, where = quality.trusted_iou
     uncertain, what = grade == "not good" and low is not None, f"estimated IoU{where}"
     if uncertain:
@@ -142,7 +143,7 @@ def _beyond(
 
 
 def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
-    """Reasons to review the camera's path."""
+    """Yield reasons to review the trajectory."""
     if health is None:
         return
     if health.grade == "not good":
@@ -152,7 +153,7 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
 
 
 def _of_object(quality: QualityFile) -> Iterator[str]:
-    """Reasons to review the object."""
+    """Yield reasons to review the object."""
     yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
     known = quality.estimated_known_iou
     if known is not None and known < LEAST_KNOWN:
@@ -164,7 +165,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
 
 
 def _incomplete(quality: QualityFile) -> Iterator[str]:
-    """What nobody saw of the object, if it is much."""
+    """Yield the parts of the object that no camera saw, if they are large."""
     behind_m3 = sum(frontier.volume_m3 for frontier in quality.frontiers)
     if quality.volume_m3 and behind_m3 > MOST_BEHIND * quality.volume_m3:
         yield (
@@ -178,7 +179,7 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
 
 
 def _of_parts(folder: Path) -> Iterator[str]:
-    """Reasons to review the solid: whether it is the object alone."""
+    """Yield a reason to review the solid if it may not be the object alone."""
     if (share := part_that_stands_alone(folder)) is not None:
         yield (
             f"a part of it, {share:.0%} of the solid, stands alone, and the rest does without it: does "
@@ -187,10 +188,10 @@ def _of_parts(folder: Path) -> Iterator[str]:
 
 
 def current_reference(folder: Path) -> ReferenceFile | None:
-    """What `compare-truth` wrote of `build/<recording>/`; None if nothing, or of an object built before.
+    """Return the result of `compare-truth` for `build/<recording>/`; None if missing or of an earlier object.
 
     Raises:
-        StorageError: it is damaged.
+        StorageError: the file is damaged.
     """
     found = ReferenceFile.read_if_there(folder)
     if found is None or found.object_fingerprint != Manifest.read(folder / "object").fingerprint:
@@ -199,7 +200,7 @@ def current_reference(folder: Path) -> ReferenceFile | None:
 
 
 def _of_references(found: ReferenceFile | None) -> Iterator[str]:
-    """What is to be looked at of meshes that somebody else measured or drew."""
+    """Yield reasons to review from meshes that somebody else measured or drew."""
     for each in () if found is None else found.all:
         if each.refused is not None:
             yield f"its reference {each.reference} does not fit: {each.refused}"
@@ -211,7 +212,7 @@ def _of_references(found: ReferenceFile | None) -> Iterator[str]:
 
 
 def _of_frames(head: CameraFile | None) -> Iterator[str]:
-    """Reasons to review the recording: a file that ends early, damaged frames."""
+    """Yield reasons to review the recording: a file that ends early, damaged frames."""
     if head is None:
         return
     yield from (line.split(END_OF_WARNING, 1)[0] for line in head.doubts)

@@ -1,7 +1,7 @@
-"""Recordings of the same object: their shapes are turned about the vertical until they agree.
+"""Find recordings of the same object: their shapes are turned about the vertical until they agree.
 
-docs/releases.md has the rule, docs/evidence/releases.md what was measured of it by
-`python benchmarks/truth/same_object.py`.
+docs/releases.md has the rule; docs/evidence/releases.md has the measurements of `python
+benchmarks/truth/same_object.py`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,18 +20,18 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Float64
 
-# Points that are kept of a surface, and of these the ones that are laid onto another: a tenth of 2 m^2 of a
-# chair is a point on each square centimetre. Chosen by hand.
+# Number of points kept of a surface, and number of these that are laid onto another surface: a tenth of the 2
+# m^2 of a chair is a point on each square centimetre. Chosen by hand.
 KEPT, LAID = 20_000, 1_500
-# Turns that are tried, 10 degrees apart, by a fifth of the points; and of them the best that are refined, in
-# so many steps. Chosen by hand.
+# Number of turns tried, 10 degrees apart, with every fifth point; number of the best that are refined, and
+# steps of refinement. Chosen by hand.
 TURNS, THIN, REFINED, STEPS = 36, 5, 4, 12
-# A point agrees that is nearer than this share of the larger diagonal, and than two voxels of 3 mm of what is
-# small: the surfaces of one chair, built twice, lie 4 mm apart.
+# A point agrees if it is nearer than this share of the larger diagonal; for small objects, nearer than two
+# voxels of 3 mm: the surfaces of one chair, built twice, lie 4 mm apart.
 NEAR_SHARE, NEAR_M = 0.012, 0.006
-# Farther points pull no more, as what one recording has not seen. Chosen by hand.
+# Farther points have no influence: one recording may not have seen them. Chosen by hand.
 REACH, LEAST_REACH, LEAST_POINTS = 8.0, 2.0, 10
-# Heights, lengths and widths of one object differ by less between its recordings (4 % at most, measured).
+# Heights, lengths and widths of one object differ by less between recordings (4 % at most, measured).
 SIZES_APART = 0.12
 # Two shapes are one object if their agreement is at least this: docs/releases.md has its derivation.
 LEAST_AGREEMENT = 0.9
@@ -42,8 +42,8 @@ class Shape:
     """An object's surface as it stands on its floor; frame floor (z up), metres.
 
     Attributes:
-        measured: (n, 3) points of it that cameras measured.
-        surface: (m, 3) points of all of it, inferred parts included.
+        measured: (n, 3) points of the surface that cameras measured.
+        surface: (m, 3) points of the whole surface, inferred parts included.
     """
 
     measured: Float64
@@ -51,14 +51,14 @@ class Shape:
 
     @classmethod
     def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
-        """A shape of these points; of many, some that are spread evenly."""
+        """Make a shape of these points; many points are thinned evenly."""
         middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
         few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
         return cls(*few)
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:
-        """The shape in `build/<recording>/object/`; None if nothing was measured.
+        """Read the shape in `build/<recording>/object/`; None if nothing was measured.
 
         Raises:
             StorageError: a file is missing or damaged.
@@ -74,10 +74,10 @@ class Shape:
 
 
 def shape_agreement(a: Shape, b: Shape) -> float:
-    """Agreement of two shapes, 0 to 1, after the best turn about the vertical and shift.
+    """Return the agreement of two shapes, 0 to 1, after the best turn about the vertical and shift.
 
     Returns:
-        The lesser of two shares: of one's measured points that lie near the surface of the other.
+        For each shape, the share of its measured points that lie near the other's surface; the smaller share.
     """
     diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
     near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
@@ -95,7 +95,7 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """R (3, 3) and t (3,) that register points (n, 3) to the nearest others, by a turn about z and shift."""
+    """Return R (3, 3) and t (3,), a turn about z and a shift, that register points (n, 3) to a tree's."""
     t = np.zeros(3)
     for step in range(STEPS):
         placed = points @ R.T + t
@@ -115,15 +115,15 @@ def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tup
 def same_objects(
     folders: Mapping[str, Path], sizes_m: Mapping[str, Float64], objects: Mapping[str, str]
 ) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of recordings that have one shape and two names, and how well their shapes agree.
+    """Yield pairs of recordings with the same shape and different object names, and their agreement.
 
-    Only shapes of about one height, length and width are compared: a side that one recording has not seen may
-    hide that they are one.
+    Only shapes of similar height, length and width are compared. Shapes of one object may differ more if a
+    recording has not seen a side.
 
     Args:
-        folders: recording -> its `object/`.
-        sizes_m: recording -> (3,) the longer side, the shorter side and the height of its object, metres.
-        objects: recording -> the name of its object.
+        folders: {recording: its `object/`}.
+        sizes_m: {recording: (3,) longer side, shorter side and height of its object, metres}.
+        objects: {recording: name of its object}.
 
     Raises:
         StorageError: a file is missing or damaged.

@@ -1,7 +1,7 @@
-"""Whether a part of a solid stands alone, and the rest without it: a thing has merged with the object.
+"""Find a part of a solid that stands by itself: another thing was probably merged with the object.
 
-A box that stands against a chair leaves no gap in the depth, and the two are built as one thing. Such a box
-is thick, and joined to the rest by less than its own width. It reaches the floor, and so does the rest.
+A box against a chair leaves no gap in the depth, so both are built as one solid. Such a box is thick, and its
+joint with the rest is narrower than itself. Both the box and the rest reach the floor.
 """
 
 from collections.abc import Iterator
@@ -18,25 +18,26 @@ from kinectbench.core.types import Bools
 
 # Cells along the longest side; finer ones changed no share by more than 0.02.
 CELLS = 80
-# A thick part has room for a ball of this radius, as a share of the longest side: legs, seats and backs of
-# simulated furniture are thinner, and so is the joint. The first finds small boxes, the second a box that
-# shares 13 cm of a couch's side.
+# Radius of a ball that fits in a thick part, as a share of the longest side. Legs, seats and backs of
+# simulated furniture are thinner, and so is the joint. The first radius finds small boxes, the second a box
+# that shares 13 cm of a couch's side.
 RADIUS_SHARES = (0.06, 0.08)
-# What is that low, as a share of the longest side, stands on the floor: 6 cm of a chair.
+# Cells below this share of the longest side stand on the floor: 6 cm for a chair.
 LOW_SHARE = 0.06
-# Of a part's core so much reaches the floor, and no more has the rest above it. The rest is no scrap of the
-# part's own corners: of its pieces, each a share of the solid, those that are no crumbs. Chosen, with the
-# radii, on two objects of each of 45 simulated families, alone and with a box against them, and on 70 builds;
-# docs/evidence/releases.md counts what the rule names of others.
+# Four shares: of a part's core, at least this much stands on the floor, and at most this much has the rest
+# above it; the rest is at least this share of the solid, counting pieces of at least the last share, so that
+# it is not just scraps of the part's corners. Chosen, with the radii, on two objects of each of 45 simulated
+# families, alone and with a box against them, and on 70 builds; docs/evidence/releases.md counts what the
+# rule finds on others.
 LEAST_GROUNDED, MOST_COVERED, LEAST_REST, LEAST_PIECE = 0.9, 0.25, 0.15, 0.01
 
 
 def part_that_stands_alone(folder: Path) -> float | None:
-    """The share of the solid in a part that stands alone; None without such a part.
+    """Return the share of the solid in a part that stands alone; None without such a part.
 
     Args:
-        folder: `object/`, with or without its volume; a damaged one says nothing, and is refused where it is
-            published.
+        folder: `object/`; None is returned if its volume is missing or damaged (`publish` refuses a damaged
+            one).
     """
     try:
         solid = ObjectVolume.read(folder).solid
@@ -46,7 +47,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """The share of the smallest part that stands alone, and without which the rest does; None without one.
+    """Return the share of the smallest part that stands alone while the rest stands, too; None without one.
 
     Args:
         solid: (nx, ny, nz), z up, with at least one cell set.
@@ -55,7 +56,7 @@ def share_standing_alone(solid: Bools) -> float | None:
     step = -(-max(some.shape) // CELLS)
     cells = np.pad(some[::step, ::step, ::step], 1)
     longest = max(cells.shape) - 2
-    # The first layer is of the padding.
+    # The first layer is padding.
     low = 1 + max(2, round(LOW_SHARE * longest))
     shares = [
         float(part.sum() / cells.sum())
@@ -67,7 +68,7 @@ def share_standing_alone(solid: Bools) -> float | None:
 
 
 def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
-    """Each connected core of cells that are deeper inside than `radius`, and all cells around it."""
+    """Yield each connected core of cells deeper inside than `radius`, and the part grown from it."""
     labels, count = ndimage.label(ndimage.distance_transform_edt(cells) > radius)
     for number in range(1, count + 1):
         core = labels == number
@@ -75,7 +76,7 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 
 
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
-    """Whether a part stands on the floor beside the rest, and each of the two without the other."""
+    """Return whether a part stands on the floor beside the rest, and each stands without the other."""
     columns = core.any(axis=2)
     low_columns = np.asarray(cells[:, :, :low].any(axis=2))
     labels, count = ndimage.label(cells & ~part)
@@ -90,16 +91,16 @@ def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
 
 
 def _tops(cells: Bools) -> NDArray[np.int64]:
-    """(nx, ny) of the highest cell of each column; -1 without one."""
+    """Return (nx, ny), the index of the highest cell of each column; -1 without one."""
     return np.asarray(np.where(cells, np.arange(cells.shape[2]), -1).max(axis=2))
 
 
 def _balances(cells: Bools, low: int) -> bool:
-    """Whether the middle of all cells lies above the convex hull of the lowest `low` layers."""
+    """Return whether the centroid of all cells lies above the convex hull of the lowest `low` layers."""
     feet = np.argwhere(cells[:, :, :low].any(axis=2)).astype(np.float64)
     try:
         hull = ConvexHull(feet)
-    except (QhullError, ValueError):  # too few, or in a line
+    except (QhullError, ValueError):  # too few or collinear
         return False
     middle = np.argwhere(cells)[:, :2].mean(axis=0)
     return bool((hull.equations[:, :2] @ middle + hull.equations[:, 2]).max() <= 0)

@@ -1,4 +1,4 @@
-"""Triage of a benchmark: a decision for each recording, and undeclared recordings of one object."""
+"""Triage of a benchmark: a decision for each recording, and recordings that show one object undeclared."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 
 def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> TriageFile:
-    """Sort the recordings of a benchmark into accept, look and reject, by the rules that `publish` keeps.
+    """Sort the recordings of a benchmark into accept, look and reject, by the rules that `publish` applies.
 
     Args:
-        settings: the benchmark's: limits, and what people decided.
-        build: holds a folder per recording.
-        built: ids of those that have everything up to the pairs.
+        settings: the benchmark's settings, with limits and people's decisions.
+        build: the folder with a subfolder for each recording.
+        built: ids of recordings whose pairs are built.
 
     Raises:
         StorageError: a built file is damaged.
@@ -59,13 +59,13 @@ def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None)
 
 
 def _severity(row: TriageRow) -> tuple[int, float, int, str]:
-    """Sort key: the gravest decision first, then the lowest estimate, then the reasons."""
+    """Return the sort key: the gravest decision first, then the lowest estimate, then the most reasons."""
     low = row.estimated_iou_low
     return DECISIONS.index(row.decision), -1.0 if low is None else low, -len(row.reasons), row.recording
 
 
 def _size_m(quality: QualityFile) -> Float64 | None:
-    """(3,) the longer side, the shorter side and the height of the object, metres; None: not known."""
+    """Return (3,) longer side, shorter side and height of the object, metres; None: not known."""
     if quality.box is None:
         return None
     x, y, z = quality.box.size_m
@@ -75,7 +75,7 @@ def _size_m(quality: QualityFile) -> Float64 | None:
 def _same(
     recordings: Sequence[RecordingSettings], build: Path, sizes_m: dict[str, Float64]
 ) -> Iterator[SameObject]:
-    """Recordings of one shape whose objects have different names; those in different splits come first."""
+    """Yield recordings of one shape whose objects have different names, those in different splits first."""
     by_id = {each.id: each for each in recordings}
     pairs = []
     names = {name: by_id[name].object_name for name in sizes_m}

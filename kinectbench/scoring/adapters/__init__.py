@@ -1,1 +1,1 @@
-"""Published methods: input and output formats of each, one file a method."""
+"""Published methods: input and output formats, one file per method."""

@@ -12,7 +12,7 @@ from kinectbench.core.untrusted import listed_paths
 from kinectbench.release.exchange.rgbd import ViewCamera, WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
-# Files in the folder of one view that are looked at (chosen here).
+# At most so many files are read from the folder of one view (chosen here).
 MOST_FILES = 1000
 
 
@@ -21,13 +21,13 @@ class Adapter:
     """Input and output of one method.
 
     Attributes:
-        write: the files that its own loader reads, and `T_camera_method` for camera.json.
-        output: name of the file that it writes for a view; `*` stands for anything.
-        read: from that file and camera.json to the shape in the frame that `T_camera_method` maps from;
-            it raises PredictionError, ValueError or one of `UNREADABLE`.
-        form: of its predictions: mesh, points or voxels.
-        inputs: its inputs.
-        module: that `write` needs beyond the extra `build`; "" if none.
+        write: writes the method's input files; returns the view and `T_camera_method` for camera.json.
+        output: name of the file that the method writes for a view; `*` stands for anything.
+        read: reads that file and camera.json; returns the shape in the method's own frame, which
+            `T_camera_method` maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
+        form: what the method predicts: mesh, points or voxels.
+        inputs: the method's inputs.
+        module: the package that `write` needs beyond the extra `build`; "" if none.
     """
 
     write: WriteView
@@ -42,7 +42,7 @@ def find_output(folder: Path, pattern: str) -> Path | None:
     """A method's output file in the folder of a view; None if there is none.
 
     Raises:
-        PredictionError: there are several.
+        PredictionError: the folder has several output files.
     """
     if not folder.is_dir():
         return None
@@ -53,5 +53,5 @@ def find_output(folder: Path, pattern: str) -> Path | None:
 
 
 def scaling(scale: float) -> Float64:
-    """The (4, 4) similarity that scales alone."""
+    """Return the (4, 4) similarity that only scales."""
     return np.diag([scale, scale, scale, 1.0])

@@ -26,20 +26,20 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape
 
-# Of the images that its `demo.py` takes (config).
+# Image size that OctMAE's `demo.py` takes (config).
 WIDTH, HEIGHT = 640, 480
 M_PER_MM = 0.001
-# Its grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells before the cell of
-# the nearest measured point.
+# OctMAE's grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells before the cell
+# of the nearest measured point.
 CELL_MM, CELLS, CELLS_BEFORE = 40.0, 32, 5
-# Of the truth's cells so many are counted: a share is right to 0.002 (its standard deviation).
+# Number of the truth's cells that are sampled: the share has a standard deviation of 0.002.
 COUNTED, SEED = 100_000, 0
-# x, y, z, 0, r, g, b in a line of output.pts.
+# Numbers in a line of output.pts: x, y, z, 0, r, g, b.
 NUMBERS = 7
 
 
 def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report points outside its cube."""
+    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report what the cube cuts."""
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
     write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
@@ -54,10 +54,10 @@ def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 
 
 def cube_mm(seen_mm: Float64) -> Float64:
-    """(2, 3), the lowest and the highest corner of its cube; camera frame, millimetres.
+    """Return the lowest and the highest corner of OctMAE's cube: (2, 3), camera frame, millimetres.
 
     Args:
-        seen_mm: (m, 3), the object's measured points, which place it.
+        seen_mm: (m, 3), the object's measured points, which place the cube.
     """
     side = CELLS * CELL_MM
     begin = (np.floor(seen_mm[:, 2].min() / CELL_MM) - CELLS_BEFORE) * CELL_MM
@@ -66,13 +66,13 @@ def cube_mm(seen_mm: Float64) -> Float64:
 
 
 def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
-    """Points (n, 3) inside its cube, bool (n,); arguments as of `cube_mm`."""
+    """Return which points (n, 3) lie in OctMAE's cube: bool (n,); arguments as in `cube_mm`."""
     low, high = cube_mm(seen_mm)
     return np.asarray(((points_mm >= low) & (points_mm < high)).all(axis=1))
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """The share of the object outside its cube, and its reference: the true solid, or the seen points."""
+    """Return the cut-off share of the object, and what it is of: the true solid, or the seen points."""
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
         points_m, of = seen_m, "seen"
@@ -90,10 +90,10 @@ def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
 
 
 def read_octmae(path: Path, camera: ViewCamera) -> CameraShape:
-    """Points and normals of output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
+    """Read points and normals from output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
 
     Raises:
-        PredictionError, ValueError, OSError: it cannot be read, or is another file.
+        PredictionError, ValueError, OSError: the file cannot be read, or is no output.pts.
     """
     numbers = numbers_of(read_plain(path, MAX_FILE_BYTES))
     if not len(numbers) or len(numbers) != 1 + NUMBERS * numbers[0] or numbers[0] < 1:

@@ -20,12 +20,13 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
 
-# Its loader's grid and the distance that it clips at; its own metric takes cells up to the last for solid.
+# PatchComplete's loader has this grid and clips distances here; its own metric counts cells up to
+# SOLID_BELOW as solid.
 VOXELS = 32
 CLIP_VOXELS = 2.5
 SOLID_BELOW = 1e-10
 KEY = "predicted_voxels"
-# 32^3 numbers of eight bytes, and what an npz adds.
+# Size of 32^3 numbers of eight bytes, and what an npz adds.
 MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
 
 
@@ -40,9 +41,9 @@ def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple
 
 
 def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
-    """Distance of the measured surface behind each voxel's centre, along z: (32, 32, 32), metres, clipped.
+    """Return each voxel centre's distance along z to the measured surface: (32, 32, 32), metres, clipped.
 
-    Voxels before the surface are positive, and so are voxels outside the object's pixels.
+    The distance is positive in front of the surface. Voxels outside the object's pixels are positive, too.
 
     Args:
         view: depth and mask of the object.
@@ -66,7 +67,7 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
 
 
 def read_patchcomplete(path: Path, camera: ViewCamera) -> CameraShape:
-    """The solid of `predicted_voxels` in the cube [0, 1]^3.
+    """Read `predicted_voxels` as a solid in the cube [0, 1]^3.
 
     Raises:
         PredictionError, UNREADABLE: the file is damaged, or holds something else.

@@ -1,8 +1,8 @@
 """AdaPoinTr and PoinTr (Yu et al., TPAMI 2023): points, centred and scaled.
 
 Source: its repository, commit 2e53e72: `tools/inference.py` reads N x 3 points, and writes fine.npy. Its
-configurations for ShapeNet centre the points and divide them by the largest norm; of the points written
-here that changes nothing.
+configurations for ShapeNet centre the points and divide them by the largest norm; the points written here are
+already normalised so.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape
 
-# As many as its loaders take; which of a view's points these are is drawn by the seed.
+# Number of points that PoinTr's loaders take; the seed draws them from the view's points.
 POINTS = 2048
 SEED = 0
 
@@ -28,7 +28,7 @@ SEED = 0
 def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write points.npy: 2,048 measured points of the object, mean 0, largest norm 1, y up.
 
-    Up is that of the floor, or of the image where no floor is known.
+    Up is the floor's normal, or the image's up direction where no floor is known.
 
     Raises:
         ReleaseError: no point of the object is measured.
@@ -49,7 +49,7 @@ def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 
 
 def _upright(release: Release, view: RgbdView) -> Float64:
-    """(3, 3), from x right, y up, z towards the viewer to the camera."""
+    """Return the rotation (3, 3) from axes with x right, y up and z towards the viewer to the camera."""
     floor = release.floor(view.target.recording)
     up = np.array([0.0, -1.0, 0.0])
     if floor is not None:
@@ -63,10 +63,10 @@ def _upright(release: Release, view: RgbdView) -> Float64:
 
 
 def read_pointr(path: Path, camera: ViewCamera) -> CameraShape:
-    """Points of fine.npy, in the frame of points.npy.
+    """Read the points of fine.npy, in the frame of points.npy.
 
     Raises:
-        PredictionError, NpyError, OSError: it cannot be read, or is no array of points.
+        PredictionError, NpyError, OSError: the file cannot be read, or is no array of points.
     """
     with open_plain(path) as file:
         points = read_npy(file, size_of(file), _check).astype(np.float64)

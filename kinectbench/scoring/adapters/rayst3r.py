@@ -1,4 +1,4 @@
-"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera.
+"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera frame.
 
 Source: its repository, commit 2c93f81: `eval_wrapper/eval.py` reads a folder and writes into it.
 """
@@ -12,16 +12,16 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, read_shape
 
-# Its loader stretches any other size to this one.
+# RaySt3R's loader resizes every image to this size.
 WIDTH, HEIGHT = 640, 480
-# Its depth.png: 65535 stands for 10 m.
+# RaySt3R's depth.png: 65535 stands for 10 m.
 MOST_M, STEPS = 10.0, 65535
 
 
 def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m) and intrinsics.pt.
 
-    Without cam2world.pt its output is in the camera.
+    Without cam2world.pt, RaySt3R's output is in the camera frame.
     """
     import torch
 
@@ -35,7 +35,7 @@ def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdV
 
 
 def read_rayst3r(path: Path, camera: ViewCamera) -> CameraShape:
-    """Points of inference_points.ply: float64 x, y, z, metres, camera frame; its colours mean nothing."""
+    """Read the points of inference_points.ply: float64 x, y, z, metres, camera frame; colours are ignored."""
     return read_shape(path, path.name)
 
 

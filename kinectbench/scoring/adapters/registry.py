@@ -31,15 +31,15 @@ ADAPTERS: Mapping[str, Adapter] = {
     "pointr": POINTR,
     "patchcomplete": PATCHCOMPLETE,
 }
-# Of poses of one view: what writing and reading JSON leaves is far less.
+# Two poses of one view that differ by less are equal: writing and reading JSON changes far less.
 SAME_POSE = 1e-6
 
 
 def adapter_of(name: str) -> Adapter:
-    """The adapter of a method.
+    """Return the adapter of a method.
 
     Raises:
-        SettingsError: there is none of this name.
+        SettingsError: no adapter has this name.
     """
     if name not in ADAPTERS:
         raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
@@ -49,7 +49,7 @@ def adapter_of(name: str) -> Adapter:
 def export_for(
     release: Release, out: Path, name: str, progress: Progress | None = None
 ) -> tuple[int, list[str]]:
-    """Write the views of a release as a method's own loader reads them; see `export_rgbd`.
+    """Write the views of a release in the format that a method's own loader reads; see `export_rgbd`.
 
     Raises:
         SettingsError: there is no adapter of this name, or a package for it is not installed.
@@ -66,8 +66,8 @@ def adapt(
     """Convert a method's output into predictions in the camera frame, with method.json.
 
     Args:
-        release: that the views are of.
-        name: of the method.
+        release: the release that contains the views.
+        name: the method's name.
         output: a folder `<recording>/<view>/` for each view, with the method's output and the camera.json
             of `export --for`.
         out: a new folder of predictions, or an earlier one, which is replaced.
@@ -142,10 +142,10 @@ def _adapted(
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:
-    """T_camera_method of an untrusted camera.json.
+    """Return T_camera_method of an untrusted camera.json.
 
     Raises:
-        PredictionError: it is missing, no similarity, or of another method.
+        PredictionError: T_camera_method is missing or no similarity, or the file is of another method.
     """
     if camera.method != name or camera.T_camera_method is None:
         raise PredictionError(f"{ViewCamera.FILE}: not of `export --layout rgbd --for {name}`; export again")
@@ -155,7 +155,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Why there is nothing to convert."""
+    """Return the message that says why no output can be converted."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"

@@ -1,4 +1,4 @@
-"""SAM 3D Objects (Meta, 2025): a mesh in a box of side 1, and its pose in PyTorch3D's camera.
+"""SAM 3D Objects (Meta, 2025): a mesh in a box of side 1, and its pose in PyTorch3D's camera frame.
 
 Source: its repository, commit cf06676: `Inference(...)(image, mask, pointmap=...)` returns a dictionary;
 `layout_post_optimization_utils.get_mesh` and `transforms_3d.compose_transform` place the mesh.
@@ -19,9 +19,9 @@ from kinectbench.scoring.camera_shape import FARTHEST_M, CameraShape, read_shape
 
 # PyTorch3D's camera has x to the left and y up.
 T_CAMERA_PYTORCH3D = np.diag([-1.0, -1.0, 1.0, 1.0])
-# Row vectors of the GLB, y up, times this are in the frame of the pose, z up.
+# Maps row vectors of the GLB (y up) to the frame of the pose (z up).
 FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T
-# Beside mesh.glb: `rotation`, `translation` and `scale` of the dictionary, by np.savez.
+# File beside mesh.glb, written by np.savez: `rotation`, `translation` and `scale` of SAM 3D's dictionary.
 POSE, POSE_BYTES = "pose.npz", 1 << 16
 
 
@@ -31,12 +31,12 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
     pointmap.npy is (height, width, 3) float32, metres, in PyTorch3D's camera (x left, y up); NaN = no depth.
 
     Args:
-        release: unused; other methods need it.
+        release: unused; other adapters need it.
         view: colour, mask and depth.
-        folder: to write into.
+        folder: where the files are written.
 
     Returns:
-        The view, and what method.json keeps of it: `T_camera_method` (4, 4).
+        The view, and a key for method.json: `T_camera_method` (4, 4).
     """
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)
@@ -45,20 +45,20 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
 
 
 def read_sam3d(path: Path, camera: ViewCamera) -> CameraShape:
-    """The mesh of mesh.glb placed by pose.npz, in PyTorch3D's camera.
+    """Read mesh.glb and place the mesh by pose.npz; the result is in PyTorch3D's camera frame.
 
     Raises:
-        PredictionError: one of them is missing or damaged.
+        PredictionError: one of the two files is missing or damaged.
     """
     scale, rotation, translation = _pose(path.with_name(POSE))
     mesh = read_shape(path, path.name)
-    # PyTorch3D's transforms are of row vectors.
+    # PyTorch3D's transforms multiply row vectors.
     points = (mesh.points_m @ FROM_GLB * scale) @ rotation + translation
     return CameraShape("mesh", points, mesh.faces)
 
 
 def _pose(path: Path) -> tuple[float, Float64, Float64]:
-    """Scale, rotation (3, 3) and translation (3,) of pose.npz."""
+    """Read scale, rotation (3, 3) and translation (3,) from pose.npz."""
     advice = (
         f"save rotation, translation and scale of its output there: np.savez('{POSE}', rotation=..., ...)"
     )

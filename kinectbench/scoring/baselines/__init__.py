@@ -1,1 +1,1 @@
-"""Reference methods, from trivial on."""
+"""Reference methods, beginning with trivial ones."""

@@ -1,7 +1,7 @@
 """Scores of baselines beside a method's, computed in memory and stored beside the scores.
 
-Of cells voxel metrics only: a table needs no more to show what a method is worth, and surfaces take most of
-the time. Beside predictions in the camera frame baselines are scored under `camera` alone.
+Under the grid protocols only voxel metrics are computed: they suffice to judge a method, and surface metrics
+take most of the time. Beside predictions in the camera frame, baselines are scored under `camera` alone.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -34,21 +34,21 @@ def baselines_beside(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[ScoreTable]:
-    """The scores of every baseline that the release allows, equal to those of `score` for its files.
+    """Score every baseline that the release allows; `score` gives the same for the baseline's files.
 
-    They are kept in `out/baselines/<name>/scores.json`, those of space in `out/baselines/<name>+camera/`, and
-    read from there where release, settings and the versions of counting and of the baselines are the same,
-    and a few pairs that are counted again give the rows that are kept; otherwise they are made again.
-    Thresholds are found on the validation split for each, else they are 0.5.
+    Tables are kept in `out/baselines/<name>/scores.json`, tables in space in `out/baselines/<name>+camera/`.
+    A kept table is used again if release, settings and the versions of counting and of the baselines are the
+    same, and a few pairs counted again give its rows. Thresholds are chosen per baseline on the validation
+    split; without one they are 0.5.
 
     Args:
-        release: the truth.
+        release: the release that is scored.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that its pairs allow; or those of a table in space.
+        protocols: names of `PROTOCOLS` that the pairs allow; or the protocols of a table in space.
         upsampling: "half-pixel" or "corner-aligned".
-        without: names that are left out.
+        without: names of baselines that are left out.
         jobs: number of processes.
-        progress: called with (pairs done, pairs in all), if any are to be counted.
+        progress: called with (pairs done, pairs in all), if any pair must be counted.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -80,10 +80,10 @@ def baselines_beside(
 
 
 def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
-    """Earlier results that are still valid."""
+    """Return the kept table of a baseline, if it is still valid."""
     try:
         table = read_table(folder / ScoreTable.FILE)
-    except StorageError:  # none there, or one that is damaged or does not add up
+    except StorageError:  # there is none, or it is damaged or contradicts itself
         return None
     made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
     same = (name, True, release.benchmark_sha256, settings)

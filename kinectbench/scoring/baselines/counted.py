@@ -1,4 +1,4 @@
-"""Baselines counted pair by pair in memory: the tables for their files, without files."""
+"""Baselines counted pair by pair in memory: the same tables as for their files, without files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thre
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
 
-# {name of a baseline: its counts} of a pair
+# {name of a baseline: counts of one pair}
 Counts = dict[str, PairResult]
 
 
@@ -47,7 +47,7 @@ def score_baselines(
     that do not exist.
 
     Args:
-        release: of the predictions.
+        release: the release that is predicted.
         out: folder for the results.
         protocols: see `protocols_of`.
         thresholds_file: see `read_thresholds`; it wins over the validation split.
@@ -85,14 +85,14 @@ def counted_baselines(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[ScoreTable]:
-    """The table of each of some baselines, in the order of `names`.
+    """Return the tables of the named baselines, in the order of `names`.
 
     Args:
-        release: of the predictions.
-        names: baselines that it allows (`possible_baselines`).
+        release: the release that is predicted.
+        names: baselines that the release allows (`possible_baselines`).
         counting: how pairs are counted; surface metrics on the test split only.
-        thresholds_file: see `read_thresholds`; default: thresholds are found on the validation split for each
-            baseline, else they are 0.5.
+        thresholds_file: see `read_thresholds`; default: thresholds are chosen per baseline on the validation
+            split; without one they are 0.5.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -103,7 +103,7 @@ def counted_baselines(
     rates = base_rates(release, jobs)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, release.split("test"))
     splits: tuple[Split, ...] = ("validation", "test") if fixed is None else ("test",)
-    # Thresholds decide nothing but surfaces: without those one round will do, and one start of processes.
+    # Only surface metrics need the thresholds: without them one round, and one start of processes, will do.
     rounds = [(split,) for split in splits] if counting.surface else [splits]
     pairs = sum(len(release.split(split)) for split in splits)
     thresholds = {} if fixed is None else dict.fromkeys(names, fixed)
@@ -127,11 +127,11 @@ def counted_baselines(
 def baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
 ) -> set[str]:
-    """Names of tables whose rows contradict their baseline; a few pairs are counted again.
+    """Count a few pairs again and return the names of tables whose rows differ.
 
     Args:
-        release: of the predictions.
-        tables: by name, of `release` and `counting`, without surface metrics.
+        release: the release that was predicted.
+        tables: by baseline, made with `release` and `counting`, without surface metrics.
         counting: how pairs are counted.
         jobs: number of processes that read the truth.
 
@@ -157,18 +157,18 @@ def baselines_that_differ(
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
-    """Combine the progress of both rounds."""
+    """Report the progress of one round as progress of both rounds."""
     progress(before + done, pairs)
 
 
 def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> Thresholds:
-    """The thresholds of a baseline, from its counts of the validation split."""
+    """Choose the thresholds of a baseline by its counts of the validation split."""
     tallies = {t: of[name].tally for t, of in counted.items() if t.split == "validation"}
     return searched_thresholds(release.targets, tallies)
 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
-    """Every baseline's counts of one pair; a pair of the validation split only chooses the thresholds."""
+    """Return every baseline's counts of one pair; for a validation pair only what chooses thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}

@@ -1,4 +1,4 @@
-"""Bounds of a view: its convex hull, carved or not, and its silhouette extruded along the view."""
+"""Bounds from a single view: its convex hull, carved or not, and its silhouette extruded along the view."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,28 +12,28 @@ PIXELS = 512
 
 
 def hull(inputs: Inputs) -> Bools:
-    """The solid convex hull of `partial_256`: (256, 256, 256) bool.
+    """Return the solid convex hull of `partial_256`: (256, 256, 256) bool.
 
-    A cell is set if its centre lies in the hull of the set cells' centres or on it. Where the partial is
-    flat, or is fewer than four cells, it is its own hull.
+    A cell is set if its centre lies in or on the hull of the set cells' centres. A partial that is flat, or
+    has fewer than four cells, is its own hull.
     """
     return filled_hull(inputs.partial)
 
 
 def carved_hull(inputs: Inputs) -> Bools:
-    """The convex hull of `partial_256` without observed free space: (256, 256, 256) bool.
+    """Return the convex hull of `partial_256` without observed free space: (256, 256, 256) bool.
 
-    The strongest bound from a single view without a prior: the hull may hold unseen air.
+    This is the strongest bound from a single view without a prior. The hull may hold unseen air.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved
 
 
 def silhouette(inputs: Inputs) -> Bools:
-    """Every cell whose ray from the camera met the partial before: (256, 256, 256) bool.
+    """Return the cells whose ray from the camera has met the partial: (256, 256, 256) bool.
 
-    Rays go from the camera's centre through cell centres, on to the grid's far side. They are looked up in an
-    image of 512 x 512 rays over the grid's far side.
+    Rays go from the camera's centre to 512 x 512 points on the grid's far side. A cell takes the ray that
+    passes nearest to its centre.
     """
     pair = inputs.pair
     centre = np.linalg.inv(pair.T_world_grid) @ pair.T_world_camera[:, 3]
@@ -41,7 +41,7 @@ def silhouette(inputs: Inputs) -> Bools:
 
 
 def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
-    """Extrude along the rays from a camera at cell coordinates (3,); along z if it is not before the grid."""
+    """Extrude along rays from a camera at cell coordinates (3,); along z unless it is before the grid."""
     from kinectbench.scoring.baselines.kernels import sweep_plane, transposed
 
     count = len(partial)
@@ -51,12 +51,12 @@ def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
     # Plane by plane.
     filled = transposed(partial.view(np.uint8).reshape(-1, count)).reshape(partial.shape).view(np.bool_)
     for k, plane in enumerate(filled):
-        # where the rays that end at `far` on the last plane cross this plane
+        # Where the rays that end at `far` on the last plane cross this plane.
         share = 1.0 if camera_cells[2] >= 0 else (k - camera_cells[2]) / (count - 1 - camera_cells[2])
         crossings = [camera_cells[axis] * (1 - share) + far * share for axis in (0, 1)]
         crossed = [np.clip(np.rint(at).astype(np.int64), 0, count - 1) for at in crossings]
         inside = [np.abs(found - at) <= 0.5 for found, at in zip(crossed, crossings, strict=True)]
-        # and which of these rays passes next to each cell's centre
+        # Which of these rays passes nearest to each cell's centre.
         passing = [
             np.rint((((cells - camera_cells[a] * (1 - share)) / share) + 0.5) / count * (PIXELS - 1))
             for a in (0, 1)

@@ -1,4 +1,4 @@
-"""Baselines under the protocols of space: their cells as solids, view by view, and no files."""
+"""Baselines under the protocols of space: their cells are scored as solids, view by view, without files."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -23,7 +23,7 @@ from kinectbench.scoring.thresholds import searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
 
-# {name of a baseline: its tally} of a pair, and its result, or why it cannot be scored.
+# {name of a baseline: tally of one pair}; {name: result of one view, or why it cannot be scored}.
 Tallies = dict[str, Tally]
 Results = dict[str, ViewResult | str]
 
@@ -37,13 +37,13 @@ def space_baselines(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[ScoreTable]:
-    """The table of each of some baselines, in the order of `names`, but of those `WITHOUT_SURFACE`.
+    """Return the tables of the named baselines, in the order of `names`, without those in `WITHOUT_SURFACE`.
 
     Args:
-        release: of the predictions.
-        names: baselines that it allows (`possible_baselines`).
+        release: the release that is predicted.
+        names: baselines that the release allows (`possible_baselines`).
         protocols: camera, aligned or both.
-        thresholds_file: see `read_thresholds`; default: as of the grid protocols.
+        thresholds_file: see `read_thresholds`; default: as under the grid protocols.
         jobs: number of processes.
         progress: called with (views done, views in all).
 
@@ -87,7 +87,7 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Names of tables whose rows contradict their baseline; a few pairs are scored again."""
+    """Score a few pairs again and return the names of tables whose rows differ."""
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
@@ -111,7 +111,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Tallies of a validation pair that choose each baseline's thresholds."""
+    """Return each baseline's tally of a validation pair; the tallies choose the thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -119,7 +119,7 @@ def _tallies(task: BaselineTask) -> Tallies:
 def _results(
     thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
 ) -> Results:
-    """Every baseline's result of one view."""
+    """Return every baseline's result of one view."""
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     results: Results = {}

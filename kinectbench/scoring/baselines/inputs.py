@@ -24,7 +24,7 @@ class TrainingTruth:
     Attributes:
         mean: (64, 64, 64) float32, the mean shape.
         partials: (n, 64, 64, 8) uint8, packed inputs.
-        files: (n,) (pair file, SHA-256) of each.
+        files: (n,) (pair file, SHA-256) of each pair.
     """
 
     mean: NDArray[np.float32]
@@ -37,8 +37,8 @@ class Inputs:
     """The inputs of a baseline.
 
     Attributes:
-        pair: without its truth.
-        base_rate: share of occupied voxels of its category, in [0, 1]; NaN if its truth is held back.
+        pair: the pair without its truth.
+        base_rate: share of occupied voxels in the category's truth, in [0, 1]; NaN if the truth is held back.
         up_grid: (3,) float64 unit vector, away from the floor, in grid axes.
         training: None where the category has no training pairs.
     """
@@ -55,7 +55,7 @@ class Inputs:
 
 
 def read_training(release: Release, category: str) -> TrainingTruth | None:
-    """The training truth of a category, None without any.
+    """Read the training truth of a category; None without training pairs.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -74,7 +74,7 @@ def read_training(release: Release, category: str) -> TrainingTruth | None:
 
 
 def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:
-    """The up direction, by the recording's floor; without a floor, up in the image.
+    """Return the up direction in grid axes: the floor's normal; without a floor, up in the image.
 
     Raises:
         ReleaseError: the floor's file is damaged.

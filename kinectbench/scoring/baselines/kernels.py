@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def transposed(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A copy (m, n) of the transpose of bytes (n, m), by tiles: 8.7 ms of 65536 x 256, numpy 13."""
+    """Return the transpose (m, n) of bytes (n, m), by tiles: 65536 x 256 take 8.7 ms, with numpy 13."""
     n, m = rows.shape
     turned = np.empty((m, n), np.uint8)
     tile = 32
@@ -36,17 +36,19 @@ def sweep_plane(
 ) -> None:
     """Move rays one plane further: rays that meet a set cell become hit, and hit rays set their cells.
 
+    Rays lie in p rows and p columns; cells of a plane in n rows and n columns.
+
     Args:
-        hit: (p, p) which rays met the partial so far; changed.
+        hit: (p, p) whether each ray has met the partial so far; changed.
         plane: (n, n) the cells of this plane; changed.
-        row_crossed: (p,) the row of cells in which each row of rays crosses the plane.
-        column_crossed: (p,) the same of columns.
-        row_inside: (p,) whether it crosses the grid at all.
-        column_inside: (p,) the same of columns.
-        row_ray: (n,) the row of rays that passes the centres of each row of cells.
-        column_ray: (n,) the same of columns.
-        row_within: (n,) whether there is one.
-        column_within: (n,) the same of columns.
+        row_crossed: (p,) the row of cells that each row of rays crosses in this plane.
+        column_crossed: (p,) the column of cells that each column of rays crosses.
+        row_inside: (p,) whether each row of rays crosses the grid in this plane.
+        column_inside: (p,) whether each column of rays does.
+        row_ray: (n,) the row of rays that passes nearest to the centres of each row of cells.
+        column_ray: (n,) the column of rays nearest to each column of cells.
+        row_within: (n,) whether `row_ray` exists.
+        column_within: (n,) whether `column_ray` exists.
     """
     set_rows = np.array([plane[x].any() for x in range(len(plane))])
     for p in range(len(hit)):
@@ -66,15 +68,15 @@ def sweep_plane(
 def mirror_gain(
     points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
 ) -> int:
-    """Gain of mirroring points by a plane: `gain` of each point's block, -1 outside the grid.
+    """Return the gain of a mirror plane: the sum of `gain` at mirrored points, -1 each outside the grid.
 
     Args:
-        points: (n, 3) cells.
+        points: (n, 3) cell coordinates.
         along: (n,) points @ normal.
         normal: (3,) unit normal of the plane.
         offset: the plane is normal . x = offset.
-        block: cells of a side of one of `gain`'s.
-        gain: (m, m, m).
+        block: cells per side of one block of `gain`.
+        gain: (m, m, m) gain of a mirrored point in each block.
     """
     total, side = 0, len(gain)
     for n in range(len(points)):

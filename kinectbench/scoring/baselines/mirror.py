@@ -1,4 +1,4 @@
-"""The partial and its mirror image, by the best-supported vertical plane."""
+"""The baseline `mirror`: the partial and its mirror image by the best-supported vertical plane."""
 
 import numpy as np
 
@@ -14,10 +14,10 @@ SAMPLED = 1500
 
 
 def mirror(inputs: Inputs) -> Bools:
-    """The partial and its mirror image: (256, 256, 256) bool.
+    """Return the partial and its mirror image: (256, 256, 256) bool.
 
-    Of 36 x 33 vertical planes through the grid the one is taken whose mirror image has the most cells on the
-    partial, less those in space that was seen to be empty; of several the first.
+    The mirror plane is the best of 36 x 33 vertical planes through the grid: its mirror image has the most
+    cells on the partial, minus those in observed free space. Of equally good ones, the first is taken.
     """
     partial = inputs.partial
     points = np.argwhere(partial).astype(np.float64) + 0.5
@@ -33,13 +33,13 @@ def mirror(inputs: Inputs) -> Bools:
 
 
 def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) -> tuple[Float64, float]:
-    """Unit normal (3,) and offset (cells of the 256-grid) of the best plane n . x = offset.
+    """Return unit normal (3,) and offset (cells of the 256-grid) of the best plane n . x = offset.
 
     Args:
         points: (n, 3) cells of the partial, in cells of the 256-grid.
-        partial: (64, 64, 64).
-        seen_empty: (64, 64, 64), seen and empty.
-        up: (3,) unit vector.
+        partial: (64, 64, 64) bool.
+        seen_empty: (64, 64, 64) bool, observed free space.
+        up: (3,) unit vector in grid axes.
     """
     from kinectbench.scoring.baselines.kernels import mirror_gain
 
@@ -60,5 +60,5 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
 
 
 def mirrored(points: Float64, normal: Float64, offset: float) -> Float64:
-    """Points (n, 3) mirrored by the plane normal . x = offset."""
+    """Return points (n, 3) mirrored by the plane normal . x = offset."""
     return points - 2 * ((points @ normal) - offset)[:, None] * normal

@@ -31,10 +31,10 @@ class BaselineTask:
     """One pair for some baselines.
 
     Attributes:
-        release: whose pair it is.
+        release: the release that contains the pair.
         target: the pair.
-        base_rate: of its category; NaN where its truth is held back.
-        names: of the baselines.
+        base_rate: base rate of the pair's category; NaN where its truth is held back.
+        names: the baselines' names.
     """
 
     release: Release
@@ -44,10 +44,10 @@ class BaselineTask:
 
 
 def possible_baselines(release: Release) -> tuple[str, ...]:
-    """The baselines that can be made.
+    """Return the names of baselines that this release allows.
 
-    Those that learn only where every category has training pairs, and `base-rate` only where some truth of
-    every category is not held back.
+    Baselines that learn need training pairs in every category. `base-rate` needs some open truth in every
+    category.
     """
     trained = {target.category for target in release.open_split("train")}
     known = {target.category for split in SOURCES for target in release.open_split(split)}
@@ -62,7 +62,7 @@ def baseline_tasks(
     rates: Mapping[str, BaseRate],
     splits: Sequence[Split] = SPLITS,
 ) -> list[BaselineTask]:
-    """A task for every pair of some splits; `rates` are the base rates of the categories that have one."""
+    """Return a task for every pair of the given splits; `rates` has the base rates known by category."""
     values = {category: rate.value for category, rate in rates.items()}
     return [
         BaselineTask(release, target, values.get(target.category, math.nan), tuple(names))
@@ -75,7 +75,7 @@ _training = lru_cache(maxsize=1)(read_training)  # the tasks of a category follo
 
 
 def predicted(task: BaselineTask) -> Iterator[tuple[str, NDArray[np.bool_] | NDArray[np.float16]]]:
-    """Each baseline's name and its prediction (n, n, n) for the pair of a task.
+    """Yield each baseline's name and its prediction (n, n, n) for the pair of a task.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -102,7 +102,7 @@ def write_baselines(
     The same input gives the same bytes. method.json names the release that was predicted.
 
     Args:
-        release: of the predictions.
+        release: the release that is predicted.
         out: a folder of methods.
         names: some of `BASELINES`; default: all that are possible.
         jobs: number of processes.
@@ -152,7 +152,7 @@ def _remove(path: Path) -> None:
 
 
 def _method(name: str, release: Release) -> MethodFile:
-    """method.json of a baseline."""
+    """Return method.json of a baseline."""
     return MethodFile(
         name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
     )

@@ -12,38 +12,38 @@ from kinectbench.scoring.baselines.mirror import mirror
 from kinectbench.scoring.truth import read_parts
 
 CONSTANT_CELLS = 16
-# float16 steps: a rate below the one would lose its digits, above the other would become 1
+# Limits of float16: smaller rates would lose digits, larger ones would become 1.
 SMALLEST_RATE, LARGEST_RATE = 2.0**-14, 1 - 2.0**-11
 
 
 def empty(inputs: Inputs) -> NDArray[np.bool_]:
-    """An empty grid: (16, 16, 16) bool."""
+    """Return an empty grid: (16, 16, 16) bool."""
     return np.zeros((CONSTANT_CELLS,) * 3, np.bool_)
 
 
 def constant(inputs: Inputs) -> NDArray[np.float16]:
-    """The category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
+    """Return the category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
 
-    It is held to what float16 can say near 0 and 1.
+    Rates near 0 and 1 are clipped to what float16 can hold.
     """
     return np.full((CONSTANT_CELLS,) * 3, np.clip(inputs.base_rate, SMALLEST_RATE, LARGEST_RATE), np.float16)
 
 
 def partial(inputs: Inputs) -> NDArray[np.bool_]:
-    """The input itself: `partial_256`, (256, 256, 256) bool."""
+    """Return the input itself: `partial_256`, (256, 256, 256) bool."""
     return inputs.partial
 
 
 def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
-    """The mean of the category's training shapes, each in its own view's box: (64, 64, 64) float16."""
+    """Return the mean of the category's training shapes, each in its own view's box: (64, 64, 64) float16."""
     assert inputs.training is not None
     return inputs.training.mean.astype(np.float16)
 
 
 def nearest(inputs: Inputs) -> NDArray[np.bool_]:
-    """The full shape of the training pair whose partial has the highest IoU at 64^3: (256, 256, 256) bool.
+    """Return the full shape of the training pair whose partial is most similar: (256, 256, 256) bool.
 
-    Of several the first.
+    Similarity is the IoU of the partials at 64^3. Of equally good ones, the first is taken.
     """
     assert inputs.training is not None
     partials = inputs.training.partials
@@ -56,7 +56,7 @@ def nearest(inputs: Inputs) -> NDArray[np.bool_]:
     return unpack(full)
 
 
-# -> prediction (n, n, n); of the pair only the input may be looked at.
+# Returns a prediction (n, n, n). It may read only the input of the pair.
 Baseline = Callable[[Inputs], NDArray[np.bool_] | NDArray[np.float16]]
 
 BASE_RATE = "base-rate"
@@ -71,8 +71,9 @@ BASELINES: Mapping[str, Baseline] = {
     "mean-shape": mean_shape,
     "nearest": nearest,
 }
-# Those that have no surface in space: a constant; and, where depth pixels are farther apart than cells, a
-# comb of rays (3.8 to 9.1 million faces on four views of the sample's chairs and table).
+# Baselines without a usable surface in space. `base-rate` is constant. `silhouette` becomes a comb of rays
+# where depth pixels are farther apart than cells (3.8 to 9.1 million faces on four views of the sample's
+# chairs and table).
 WITHOUT_SURFACE = (BASE_RATE, "silhouette")
-# Those that need training pairs of the category.
+# Baselines that need training pairs of the category.
 LEARNED = ("mean-shape", "nearest")

@@ -1,7 +1,7 @@
-"""The recorded objects: from mesh files, or random by a seed; related families share a file.
+"""The recorded objects: read from mesh files, or drawn by a seed; related families share a file.
 
 Packages add families by the entry point `kinectbench.families` (`kinectbench.lab.plugins`); a checkout after
-`make setup` has those of `benchmarks/plugins`.
+`make setup` has the families of `benchmarks/plugins`.
 """
 
 import re
@@ -21,7 +21,7 @@ from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.tables import table
 from kinectbench.settings.words import listed, near_miss
 
-# Those of the paper's categories that are furniture: what `synthesize` draws where no family is named.
+# The paper's categories that are furniture: `synthesize` draws these if no family is named.
 PAPER_FURNITURE: Mapping[str, Family] = {
     "chair": Family(chair, looked_at=True, furniture=True, closed_below=True),
     "table": Family(table, looked_at=True, furniture=True, closed_below=True),
@@ -39,7 +39,7 @@ class ObjectName(NamedTuple):
 
 @cache
 def families() -> Mapping[str, Family]:
-    """All families: the paper's furniture, then those of plug-ins.
+    """Return all families: the paper's furniture, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -48,10 +48,10 @@ def families() -> Mapping[str, Family]:
 
 
 def check_family(family: str) -> str:
-    """Accept the name of a family of objects.
+    """Return the name of a family of objects if it exists.
 
     Raises:
-        SettingsError: unknown family; the nearest name is suggested.
+        SettingsError: the family is unknown; the most similar name is suggested.
     """
     if family in families():
         return family
@@ -74,8 +74,8 @@ def parse_object(text: str) -> ObjectName:
 def make_object(family: str, seed: int) -> Subject:
     """Draw an object in its object frame: z up, on z = 0, centred at x = y = 0.
 
-    Chairs, benches and couches face +y; nothing in the paper's furniture is thinner than 15 mm.
-    Its mesh is the union of its pieces. Same family and seed, same vertices.
+    Chairs, benches and couches face +y; no part of the paper's furniture is thinner than 15 mm. The mesh is
+    the union of the pieces. The same family and seed give the same vertices.
 
     Raises:
         SettingsError: unknown family.

@@ -24,17 +24,17 @@ from kinectbench.lab.simulate.objects.shapes import (
 
 @dataclass(frozen=True)
 class Back:
-    """The place of a backrest, in metres, frame `object`; it leans to -y.
+    """The dimensions of a backrest, metres, frame `object`; it leans to -y.
 
     Attributes:
         half: x of the posts' centres.
-        y: of the back's middle at the height of the seat.
-        seat: upper face of the seat.
-        top: upper end.
-        slope: metres to the back for each metre up.
-        bow: its middle is bent this much behind its sides.
-        thick: of its posts.
-        look: of all its parts.
+        y: y of the back's middle at the height of the seat.
+        seat: height of the seat's upper face.
+        top: height of the back's upper end.
+        slope: metres backwards for each metre up.
+        bow: how far the middle is bent behind the sides.
+        thick: thickness of the posts.
+        look: material of all parts.
     """
 
     half: float
@@ -47,21 +47,21 @@ class Back:
     look: Look
 
     def point(self, x: float, z: float) -> Vector3:
-        """The point of the back's middle surface at x and height z."""
+        """Return the point of the back's middle surface at x and height z."""
         bend = self.bow * (1 - (x / self.half) ** 2)
         return x, self.y - self.slope * (z - self.seat) - bend, z
 
     def posts(self) -> Parts:
-        """Two posts from inside the seat to the top."""
+        """Make two posts from inside the seat to the top."""
         return [self.upright("post", s * self.half, self.seat - 0.012, self.top, self.thick) for s in SIDES]
 
     def upright(self, name: str, x: float, low: float, high: float, wide: float, deep: float = 0.0) -> Part:
-        """A leaning bar between two heights."""
+        """Make a leaning bar between two heights."""
         size = (wide, deep or self.thick)
         return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
 
     def rail(self, low: float, high: float, deep: float = 0.02, name: str = "rail") -> Part:
-        """A bent board from post to post between two heights."""
+        """Make a bent board from post to post between two heights."""
         y, half = self.point(self.half, self.seat)[1], self.half
         board = bowed((-half, y - deep / 2, low), (half, y + deep / 2, high), self.bow)
         return Part(name, leaned(board, self.seat, self.slope), self.look)
@@ -75,7 +75,7 @@ def _ladder(draw: Draw, back: Back) -> Parts:
 
 
 def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
-    """A low and a high rail, and the range of heights between them."""
+    """Make a low and a high rail; return the heights of the space between them, and the rails."""
     low = back.seat + draw.between(0.06, 0.14)
     crest = draw.between(0.05, 0.09)
     rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]
@@ -106,7 +106,7 @@ def _cross(draw: Draw, back: Back) -> Parts:
     yield from rails
     count = max(1, round(back.half / 0.3))
     edges = np.linspace(-back.half, back.half, count + 1)
-    # A straight bar from post to post stays on the chord of the bent back.
+    # A straight bar from post to post lies on the chord of the bent back.
     flat = replace(back, bow=0.0)
     for left, right in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         for z0, z1, deep in ((low, high, 0.016), (high, low, 0.018)):
@@ -151,13 +151,13 @@ KINDS: dict[str, Callable[[Draw, Back], Parts]] = {
 
 
 def filling(draw: Draw, back: Back, kinds: tuple[str, ...] = tuple(KINDS)) -> Parts:
-    """The filling of a back between its posts, of one of the kinds."""
+    """Fill a back between its posts, in one of the kinds."""
     return KINDS[draw.choose(kinds)](draw, back)
 
 
 def hoop(draw: Draw, back: Back) -> Parts:
-    """A bent hoop with spindles, without posts, as on a Windsor chair."""
-    # An even number: no corner of the hoop lies on the middle spindle's axis.
+    """Make a bent hoop with spindles, without posts, as on a Windsor chair."""
+    # An even number, so that no corner of the hoop lies on the middle spindle's axis.
     angle = np.linspace(0, np.pi, 20)
     flat = 0.62
     x = back.half * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** flat
@@ -173,10 +173,10 @@ def hoop(draw: Draw, back: Back) -> Parts:
 
 
 def board_back(draw: Draw, back: Back) -> Parts:
-    """A bent board with round corners and perhaps an opening, on two short posts."""
+    """Make a bent board with round corners and perhaps an opening, on two short posts."""
     high = back.top - back.seat
     low = back.seat + high * draw.between(0.3, 0.5)
-    # The posts stand behind the board and are let into it.
+    # The posts are behind the board and reach into it.
     behind = replace(back, y=back.y - 0.014)
     posts = [behind.upright("post", s * back.half * 0.55, back.seat - 0.012, low + 0.1, 0.03) for s in SIDES]
     board = back.rail(low, back.top, 0.018, "back")

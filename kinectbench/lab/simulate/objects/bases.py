@@ -1,8 +1,7 @@
 """Bases of furniture: legs, tube frames, columns, trestles and panels.
 
-Everything stands on z = 0 and reaches up to `head_m`, which lies inside what it carries. `half_m` is the
-distance in x and y from the middle to the outermost legs' centres under the seat or top. Frame `object`,
-metres.
+Every base stands on z = 0 and reaches up to `head_m`, which lies inside the seat or top that it carries.
+`half_m` is the distance in x and y from the middle to the outermost legs' centres. Frame `object`, metres.
 """
 
 from itertools import product
@@ -29,7 +28,7 @@ from kinectbench.lab.simulate.objects.shapes import (
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-# Heights and radii of a turned leg, as shares of its height and of its largest radius.
+# (height, radius) of a turned leg, as shares of its height and of its largest radius.
 TURNED_LEG = (
     (0.0, 0.55),
     (0.04, 0.75),
@@ -55,16 +54,16 @@ def wooden_legs(
     *,
     upright: bool = False,
 ) -> Parts:
-    """Four or six wooden legs: straight, tapered, splayed or turned, perhaps with stretchers.
+    """Make four or six wooden legs: straight, tapered, splayed or turned, perhaps with stretchers.
 
     Args:
         draw: draws the kind.
-        half_m: of the outermost legs.
+        half_m: x and y of the outermost legs' centres.
         head_m: top of the legs.
         thick_m: thickness at the top; a foot keeps at least 22 mm.
-        look: of all parts.
+        look: material of all parts.
         count: four, or six with a middle pair.
-        upright: no splayed ones, so that a shelf can be fixed to them.
+        upright: whether splayed legs are excluded, so that a shelf can be fixed to the legs.
     """
     kinds = ["straight", "tapered", "turned"]
     kind = draw.choose(kinds if upright else [*kinds, "splayed", "splayed round"])
@@ -91,7 +90,7 @@ def wooden_legs(
 
 
 def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
-    """A leg turned on a lathe, its middle at (x, y) `at_m`, with a square block at its top, `head_m` high."""
+    """Make a leg turned on a lathe at (x, y) `at_m`, `head_m` high, with a square block at its top."""
     rings = [(share * thick_m / 2, height * head_m) for height, share in TURNED_LEG]
     column = turned([(0.0, 0.0), *rings, (0.0, rings[-1][1])]).translate((*at_m, 0.0))
     block = leg((*at_m, 0.8 * head_m), (*at_m, head_m), thick_m, thick_m)
@@ -99,14 +98,14 @@ def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
 
 
 def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m: float = 0.0) -> Parts:
-    """Bars between four legs, in the shape of an H or of a ring.
+    """Make bars between four legs, in the shape of an H or of a ring.
 
     Args:
-        draw: of the shape and the bars' thickness.
+        draw: draws the shape and the bars' thickness.
         half_m: x and y of a front leg's middle; the others mirror it.
-        height_m: of the bars' middles above the floor.
-        look: of the bars.
-        rake_m: the rear legs stand so much farther back.
+        height_m: height of the bars' middles above the floor.
+        look: material of the bars.
+        rake_m: how much farther back the rear legs stand.
     """
     x, y = half_m
     rear = -y - rake_m
@@ -123,14 +122,14 @@ def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m:
 
 
 def apron(half_m: Vector2, head_m: float, high_m: float, look: Look) -> Parts:
-    """Four boards between legs at +-`half_m` (x, y), `high_m` high, with the upper edges at `head_m`."""
+    """Make four boards between legs at +-`half_m` (x, y), `high_m` high, with the upper edges at `head_m`."""
     return ring("apron", half_m, (head_m - high_m, head_m), 0.01, look)
 
 
 def ring(name: str, half_m: Vector2, z_m: Vector2, thick_m: float, look: Look) -> Parts:
-    """Four boards or bars between legs at +-`half_m` (x, y), from one height to another (`z_m`).
+    """Make four boards or bars between legs at +-`half_m` (x, y), from one height to another (`z_m`).
 
-    They reach `thick_m` to both sides of the line between two legs.
+    They extend `thick_m` to both sides of the line between two legs.
     """
     (x, y), (low, high) = half_m, z_m
     for s in SIDES:
@@ -142,9 +141,9 @@ def ring(name: str, half_m: Vector2, z_m: Vector2, thick_m: float, look: Look) -
 def round_legs(
     count: int, reach_m: float, inner_m: float, head_m: float, thick_m: float, look: Look
 ) -> Parts:
-    """Three or more round legs in a circle, from `reach_m` at the floor to `inner_m` under the top.
+    """Make three or more round legs in a circle, of radius `reach_m` at the floor and `inner_m` at the top.
 
-    The first one points to the front.
+    The first leg points to the front.
     """
     foot = max(0.02, 0.65 * thick_m)
     for turn in np.arange(count) * 2 * np.pi / count + np.pi / 2:
@@ -156,10 +155,10 @@ def round_legs(
 
 
 def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, look: Look) -> Parts:
-    """Two bent tubes, each a pair of splayed legs with the bar between them, and two bars that join them."""
+    """Make two bent tubes, each a pair of splayed legs with a bar between, and two bars that join them."""
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
-        # The legs continue below the floor, where they are cut level.
+        # The legs continue below the floor, where they are cut off level.
         out = splay_m * (1 + 0.02 / z)
         feet = [(s * (x + out), way * (y + out), -0.02) for way in SIDES]
         path = [feet[0], (s * x, -y, z), (s * x, y, z), feet[1]]
@@ -168,18 +167,18 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
 
 
 def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
-    """Two tube loops that lie on the floor from front to back, and two bars that join them under the seat."""
+    """Make two tube loops that lie on the floor from front to back, and two bars between them."""
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
         corners = [(s * x, -0.8 * y, z), (s * x, -y, radius_m), (s * x, y, radius_m), (s * x, 0.8 * y, z)]
-        # The loop begins and ends in the middle under the seat, so that it is closed.
+        # The loop starts and ends in the middle under the seat, so that it is closed.
         path = [(s * x, 0.0, z), *corners, (s * x, 0.0, z)]
         yield Part("runner", tube(rounded_path(path, 0.05), radius_m), look)
         yield Part("rail", rod((-x, s * y * 0.6, z), (x, s * y * 0.6, z), radius_m), look)
 
 
 def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Two closed frames of square tube at the left and right ends."""
+    """Make two closed frames of square tube at the left and right ends."""
     x, y = half_m
     for s in SIDES:
         outer = box((s * x - thick_m / 2, -y, 0.0), (s * x + thick_m / 2, y, head_m))
@@ -188,7 +187,7 @@ def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 
 
 def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
-    """Four corner legs of two thin steel bars each, which meet at the foot."""
+    """Make four corner legs of two thin steel bars each, which meet at the foot."""
     size = (0.017, 0.017)
     for sx, sy in CORNERS:
         x, y = sx * half_m[0], sy * half_m[1]
@@ -197,14 +196,14 @@ def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
 
 
 def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look) -> Parts:
-    """A column on a round plate or a trumpet-shaped foot, or a drum.
+    """Make a column on a round plate or a trumpet-shaped foot, or a drum.
 
     Args:
         draw: chooses the kind.
         reach_m: radius of the foot.
         head_m: top of the column.
         thick_m: diameter of the column.
-        look: of all parts.
+        look: material of all parts.
     """
     radius, kind = thick_m / 2, draw.choose(["plate", "trumpet", "trumpet", "drum"])
     if kind == "drum":
@@ -226,7 +225,7 @@ def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look
 def star(
     draw: Draw, count: int, reach_m: float, head_m: float, thick_m: float, look: Look, *, wheels: bool
 ) -> Parts:
-    """A column on a star of feet, perhaps on castors; the first foot points to the back."""
+    """Make a column on a star of feet, perhaps on castors; the first foot points to the back."""
     from manifold3d import Manifold
 
     lift, high = (0.05, 0.035) if wheels else (0.0, draw.between(0.04, 0.07))
@@ -235,7 +234,7 @@ def star(
     for turn in -np.pi / 2 + np.arange(count) * 2 * np.pi / count:
         x, y = float(np.cos(turn)), float(np.sin(turn))
         end = reach_m - 0.02
-        # A foot as a board on edge, thinner at its tip.
+        # A foot is a board on edge, thinner at its tip.
         root = box((0.0, -0.024, lift), (0.03, 0.024, top + 0.02))
         tip = box((end - 0.02, -0.016, lift), (reach_m, 0.016, lift + 0.026))
         yield Part("foot", Manifold.batch_hull([root, tip]).rotate((0.0, 0.0, float(np.degrees(turn)))), look)
@@ -246,7 +245,7 @@ def star(
 
 
 def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """An X of two legs at the left and right ends, and a bar that joins the crossings."""
+    """Make an X of two legs at the left and right ends, and a bar that joins the crossings."""
     x, y = half_m
     for s, way in CORNERS:
         # One leg is a little thinner, so that the two share no plane.
@@ -257,7 +256,7 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 
 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
-    """Two trestles, each a post between a foot and a head beam or an A of two legs, and a long stretcher."""
+    """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher."""
     x, y, wide = *half_m, draw.between(0.045, 0.07)
     if draw.chance(0.5):
         post = draw.between(0.09, 0.16)
@@ -282,7 +281,7 @@ def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
 
 
 def panels(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Two upright boards at the left and right ends."""
+    """Make two upright boards at the left and right ends."""
     x, y = half_m
     for s in SIDES:
         yield Part("panel", box((s * x - thick_m / 2, -y, 0.0), (s * x + thick_m / 2, y, head_m)), look)

@@ -25,7 +25,7 @@ BACKS = ("ladder", "slats", "spindles", "cross", "panel")
 
 @dataclass(frozen=True)
 class _Size:
-    """Half length along x, half depth along y, and the seat's upper face; metres."""
+    """Half length along x, half depth along y, and height of the seat's upper face; metres."""
 
     x: float
     y: float
@@ -40,7 +40,7 @@ def bench(draw: Draw) -> Parts:
 
 
 def _park(draw: Draw, size: _Size) -> Parts:
-    """A slatted seat and back on two or three cast frames, perhaps with armrests."""
+    """Draw a slatted seat and back on two or three cast frames, perhaps with armrests."""
     iron, wood = draw.pick(looks.IRONS), draw.pick(looks.WOODS)
     slat, lean, top = draw.between(0.02, 0.035), draw.between(0.1, 0.2), size.seat + draw.between(0.33, 0.45)
     thick, y = draw.between(0.028, 0.04), size.y
@@ -63,7 +63,7 @@ def _park(draw: Draw, size: _Size) -> Parts:
 
 
 def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
-    """The seat's boards, from left to right."""
+    """Draw the seat's boards, from left to right."""
     count = draw.integer(3, 8)
     edges = np.linspace(-size.y + 0.015, size.y + 0.015, count + 1)
     wide = float(edges[1] - edges[0])
@@ -76,7 +76,7 @@ def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
 def _back_slats(
     draw: Draw, size: _Size, thick: float, back: tuple[float, float, float, float], look: Look
 ) -> Parts:
-    """The back's boards, in front of the leaning frame: slope, the height it begins at, top, distance."""
+    """Draw the back's boards before the leaning frame; `back`: slope, height of its start, top, distance."""
     slope, rest, top, ahead = back
     count, low = draw.integer(2, 6), size.seat + draw.between(0.07, 0.14)
     step = (top - low) / count
@@ -90,7 +90,7 @@ def _back_slats(
 
 
 def _base(draw: Draw, size: _Size, head: float, wood: Look) -> Parts:
-    """Legs, panels, crosses or trestles under a wooden seat."""
+    """Draw legs, panels, crosses or trestles under a wooden seat."""
     half = (size.x - draw.between(0.05, 0.16), size.y - 0.04)
     kind = draw.choose(["legs", "legs", "panels", "crossed", "trestle"])
     if kind == "legs":
@@ -109,7 +109,7 @@ def _base(draw: Draw, size: _Size, head: float, wood: Look) -> Parts:
 
 
 def _plank(draw: Draw, size: _Size) -> Parts:
-    """A backless bench: one board, straight or bent to an arc, or two boards side by side."""
+    """Draw a backless bench: one board, straight or bent to an arc, or two boards side by side."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.025, 0.05)
     under, kind = size.seat - thick, draw.choose(["one", "one", "two", "rounded", "curved"])
     full = (2 * size.x, 2 * size.y)
@@ -130,7 +130,7 @@ def _plank(draw: Draw, size: _Size) -> Parts:
 
 
 def _curved(draw: Draw, size: _Size, thick: float, wood: Look) -> Parts:
-    """A seat bent to an arc in plan, on three pairs of legs."""
+    """Draw a seat bent to an arc in plan, on three pairs of legs."""
     bow, under = draw.between(0.08, 0.2), size.seat - thick
 
     def arc(points: Points) -> Points:
@@ -146,7 +146,7 @@ def _curved(draw: Draw, size: _Size, thick: float, wood: Look) -> Parts:
 
 
 def _settle(draw: Draw, size: _Size) -> Parts:
-    """A wooden bench with a back between posts, and perhaps armrests."""
+    """Draw a wooden bench with a back between posts, and perhaps armrests."""
     wood, thick, post = draw.pick(looks.WOODS), draw.between(0.022, 0.035), draw.between(0.038, 0.05)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     yield Part("seat", box((-size.x, -size.y, under), (size.x, size.y, size.seat)), wood)
@@ -173,7 +173,7 @@ def _settle(draw: Draw, size: _Size) -> Parts:
 
 
 def _padded(draw: Draw, size: _Size) -> Parts:
-    """A padded bench on wooden legs, sleds or loops, perhaps with raised ends."""
+    """Draw a padded bench on wooden legs, sleds or loops, perhaps with raised ends."""
     look, wood, y = draw.pick(looks.COVERS), draw.pick(looks.WOODS), size.y + 0.02
     thick = draw.between(0.08, 0.14)
     under = size.seat - thick
@@ -194,7 +194,7 @@ def _padded(draw: Draw, size: _Size) -> Parts:
 
 
 def _slatted(draw: Draw, size: _Size) -> Parts:
-    """A backless slatted seat on steel loops."""
+    """Draw a backless slatted seat on steel loops."""
     wood, steel, thick = draw.pick(looks.WOODS), draw.pick(looks.METALS), draw.between(0.022, 0.035)
     yield from _slats(draw, size, thick, wood)
     x, bar = size.x * draw.between(0.7, 0.9), draw.between(0.03, 0.05)
@@ -204,7 +204,7 @@ def _slatted(draw: Draw, size: _Size) -> Parts:
 
 
 def _stone(draw: Draw, size: _Size) -> Parts:
-    """A thick slab on two or three blocks."""
+    """Draw a thick slab on two or three blocks."""
     stone, thick = draw.pick(looks.STONES), draw.between(0.07, 0.12)
     look = stone if draw.chance(0.5) else draw.pick(looks.WOODS)
     under, y = size.seat - thick, size.y + 0.02
@@ -217,7 +217,7 @@ def _stone(draw: Draw, size: _Size) -> Parts:
 
 
 def _box(draw: Draw, size: _Size) -> Parts:
-    """A hall bench: an open shelf or a closed chest under the seat, a cushion, perhaps a back."""
+    """Draw a hall bench: an open shelf or a closed chest under the seat, a cushion, perhaps a back."""
     wood, thick, y = draw.pick(looks.WOODS), draw.between(0.02, 0.03), size.y + 0.01
     under = size.seat - thick
     yield Part("seat", box((-size.x, -y, under), (size.x, y, size.seat)), wood)

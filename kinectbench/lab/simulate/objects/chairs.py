@@ -28,7 +28,7 @@ from kinectbench.lab.simulate.objects.shapes import (
 
 @dataclass(frozen=True)
 class _Size:
-    """Half width and half depth of the seat, its upper face, and the top of the back; metres."""
+    """Half width and half depth of the seat, heights of its upper face and of the back's top; metres."""
 
     x: float
     y: float
@@ -49,7 +49,7 @@ def chair(draw: Draw) -> Parts:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Front legs, rear legs that continue as back posts, a seat, perhaps aprons, stretchers and arms."""
+    """Draw front legs, rear legs that continue as back posts, a seat, perhaps aprons, stretchers and arms."""
     wood, thick, post = draw.pick(looks.WOODS), draw.between(0.018, 0.03), draw.between(0.028, 0.042)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     rake, slope = draw.between(0.0, 0.06), draw.between(0.05, 0.26)
@@ -75,7 +75,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _seat_pad(draw: Draw, size: _Size, wood: Look) -> Parts:
-    """A cushion on the seat, or none."""
+    """Draw a cushion on the seat, or none."""
     if draw.chance(0.55):
         return []
     look, inset, thick = draw.pick(looks.COVERS), draw.between(0.012, 0.03), draw.between(0.025, 0.05)
@@ -85,7 +85,7 @@ def _seat_pad(draw: Draw, size: _Size, wood: Look) -> Parts:
 
 
 def _post_arms(draw: Draw, size: _Size, back: Back) -> Parts:
-    """Wooden armrests from the back's posts to posts that stand on the front legs or on the seat."""
+    """Draw wooden armrests from the back's posts to posts on the front legs or on the seat."""
     z, wide = size.seat + draw.between(0.18, 0.24), draw.between(0.035, 0.06)
     front = size.y - (back.thick / 2 if draw.chance(0.6) else draw.between(0.08, 0.14))
     out = draw.between(0.0, 0.03)
@@ -103,7 +103,7 @@ def _post_arms(draw: Draw, size: _Size, back: Back) -> Parts:
 
 
 def _board(draw: Draw, size: _Size) -> Parts:
-    """A modern wooden or plastic chair: a seat with round corners on legs, and a bent board as a back."""
+    """Draw a modern wooden or plastic chair: a seat with round corners on legs, a bent board as a back."""
     wood = draw.pick(looks.WOODS)
     look = wood if draw.chance(0.5) else draw.pick(looks.PLASTICS)
     thick = draw.between(0.024, 0.04)
@@ -126,7 +126,7 @@ def _board(draw: Draw, size: _Size) -> Parts:
 
 
 def _windsor(draw: Draw, size: _Size) -> Parts:
-    """A thick seat on splayed round legs, and a hoop with spindles."""
+    """Draw a thick seat on splayed round legs, and a hoop with spindles."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.032, 0.045)
     seat = plate(ellipse((2 * size.x, 2 * size.y)), size.seat - thick, size.seat, 0.012)
     yield Part("seat", seat, wood)
@@ -140,7 +140,7 @@ def _windsor(draw: Draw, size: _Size) -> Parts:
         ends = (s * (x + out), -y - out, z), (s * (x + out), y + out, z)
         yield Part("stretcher", rod(*ends, 0.01), wood)
     yield Part("stretcher", rod((-x - out, 0.0, z), (x + out, 0.0, z), 0.0085), wood)
-    # The hoop's ends stand where the round seat is still wide enough.
+    # The hoop's ends are where the round seat is still wide enough.
     slope = draw.between(0.12, 0.25)
     half = 0.72 * size.x
     back = Back(half, -0.56 * size.y, size.seat, size.top + 0.04, slope, 0.2 * size.y, 0.024, wood)
@@ -148,7 +148,7 @@ def _windsor(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell(draw: Draw, size: _Size) -> Parts:
-    """A seat and back in one bent piece, on legs, a tube frame, a column or a star."""
+    """Draw a seat and back in one bent piece, on legs, a tube frame, a column or a star."""
     look = draw.pick(looks.PLASTICS + looks.WOODS[:5] + looks.CLOTHS[:5])
     thick, lean = draw.between(0.017, 0.022), draw.between(0.08, 0.17)
     under = size.seat - thick
@@ -186,7 +186,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
-    """The base of a shell; a plate under the seat compensates for its dished underside."""
+    """Draw the base of a shell; a plate under the seat compensates for its dished underside."""
     metal, wood, head = draw.pick(looks.METALS), draw.pick(looks.WOODS), under + 0.008
     kind = draw.choose(["wood", "tube", "sled", "star", "column"])
     if kind == "wood":
@@ -209,7 +209,7 @@ def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
 
 
 def _upholstered(draw: Draw, size: _Size) -> Parts:
-    """A padded seat and a padded back on wooden legs, perhaps with padded sides."""
+    """Draw a padded seat and a padded back on wooden legs, perhaps with padded sides."""
     look, wood = draw.pick(looks.COVERS), draw.pick(looks.WOODS)
     x, y, thick = size.x + draw.between(0.0, 0.04), size.y + draw.between(0.0, 0.03), draw.between(0.07, 0.11)
     under, deep = size.seat - thick, draw.between(0.06, 0.09)
@@ -230,7 +230,7 @@ def _upholstered(draw: Draw, size: _Size) -> Parts:
 
 
 def _tubular(draw: Draw, size: _Size) -> Parts:
-    """A cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
+    """Draw a cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
     metal, look = draw.pick(looks.METALS), draw.pick(looks.LEATHERS + looks.CLOTHS + looks.WOODS[:3])
     radius, x, y = draw.between(0.0095, 0.0125), size.x, size.y
     lean, z = draw.between(0.05, 0.13), size.seat - 0.03
@@ -245,7 +245,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
         ]
         yield Part("frame", tube(rounded_path(path, 0.07), radius), metal)
     for at, height in ((-y - 0.02, radius), (y - 0.08, z), (-y + 0.1, z)):
-        # A rail a little thinner than the frame touches none of its edges.
+        # A rail a little thinner than the frame touches none of the frame's edges.
         yield Part("rail", rod((-x, at, height), (x, at, height), 0.9 * radius), metal)
     pad = cushion((-x - 0.004, -y + 0.05, z - 0.004), (x + 0.004, y - 0.02, size.seat + 0.01), 0.016)
     low, slope = size.top - draw.between(0.2, 0.3), lean / (size.top - z - 0.06)
@@ -258,7 +258,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 
 
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
-    """Two bent tubes from the back to the front of the frame's sides."""
+    """Draw two bent tubes from the back to the front of the frame's sides."""
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
     wood = draw.pick(looks.WOODS)
     for s in SIDES:
@@ -272,7 +272,7 @@ def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: fl
 
 
 def _office(draw: Draw, size: _Size) -> Parts:
-    """A padded seat on a star with castors, a back on a spine, perhaps armrests."""
+    """Draw a padded seat on a star with castors, a back on a spine, perhaps armrests."""
     look, metal = draw.pick(looks.COVERS), draw.pick(looks.METALS)
     thick, x, y = draw.between(0.06, 0.09), size.x, size.y
     under, slope = size.seat - thick, draw.between(0.08, 0.2)
@@ -294,7 +294,7 @@ def _office(draw: Draw, size: _Size) -> Parts:
 
 
 def _office_arms(draw: Draw, size: _Size, under: float, look: Look) -> Parts:
-    """Armrests like a T on brackets under the seat, or closed loops."""
+    """Draw T-shaped armrests on brackets under the seat, or closed loops."""
     z, out = size.seat + draw.between(0.19, 0.24), size.x + 0.035
     loop = draw.chance(0.4)
     for s in SIDES:

@@ -16,7 +16,7 @@ from kinectbench.lab.simulate.objects.shapes import Subject
 COLUMNS = 4
 LABEL_PX = 22
 SUPERSAMPLING = 2
-# From the front, the right and above.
+# Viewing direction: from the front, the right and above.
 FORWARD = np.array([-0.55, -0.8, -0.42])
 
 
@@ -24,7 +24,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     """Draw a subject's pieces in their colours, seen from its front, in parallel projection.
 
     Args:
-        subject: what to draw.
+        subject: the object to draw.
         size_px: edge of the picture.
 
     Returns:
@@ -35,7 +35,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     distance_m, normals_view, which = cast_pieces(pieces, view, size_px * SUPERSAMPLING)
     shade = 0.5 + 0.55 * np.clip(normals_view @ LIGHT, 0.0, 1.0)
     colors = np.array([piece.color_rgb for piece in subject.pieces] + [(0.0, 0.0, 0.0)]) * 255
-    # Black pieces are drawn a little lighter, so that their shape can be seen.
+    # Black pieces are drawn a little lighter, so that their shape is visible.
     drawn = np.where(
         np.isfinite(distance_m)[..., None], (25 + 0.9 * colors[which]) * shade[..., None], np.array(PAPER)
     )
@@ -43,11 +43,11 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
-    """Draw objects of one family, each with its name and height below.
+    """Draw objects of one family, each with its name and height below it.
 
     Args:
         family: one of `families()`.
-        seeds: one picture each, four in a row.
+        seeds: seeds of the objects; four pictures are in a row.
         size_px: edge of one picture.
 
     Returns:
@@ -77,8 +77,8 @@ def write_contact_sheets(folder: Path, count: int = 12, size_px: int = 280) -> l
     """Write a PNG of the first objects of each family, `FAMILY.png`, into a folder.
 
     Args:
-        folder: is made if it is not there.
-        count: seeds 0 to count - 1.
+        folder: the folder, which is made if missing.
+        count: number of objects; their seeds are 0 to count - 1.
         size_px: edge of one picture.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Couches of one to three seats: with many kinds of arms and feet, corner couches, tubs, wooden frames."""
+"""Couches of one to three seats: many kinds of arms and feet, corner couches, tubs, wooden frames."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Size:
-    """A couch's measures, metres, frame `object`.
+    """The dimensions of a couch, metres, frame `object`.
 
     Attributes:
         x: half width between the arms' outer faces.
         y: half depth.
-        seats: how many.
+        seats: number of seats.
         arm: width of an arm, 0 for none.
         foot: height of the body's lower face.
         base: height of the body's upper face, below the cushions.
@@ -31,7 +31,7 @@ class _Size:
         arm_top: height of the arms.
         top: height of the back.
         deep: thickness of the back.
-        slope: metres to the back for each metre up.
+        slope: metres backwards for each metre up.
     """
 
     x: float
@@ -79,7 +79,7 @@ def couch(draw: Draw) -> Parts:
 
 
 def _sofa(draw: Draw, size: _Size) -> Parts:
-    """A body with a back, arms, cushions and feet."""
+    """Draw a body with a back, arms, cushions and feet."""
     look, soft = draw.pick(looks.COVERS), draw.between(0.02, 0.045)
     inner = size.x - size.arm
     yield _body(size, look)
@@ -96,20 +96,20 @@ def _sofa(draw: Draw, size: _Size) -> Parts:
 
 
 def _body(size: _Size, look: Look) -> Part:
-    """The body below the cushions."""
+    """Make the body below the cushions."""
     low, high = (-size.x + 0.004, -size.y, size.foot), (size.x - 0.004, size.y - 0.02, size.base)
     return Part("body", cushion(low, high, 0.018), look)
 
 
 def _back(size: _Size, soft: float, look: Look) -> Part:
-    """A soft board behind the seat, from the body's floor to the top."""
+    """Make a soft board behind the seat, from the body's bottom to the top."""
     inner = size.x - max(0.0, size.arm - 0.012)
     block = cushion((-inner, -size.y, size.foot + 0.02), (inner, -size.y + size.deep, size.top), soft)
     return Part("back", leaned(block, size.base, size.slope), look)
 
 
 def _arms(draw: Draw, size: _Size, soft: float, look: Look) -> Parts:
-    """Two arms: a box, a slim panel, one that slopes to the front, or one with a roll on top."""
+    """Draw two arms: a box, a slim panel, a slope to the front, or a roll on top."""
     if size.arm == 0:
         return
     kind = draw.choose(["box", "sloped", "rolled"] if size.arm > 0.11 else ["box", "sloped"])
@@ -135,7 +135,7 @@ def _arms(draw: Draw, size: _Size, soft: float, look: Look) -> Parts:
 
 
 def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """Seat cushions: one a seat, or one for all."""
+    """Draw seat cushions: one for each seat, or one for all."""
     count = size.seats if draw.chance(0.8) else 1
     front = size.y + draw.between(-0.02, 0.02)
     soft, crown = draw.between(0.03, 0.05), draw.between(0.008, 0.03)
@@ -146,7 +146,7 @@ def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """Back cushions, one a seat."""
+    """Draw back cushions, one for each seat."""
     thick, soft = draw.between(0.1, 0.16), draw.between(0.04, 0.06)
     top = size.top + draw.between(-0.06, 0.06)
     y = -size.y + size.deep
@@ -156,7 +156,7 @@ def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
-    """One or two square pillows that lean in the corners of the seat, `ahead` metres before the back."""
+    """Draw one or two square pillows that lean in the seat's corners, `ahead` metres before the back."""
     look, edge = draw.pick(looks.CLOTHS), draw.between(0.34, 0.42)
     y = -size.y + size.deep + ahead
     for s in SIDES[: draw.integer(1, 3)]:
@@ -168,7 +168,7 @@ def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
 
 
 def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
-    """Short feet, tapered legs, steel runners or a plinth; nothing for a couch that lies on the floor."""
+    """Draw short feet, tapered legs, steel runners or a plinth; nothing for a couch on the floor."""
     if size.foot == 0:
         return
     wood, metal, x, y = draw.pick(looks.WOODS), draw.pick(looks.METALS), half[0] - 0.07, half[1] - 0.08
@@ -188,7 +188,7 @@ def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
 
 
 def _corner(draw: Draw, size: _Size) -> Parts:
-    """An L: a couch whose last seat extends to the front as a chaise."""
+    """Draw an L: a couch whose last seat extends to the front as a chaise."""
     look, soft, side = draw.pick(looks.COVERS), draw.between(0.02, 0.04), draw.choose(SIDES)
     size = replace(size, seats=max(2, size.seats), arm=max(0.1, size.arm))
     size = replace(size, x=min(1.04, max(0.85, size.x)))
@@ -221,7 +221,7 @@ def _corner(draw: Draw, size: _Size) -> Parts:
 
 
 def _chesterfield(draw: Draw, size: _Size) -> Parts:
-    """Arms and a back of one height with a roll on top, and turned feet."""
+    """Draw arms and a back of one height with a roll on top, and turned feet."""
     look, wood = draw.pick(looks.LEATHERS + looks.CLOTHS), draw.pick(looks.WOODS)
     size = replace(size, foot=draw.between(0.07, 0.12), seats=max(2, size.seats))
     size = replace(size, x=max(0.72, min(1.05, size.x)), base=max(size.base, size.foot + 0.12))
@@ -247,7 +247,7 @@ def _chesterfield(draw: Draw, size: _Size) -> Parts:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """A frame of wood with open arms that carries loose cushions on slats."""
+    """Draw a wooden frame with open arms that carries loose cushions on slats."""
     wood, look = draw.pick(looks.WOODS), draw.pick(looks.COVERS)
     size = replace(
         size, arm=0.05, x=max(0.42, size.x - size.arm + 0.05), top=size.seat + draw.between(0.34, 0.44)
@@ -287,7 +287,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _tub(draw: Draw, size: _Size) -> Parts:
-    """A round wall around one or two seats, lower at the front."""
+    """Draw a round wall around one or two seats, lower at the front."""
     look, wide = draw.pick(looks.COVERS), draw.between(0.09, 0.13)
     x, y = draw.between(0.40, 0.46) + (0.26 if draw.chance(0.4) else 0.0), size.y
     radius = draw.between(0.55, 0.95) * min(x, y)

@@ -1,4 +1,4 @@
-"""Shared code of object families: parts with a look, random draws, joining parts to an object."""
+"""Shared code of object families: parts with a look, random draws, gluing parts into an object."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Choice = TypeVar("Choice")
 
-# Signs of x for what stands at the left and the right, and of x and y for what stands at all four corners.
+# Signs of x for parts at the left and right, and of x and y for parts at all four corners.
 SIDES = (-1, 1)
 CORNERS = tuple(product(SIDES, SIDES))
 
@@ -30,7 +30,7 @@ class Part:
     look: Look
 
 
-# What an object is glued of, in the order in which it is drawn by chance.
+# The parts that an object is glued from, in the order in which they are drawn.
 Parts = Iterable[Part]
 
 
@@ -42,25 +42,25 @@ class Draw:
         self.rng = rng
 
     def choose(self, options: Sequence[Choice]) -> Choice:
-        """One of the options, with equal probability."""
+        """Return one of the options, with equal probability."""
         return options[int(self.rng.integers(len(options)))]
 
     def pick(self, looks: Sequence[Look]) -> Look:
-        """One of the looks, with random brightness."""
+        """Return one of the looks, with random brightness."""
         look, tint = self.choose(looks), self.between(0.88, 1.08)
         red, green, blue = (min(1.0, value * tint) for value in look.color_rgb)
         return Look((red, green, blue), look.albedo)
 
     def between(self, low: float, high: float) -> float:
-        """A number drawn evenly from a range."""
+        """Return a number drawn uniformly from a range."""
         return float(self.rng.uniform(low, high))
 
     def chance(self, probability: float) -> bool:
-        """True with that probability."""
+        """Return True with that probability."""
         return bool(self.rng.random() < probability)
 
     def integer(self, low: int, above: int) -> int:
-        """A whole number from `low` to below `above`."""
+        """Return a whole number from `low` to below `above`."""
         return int(self.rng.integers(low, above))
 
 
@@ -68,16 +68,16 @@ class Draw:
 class Family:
     """Objects of one kind, drawn by chance.
 
-    Rules are chosen on families that are looked at, and never on the others: nobody looks at their results
-    while a rule or a figure is chosen, so that what is reported of them holds for shapes that nobody thought
-    of. A family whose results were looked at after all becomes one of the first, and another takes its place.
+    Some families are for development: rules and constants are chosen on them (`looked_at`). Nobody looks at
+    results of the rest meanwhile, so that reported figures hold for unseen shapes. A family whose results
+    were looked at after all becomes a development family, and another replaces it.
 
     Attributes:
-        draw: the parts of one object.
-        looked_at: rules may be chosen on it.
-        furniture: the bars of furniture hold for it.
-        closed_below: by its parts, no space behind the underside is open to the air; then
-            `underside: closed` is true. Slats, trays, shells and vessels on feet are open.
+        draw: draws the parts of one object.
+        looked_at: whether rules may be chosen on this family.
+        furniture: whether the thresholds for furniture apply to it.
+        closed_below: whether no space behind the underside is open to the air, by the parts; then `underside:
+            closed` is true. Slats, trays, shells and vessels on feet are open.
     """
 
     draw: Callable[[Draw], Parts]
@@ -87,16 +87,16 @@ class Family:
 
 
 def glue(name: str, parts: Parts, origin: str) -> Subject:
-    """Glue parts to one solid, centred by its bounding box at x = y = 0 and standing on z = 0.
+    """Glue parts into one solid, centred by its bounding box at x = y = 0 and standing on z = 0.
 
     Args:
-        name: of the subject.
-        parts: closed, overlapping one another, metres.
+        name: the subject's name.
+        parts: closed parts that overlap, metres.
         origin: where the solid comes from, one line.
     """
     glued = tuple(parts)
     whole = union([part.shape for part in glued])
-    # Where round parts fit into one another, a crack may be shut in: it is filled.
+    # Where round parts fit into each other, a crack may be enclosed: it is filled.
     mesh = surface(union([body for body in whole.decompose() if body.volume() > 0]))
     shift = standing_shift(mesh)
 

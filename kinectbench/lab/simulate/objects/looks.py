@@ -10,8 +10,8 @@ class Look:
     """The look of a material.
 
     Attributes:
-        color_rgb: each in [0, 1].
-        albedo: share of infrared light that it reflects, in [0, 1].
+        color_rgb: red, green and blue, each in [0, 1].
+        albedo: reflected share of infrared light, in [0, 1].
     """
 
     color_rgb: Vector3

@@ -1,4 +1,4 @@
-"""The object of a simulated recording from a mesh file, closed if it is not."""
+"""The object of a simulated recording, read from a mesh file and closed if needed."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,33 +19,34 @@ if TYPE_CHECKING:
 
 DEFAULT_RGB: Vector3 = (0.66, 0.60, 0.52)
 ALBEDO = 0.6
-# A mesh in millimetres would be larger than this.
+# Plausible sizes: a mesh in millimetres would be larger.
 SMALLEST_M, LARGEST_M = 0.01, 5.0
 MOST_COLORS = 64
 VOXELS_ACROSS = 300
 SMALLEST_VOXEL_M = 0.002
 MARGIN_CELLS = 4
-# Every cell whose cube is cut by a face has its centre within half a cube's diagonal of it: 0.866 cells.
+# If a face cuts a cell's cube, the cell's centre is within half a cube diagonal of the face: 0.866 cells.
 SKIN_CELLS = 0.9
 
 
 def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     """Load a mesh file as a subject: z up, on z = 0, centred at x = y = 0 by its bounding box.
 
-    A mesh of closed bodies becomes their exact union. Bodies with small holes are closed by filling them. Any
-    other mesh is voxelised by the paper authors' rule. If anything was changed, the camera sees the surface
-    of the solid in the file's colours, so that pictures and truth agree.
+    A mesh of closed bodies becomes their exact union. Small holes of bodies are filled. Any other mesh is
+    voxelised by the paper authors' rule. If anything was changed, the camera sees the surface of the solid in
+    the file's colours, so that pictures and truth agree.
 
     Args:
         path: obj, ply, stl, glb or off, in metres.
         up: the file's axis that points up.
 
     Returns:
-        The subject; `origin` says how its solid was closed, with figures. A piece for each colour of the
-        file; a file without colours, or whose materials are missing, is drawn in one.
+        The subject, with a piece for each colour of the file; without colours or materials it has one colour.
+        `origin` says how the solid was closed, with figures.
 
     Raises:
-        RecordingError: no such file, unreadable, empty, infinite vertices, no volume, or not in metres.
+        RecordingError: the file is missing, unreadable or empty, has infinite vertices or no volume, or is
+            not in metres.
     """
     parts = _colored_parts(path)
     whole = join([mesh for mesh, _ in parts])
@@ -61,16 +62,16 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
         pieces = [Piece(f"part {at + 1}", part, color, ALBEDO) for at, (part, color) in enumerate(parts)]
         return Subject(path.name, tuple(pieces if as_drawn else _painted(mesh, parts)), mesh, origin)
     mesh, origin = _closed_by_voxels(path, whole)
-    # The solid is a little larger than the drawing.
+    # The solid is a little larger than the file's mesh.
     place = rigid(np.eye(3), standing_shift(mesh))
     pieces = [replace(piece, mesh=piece.mesh.transformed(place)) for piece in _painted(mesh, parts)]
     return Subject(path.name, tuple(pieces), mesh.transformed(place), origin)
 
 
 def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | None:
-    """The union of the bodies, if each is closed or has but small holes, and how that was done.
+    """Return the union of the bodies, if each is closed or has only small holes, and how it was closed.
 
-    The last value says whether the file's own faces show the same surface.
+    The last value is whether the file's own faces show the same surface.
     """
     if not (bodies := closed_bodies(whole)):
         return None
@@ -83,7 +84,7 @@ def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | 
 
 
 def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, str]:
-    """A smooth surface at 0.9 cells around the cells that the paper authors' rule marks."""
+    """Make a smooth surface at 0.9 cells around the cells that the paper authors' rule marks."""
     from scipy import ndimage
 
     from kinectbench.core.geometry.mesh import isosurface
@@ -102,14 +103,14 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     field = np.where(occupied, -1.0, 1.0).astype(np.float32)
     inside = occupied[near] & (distance >= SKIN_CELLS)
     skin = np.clip(np.where(inside, -distance, distance - SKIN_CELLS), -1, 1)
-    # A surface that passes exactly through a cell's centre would have corners of no extent.
+    # A surface exactly through a cell's centre would have degenerate triangles.
     field[near] = np.where(np.abs(skin) < 1e-3, 1e-3, skin)
     level_set = isosurface(field)
     vertices = (level_set.vertices + 0.5) * voxel_m + grid.T_world_grid[:3, 3]
     shape = solid(vertices, level_set.faces)
     if shape is None:
         raise RecordingError(f"{path}: no closed solid can be made of it; repair the mesh", what="bad-mesh")
-    # Fewer faces, none moved by more than a twentieth of a voxel.
+    # Simplified; no face is moved by more than a twentieth of a voxel.
     return surface(shape.simplify(voxel_m / 20)), (
         f"closed by voxelising at {voxel_m * 1000:.1f} mm: {open_edges(whole)} open edges; "
         f"its surface lies {SKIN_CELLS * voxel_m * 1000:.1f} mm outside"
@@ -117,7 +118,7 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
 
 
 def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
-    """Distance (n,) in metres and index (n,) of the face that is nearest to each point (n, 3)."""
+    """Return distance (n,) in metres and index (n,) of the face nearest to each point (n, 3)."""
     scene, tensor = raycaster(mesh)
     hits = scene.compute_closest_points(tensor(points.astype(np.float32)))
     nearest = hits["points"].numpy().astype(np.float64)
@@ -125,7 +126,7 @@ def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
 
 
 def _painted(mesh: TriangleMesh, parts: list[tuple[TriangleMesh, Vector3]]) -> list[Piece]:
-    """The surface of a solid, cut into a piece for each colour of the part that is nearest to each face."""
+    """Cut a solid's surface into pieces, one for each colour; a face gets the colour of the nearest part."""
     drawn = join([part for part, _ in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part, _ in parts])
     _, nearest = _nearest(drawn, mesh.vertices[mesh.faces].mean(axis=1))
@@ -155,7 +156,7 @@ def _check(path: Path, whole: TriangleMesh) -> None:
 
 
 def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
-    """The triangles of a mesh file in its own frame, one part for each colour."""
+    """Return the triangles of a mesh file in its own frame, one part for each colour."""
     import trimesh
 
     if not path.is_file():
@@ -165,7 +166,7 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
     try:
         scene = trimesh.load_scene(path, process=False)
         loaded = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
-    except Exception as error:  # The readers raise whatever they trip over.
+    except Exception as error:  # readers raise any exception
         what = " ".join(str(error).split())[:120] or type(error).__name__
         raise RecordingError(
             f"{path}: not a readable mesh ({what}); give an obj, ply, stl, glb or off file", what="bad-mesh"
@@ -189,14 +190,14 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
 
 
 def _face_colors(mesh: "trimesh.Trimesh") -> NDArray[np.uint8]:
-    """Colours (m, 3) of a mesh's faces, not more than 64 different ones."""
+    """Return colours (m, 3) of a mesh's faces, at most 64 different ones."""
     visual = mesh.visual
     default = np.round(np.array(DEFAULT_RGB) * 255).astype(np.uint8)
     faces = len(mesh.faces)
     if visual.kind in ("face", "vertex"):
         colors = np.asarray(visual.face_colors, np.uint8)[:, :3]
         if len(np.unique(colors, axis=0)) > MOST_COLORS:
-            # Four levels for each of red, green and blue.
+            # Reduced to four levels each of red, green and blue.
             colors = colors // 64 * 64 + 32
         return colors
     material = getattr(visual, "material", None)

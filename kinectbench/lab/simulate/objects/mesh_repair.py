@@ -1,4 +1,4 @@
-"""Repair a drawn mesh into closed bodies: merge vertices, unify winding, fill small holes."""
+"""Repair a mesh into closed bodies: merge vertices, unify winding, fill small holes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 MERGE_M = 1e-7
-# A hole is small if it has at most this share of the area of the body around it: chosen here.
+# A hole is small if its area is at most this share of the body's area around it (chosen here).
 HOLE_SHARE = 1 / 3
-# A body that is thinner than this on average is a sheet.
+# A body with a smaller mean thickness is a sheet.
 SHEET_M = 1e-4
 
 
@@ -24,9 +24,9 @@ class Body:
     """A closed body.
 
     Attributes:
-        shape: closed, outward.
-        reversed: it was inside out.
-        holes: how many were filled.
+        shape: the closed solid, oriented outwards.
+        reversed: whether the body was inside out.
+        holes: number of filled holes.
     """
 
     shape: "Manifold"
@@ -35,7 +35,7 @@ class Body:
 
 
 def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """A mesh whose vertices within 1e-7 m are one, without faces that then have no three corners."""
+    """Merge vertices within 1e-7 m, and drop faces that no longer have three corners."""
     keys = np.round(mesh.vertices / MERGE_M).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces].astype(np.int32)
@@ -44,25 +44,25 @@ def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def open_edges(mesh: TriangleMesh) -> int:
-    """The number of edges without exactly two faces."""
+    """Return the number of edges without exactly two faces."""
     _, faces_at_edge = np.unique(_edges(mesh.faces)[1], return_counts=True)
     return int((faces_at_edge != 2).sum())
 
 
 def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
-    """The closed bodies of a merged mesh; None if a body cannot be closed without inventing shape.
+    """Return the closed bodies of a merged mesh; None if a body cannot be closed without inventing shape.
 
-    A mesh that is closed with one winding is taken as it is; its bodies may touch at edges and vertices.
-    Otherwise each part whose faces hang together is given one winding, and its holes, if each has at most a
-    third of the area around it, are filled in their plane.
+    A mesh that is closed with consistent winding is used unchanged; its bodies may touch at edges and
+    vertices. Otherwise each connected part gets a consistent winding, and its holes are filled in their plane
+    if each has at most a third of the area around it.
     """
     import trimesh
 
     if (whole := _outward(mesh.vertices, mesh.faces)) is not None:
-        # A mesh that is inside out as a whole has been turned over.
+        # A mesh that is entirely inside out was turned over.
         closed = [_body(surface(shape), 0) for shape in whole[0].decompose()]
     else:
-        # Faces hang together by edges of exactly two faces.
+        # Faces are connected by edges with exactly two faces.
         pairs = trimesh.graph.face_adjacency(mesh.faces)
         label = trimesh.graph.connected_component_labels(pairs, node_count=len(mesh.faces))
         closed = [_repaired(mesh.keep_faces(label == which)) for which in range(label.max(initial=-1) + 1)]
@@ -71,7 +71,7 @@ def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
 
 
 def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
-    """A closed mesh as a solid of positive volume, and whether it was turned over; None if it is open."""
+    """Return a closed mesh as a solid of positive volume, and whether it was turned over; None if open."""
     for inside_out in (False, True):
         shape = solid(vertices, faces[:, ::-1] if inside_out else faces)
         if shape is None or shape.volume() > 0:
@@ -80,7 +80,7 @@ def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
 
 
 def _body(mesh: TriangleMesh, holes: int) -> Body | None:
-    """A closed mesh as a body; None if it is not closed, or a folded sheet without volume."""
+    """Return a closed mesh as a body; None if it is not closed, or a folded sheet without volume."""
     body = _outward(mesh.vertices, mesh.faces)
     if body is None or body[0].volume() < SHEET_M * body[0].surface_area() / 2:
         return None
@@ -88,7 +88,7 @@ def _body(mesh: TriangleMesh, holes: int) -> Body | None:
 
 
 def _repaired(part: TriangleMesh) -> Body | None:
-    """One part with consistent winding and its small holes filled."""
+    """Repair one part: consistent winding, small holes filled."""
     faces = _one_winding(part)
     loops = None if faces is None else _hole_loops(faces)
     if faces is None or loops is None:
@@ -103,7 +103,7 @@ def _repaired(part: TriangleMesh) -> Body | None:
 
 
 def united(parts: list[Body]) -> "Manifold":
-    """The union of bodies; one that is inside out and lies within the others is a cavity in them."""
+    """Return the union of bodies; a body that is inside out and within the others is a cavity."""
     outer = [part.shape for part in parts if not part.reversed]
     turned = [part.shape for part in parts if part.reversed]
     whole = union(outer)
@@ -114,15 +114,15 @@ def united(parts: list[Body]) -> "Manifold":
 
 
 def _edges(faces: Int32) -> tuple[Int64, Int64]:
-    """The (3m, 2) edges of faces, face by face, and a number (3m,) for each, the same for both directions."""
+    """Return the edges (3m, 2) of faces, face by face, and a key (3m,) that is equal for both directions."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
     return edges, edges.min(axis=1) * (int(faces.max(initial=0)) + 1) + edges.max(axis=1)
 
 
 def _one_winding(part: TriangleMesh) -> Int32 | None:
-    """The faces of one body, flipped to the first face's winding.
+    """Return the faces of one body, flipped to the first face's winding.
 
-    None if it has but one side, or an edge has more than two faces.
+    The result is None if the body has only one side, or an edge has more than two faces.
     """
     from open3d import geometry, utility
 
@@ -135,7 +135,7 @@ def _one_winding(part: TriangleMesh) -> Int32 | None:
 
 
 def _hole_loops(faces: Int32) -> list[Int64] | None:
-    """Closed rows of vertices around each hole, in the direction of its patch; None if two of them touch."""
+    """Return the closed vertex loop of each hole, in the direction of its patch; None if two loops touch."""
     edges, number = _edges(faces)
     _, edge, faces_at_edge = np.unique(number, return_inverse=True, return_counts=True)
     lone = edges[faces_at_edge[edge] == 1]
@@ -154,11 +154,11 @@ def _hole_loops(faces: Int32) -> list[Int64] | None:
 
 
 def _patch(vertices: Float64, loop: Int64, most_m2: float) -> Int32 | None:
-    """Triangles (k, 3) that fill a loop, drawn in the plane that fits it best; None if it is too large."""
+    """Return triangles (k, 3) that fill a loop, made in its best-fitting plane; None if it is too large."""
     from manifold3d import triangulate
 
     points = vertices[loop] - vertices[loop].mean(axis=0)
-    # Newell's normal: twice the area that the loop encloses.
+    # Newell's normal has twice the loop's area as its length.
     normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
     length = float(np.linalg.norm(normal))
     if length / 2 > most_m2:

@@ -1,7 +1,8 @@
 """The recorded object and its closed parts: boards, cushions, legs, tubes, turned pieces.
 
-Every function returns a Manifold of the library manifold3d: closed, outward, float64, metres. Frame `object`:
-x to the right, y to the front, z up. Curved surfaces are inscribed polyhedra of `SEGMENTS` sides.
+Every function returns a Manifold of the library manifold3d: closed, outward, float64, metres. In frame
+`object`, x is to the right, y to the front, z up. Curved surfaces are inscribed polyhedra of `SEGMENTS`
+sides.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,10 +35,10 @@ class Piece:
     """A part of an object with one look.
 
     Attributes:
-        name: what it is, such as "leg".
+        name: kind of the part, such as "leg".
         mesh: triangles, object frame, metres; pieces may overlap, and need not be closed.
-        color_rgb: its colour, each in [0, 1].
-        albedo: share of infrared light that it reflects, in [0, 1]; dark pieces give less depth.
+        color_rgb: red, green and blue, each in [0, 1].
+        albedo: reflected share of infrared light, in [0, 1]; dark pieces give less depth.
     """
 
     name: str
@@ -51,8 +52,8 @@ class Subject:
     """The object of a simulated recording, in frame `object`: z up, on z = 0, centred at x = y = 0.
 
     Attributes:
-        name: such as "chair:seed=3", or a mesh file's name.
-        pieces: what a camera sees.
+        name: the object's name, such as "chair:seed=3", or a mesh file's name.
+        pieces: the pieces that a camera sees.
         mesh: the solid's surface: watertight, outward, without inner faces; metres.
         origin: where the solid comes from and how it was closed, one line.
     """
@@ -64,7 +65,7 @@ class Subject:
 
 
 def box(low_m: Vector3, high_m: Vector3) -> "Manifold":
-    """The box between two corners."""
+    """Make the box between two corners."""
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -72,7 +73,7 @@ def box(low_m: Vector3, high_m: Vector3) -> "Manifold":
 
 
 def rectangle(size_m: Vector2, radius_m: float = 0.0) -> Outline:
-    """Outline (n, 2) float64 of a rectangle around the origin, perhaps with round corners, metres."""
+    """Return the outline (n, 2) float64, metres, of a centred rectangle, perhaps with round corners."""
     half = np.array(size_m) / 2 - radius_m
     segments = int(np.clip(np.pi / 2 * radius_m / CORNER_EDGE_M, 4, 16))
     steps = np.linspace(0, np.pi / 2, segments + 1) if radius_m > 0 else np.zeros(1)
@@ -85,19 +86,19 @@ def rectangle(size_m: Vector2, radius_m: float = 0.0) -> Outline:
 
 
 def ellipse(size_m: Vector2) -> Outline:
-    """Outline (n, 2) float64 of an ellipse around the origin, metres."""
+    """Return the outline (n, 2) float64 of an ellipse around the origin, metres."""
     angle = np.arange(2 * SEGMENTS) * np.pi / SEGMENTS
     return np.column_stack([np.cos(angle) * size_m[0], np.sin(angle) * size_m[1]]) / 2
 
 
 def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) -> "Manifold":
-    """A horizontal plate of a convex outline (n, 2) around the origin between two heights.
+    """Make a horizontal plate with a convex outline (n, 2) around the origin, between two heights.
 
     Args:
-        outline: convex, metres.
-        low_m: lower face.
-        high_m: upper face.
-        edge_m: radius of its rounded edges, at most half its thickness.
+        outline: the convex outline, metres.
+        low_m: height of the lower face.
+        high_m: height of the upper face.
+        edge_m: radius of the rounded edges, at most half the thickness.
     """
     from manifold3d import Manifold
 
@@ -113,7 +114,7 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
 
 
 def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> "Manifold":
-    """A box rounded in all directions whose upper face may swell by `crown_m` beyond the box."""
+    """Make a box rounded in all directions, whose upper face may swell by `crown_m` beyond the box."""
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -138,14 +139,14 @@ def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0
 def leg(
     foot_m: Vector3, head_m: Vector3, foot_size_m: Size, head_size_m: Size, *, is_round: bool = False
 ) -> "Manifold":
-    """A prism between two horizontal ends, perhaps leaning and tapered.
+    """Make a prism between two horizontal ends, perhaps leaning and tapered.
 
     Args:
-        foot_m: middle of its lower end.
-        head_m: middle of its upper end.
-        foot_size_m: of the lower end in x and y; one number where both are the same.
-        head_size_m: of the upper end.
-        is_round: its ends are ellipses, not rectangles.
+        foot_m: middle of the lower end.
+        head_m: middle of the upper end.
+        foot_size_m: size of the lower end in x and y; one number if both are the same.
+        head_size_m: size of the upper end.
+        is_round: whether the ends are ellipses instead of rectangles.
     """
     from manifold3d import Manifold
 
@@ -158,7 +159,7 @@ def leg(
 
 
 def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
-    """A round bar between two points, with flat ends."""
+    """Make a round bar between two points, with flat ends."""
     from manifold3d import Manifold
 
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
@@ -167,7 +168,7 @@ def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
 
 
 def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> "Manifold":
-    """A rectangular bar between two points, its width level, its ends square to its length."""
+    """Make a rectangular bar between two points; its width is level, its ends are perpendicular to it."""
     from manifold3d import Manifold
 
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
@@ -176,7 +177,7 @@ def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> 
 
 
 def _frame(a: Points, b: Points) -> NDArray[np.float64]:
-    """(3, 4): z to the direction from a to b, x level, origin to a."""
+    """Return the transform (3, 4) that maps z to the direction from a to b, x to level, the origin to a."""
     forward = (b - a) / np.linalg.norm(b - a)
     side = np.array([-forward[1], forward[0], 0.0])
     length = np.linalg.norm(side)
@@ -185,9 +186,9 @@ def _frame(a: Points, b: Points) -> NDArray[np.float64]:
 
 
 def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
-    """A round tube along a polyline (n, 3), mitred at its corners.
+    """Make a round tube along a polyline (n, 3), mitred at its corners.
 
-    Its ends are flat; a path in one plane that ends where it begins makes a ring.
+    Its ends are flat; a planar path that ends where it begins makes a ring.
     """
     from manifold3d import Manifold, Mesh64
 
@@ -203,7 +204,7 @@ def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
         planes[0] = planes[-1] = ways[-1] + ways[0]
     rings = []
     for point, normal, way in zip(path, planes, np.concatenate([ways[:1], ways]), strict=True):
-        # The tube's lines run on in their direction to the plane that halves the corner.
+        # The tube's lines continue in their direction to the plane that bisects the corner.
         ring = ring + ((point - ring) @ normal / (way @ normal))[:, None] * way
         rings.append(ring)
     rings = rings[:-1] if closed else rings
@@ -212,7 +213,7 @@ def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
 
 
 def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
-    """Faces (m, 3) between rings of points, and over its ends if it is not closed to a ring itself."""
+    """Return faces (m, 3) between rings of points, and over the ends unless the tube is closed to a ring."""
     ring = np.arange(TUBE_SEGMENTS)
     beside = (ring + 1) % TUBE_SEGMENTS
     faces = []
@@ -227,7 +228,7 @@ def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
 
 
 def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) -> "Manifold":
-    """A strip with round ends that follows a path (n, 2) in y and z and is as wide as the range `x_m`."""
+    """Make a strip with round ends along a path (n, 2) in y and z, as wide as the range `x_m`."""
     from manifold3d import CrossSection, Manifold, OpType
 
     disc = CrossSection.circle(thick_m / 2, 16)
@@ -239,7 +240,7 @@ def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) 
 
 
 def rounded_path(path_m: Sequence[Sequence[float]], radius_m: float) -> Points:
-    """A polyline (n, 2 or 3) whose corners are replaced by arcs that begin `radius_m` before them."""
+    """Return a polyline (n, 2 or 3) whose corners are replaced by arcs that start `radius_m` before them."""
     path = np.array(path_m, np.float64)
     share = np.linspace(0, 1, 6)[:, None]
     points = [path[:1]]
@@ -254,7 +255,7 @@ def rounded_path(path_m: Sequence[Sequence[float]], radius_m: float) -> Points:
 
 
 def turned(profile_rz_m: Sequence[Vector2]) -> "Manifold":
-    """A solid of revolution about the z axis: a closed polygon of radius and height, metres."""
+    """Make a solid of revolution about the z axis from a closed polygon of (radius, height), metres."""
     from manifold3d import CrossSection, FillRule, Manifold
 
     outline = np.array(profile_rz_m, np.float64)
@@ -262,12 +263,12 @@ def turned(profile_rz_m: Sequence[Vector2]) -> "Manifold":
 
 
 def bent(shape: "Manifold", move: Callable[[Points], Points], edge_m: float = BEND_EDGE_M) -> "Manifold":
-    """A shape whose points (n, 3) are moved by a smooth map, after its edges are cut to `edge_m`."""
+    """Bend a shape: its edges are cut to `edge_m`, then its points (n, 3) are moved by a smooth map."""
     return shape.refine_to_length(edge_m).warp_batch(move)
 
 
 def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> "Manifold":
-    """An upright board whose middle is bent by `bow_m` to the back, behind its two sides."""
+    """Make an upright board whose middle is bent backwards by `bow_m`."""
     middle, half = (low_m[0] + high_m[0]) / 2, (high_m[0] - low_m[0]) / 2
 
     def move(points: Points) -> Points:
@@ -278,19 +279,19 @@ def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> "Manifold":
 
 
 def leaned(shape: "Manifold", from_m: float, slope: float) -> "Manifold":
-    """A shape sheared to the back (-y) by `slope` metres for each metre above the height `from_m`."""
+    """Shear a shape backwards (-y) by `slope` metres for each metre above the height `from_m`."""
     return shape.transform([[1, 0, 0, 0], [0, 1, -slope, slope * from_m], [0, 0, 1, 0]])
 
 
 def union(shapes: Sequence["Manifold"]) -> "Manifold":
-    """The union of shapes, without inner faces."""
+    """Return the union of shapes, without inner faces."""
     from manifold3d import Manifold, OpType
 
     return Manifold.batch_boolean(list(shapes), OpType.Add)
 
 
 def solid(vertices: Points, faces: NDArray[np.integer]) -> "Manifold | None":
-    """The shape whose surface is a mesh, with a negative volume if it is inside out; None if it is open."""
+    """Return the shape whose surface is a mesh (negative volume if inside out); None if the mesh is open."""
     from manifold3d import Error, Manifold, Mesh64
 
     shape = Manifold(Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.uint64)))
@@ -298,14 +299,14 @@ def solid(vertices: Points, faces: NDArray[np.integer]) -> "Manifold | None":
 
 
 def surface(shape: "Manifold") -> TriangleMesh:
-    """The surface of a shape as triangles."""
+    """Return the surface of a shape as triangles."""
     mesh = shape.to_mesh64()
-    # The library's own arrays cannot be written to.
+    # Copied, because the library's own arrays are read-only.
     vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
     return TriangleMesh(vertices, np.array(mesh.tri_verts, dtype=np.int32, order="C"))
 
 
 def standing_shift(mesh: TriangleMesh) -> Points:
-    """The shift (3,) that centres a mesh at x = y = 0 by its bounding box and puts it on z = 0."""
+    """Return the shift (3,) that centres a mesh at x = y = 0 by its bounding box and puts it on z = 0."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

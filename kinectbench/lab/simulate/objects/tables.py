@@ -21,7 +21,7 @@ class _Size:
 
 
 def table(draw: Draw) -> Parts:
-    """Draw a table; its longer side lies along x."""
+    """Draw a table; its longer side is along x."""
     if draw.chance(0.6):
         y = draw.between(0.32, 0.45)
         size = _Size(x=draw.between(max(0.4, y), 0.9), y=y, top=draw.between(0.70, 0.78))
@@ -35,7 +35,7 @@ def table(draw: Draw) -> Parts:
 
 
 def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
-    """A rectangular, rounded, or oval top."""
+    """Draw a rectangular, rounded, or oval top."""
     full, edge = (2 * size.x, 2 * size.y), thick * draw.between(0.1, 0.45) if draw.chance(0.5) else 0.0
     kind = draw.choose(["rectangle", "rectangle", "rounded", "super"])
     radius = {"rectangle": 0.0, "rounded": draw.between(0.03, 0.1), "super": 0.6 * size.y}[kind]
@@ -43,7 +43,7 @@ def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Four or six wooden legs with aprons, and perhaps a shelf or a drawer."""
+    """Draw four or six wooden legs with aprons, and perhaps a shelf or a drawer."""
     wood, thick, leg_m = draw.pick(looks.WOODS), draw.between(0.018, 0.04), draw.between(0.04, 0.08)
     top_look = wood if draw.chance(0.6) else draw.pick(looks.WOODS + looks.STONES)
     inset = leg_m / 2 + draw.between(0.01, 0.06)
@@ -67,7 +67,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _drawer(draw: Draw, half: tuple[float, float], head: float, high: float, wood: Look) -> Parts:
-    """The front of a drawer with a knob, in the front apron."""
+    """Draw the front of a drawer with a knob, in the front apron."""
     wide, middle, face = min(0.22, 0.6 * half[0]), head - high / 2, half[1] + 0.017
     front = box((-wide, half[1], head - high + 0.008), (wide, face, head - 0.014))
     knob = rod((0.0, face - 0.008, middle), (0.0, face + 0.02, middle), 0.012)
@@ -75,7 +75,7 @@ def _drawer(draw: Draw, half: tuple[float, float], head: float, high: float, woo
 
 
 def _round(draw: Draw, size: _Size) -> Parts:
-    """A round or oval top on a column, a star, three or four splayed legs, or two columns."""
+    """Draw a round or oval top on a column, a star, three or four splayed legs, or two columns."""
     look = draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:1])
     base = draw.pick(looks.WOODS + looks.METALS)
     oval = size.x if draw.chance(0.35) else min(size.x, size.y * draw.between(1.0, 1.35))
@@ -108,7 +108,7 @@ def _round(draw: Draw, size: _Size) -> Parts:
 
 
 def _trestle(draw: Draw, size: _Size) -> Parts:
-    """A long top on two trestles or on crossed legs."""
+    """Draw a long top on two trestles or on crossed legs."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.025, 0.045)
     under = size.top - thick
     half = (size.x * draw.between(0.62, 0.8), size.y * draw.between(0.75, 0.9))
@@ -120,7 +120,7 @@ def _trestle(draw: Draw, size: _Size) -> Parts:
 
 
 def _steel(draw: Draw, size: _Size) -> Parts:
-    """A thin top on hairpins, square loops, or a frame of thin tubes."""
+    """Draw a thin top on hairpins, square loops, or a frame of thin tubes."""
     metal, look = draw.pick(looks.METALS), draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:2])
     thick = draw.between(0.016, 0.03)
     under, half = size.top - thick, (size.x - 0.05, size.y - 0.05)
@@ -150,7 +150,7 @@ def _steel(draw: Draw, size: _Size) -> Parts:
 
 
 def _panels(draw: Draw, size: _Size) -> Parts:
-    """Two side panels under a top, with a panel or a shelf between them."""
+    """Draw two side panels under a top, with a panel or a shelf between them."""
     look, thick = draw.pick(looks.WOODS), draw.between(0.02, 0.05)
     under, inset = size.top - thick, 0.0 if draw.chance(0.5) else draw.between(0.04, 0.15)
     half = (size.x - inset - thick / 2, size.y - min(inset, 0.03))
@@ -166,7 +166,7 @@ def _panels(draw: Draw, size: _Size) -> Parts:
 
 
 def _drop_leaf(draw: Draw, size: _Size) -> Parts:
-    """A narrow top on legs whose two leaves hang down at its ends."""
+    """Draw a narrow top on legs, with two leaves that hang down at its ends."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.018, 0.026)
     x, under = min(size.x, 0.55), size.top - thick
     yield Part("top", box((-x, -size.y, under), (x, size.y, size.top)), wood)
@@ -182,7 +182,7 @@ def _drop_leaf(draw: Draw, size: _Size) -> Parts:
 
 
 def _desk(draw: Draw, size: _Size) -> Parts:
-    """A top on a chest of drawers at one side and on legs or a panel at the other."""
+    """Draw a top on a chest of drawers at one side and on legs or a panel at the other."""
     look, body, thick = draw.pick(looks.WOODS), draw.pick(looks.WOODS), draw.between(0.02, 0.035)
     side, under = draw.choose(SIDES), size.top - thick
     wide, foot = min(0.42, 0.7 * size.x), draw.between(0.0, 0.06)

@@ -1,7 +1,7 @@
 """Formats of recordings: a writer for each, registered by one line here.
 
 Packages add formats by the entry point `kinectbench.formats` (`kinectbench.lab.plugins`); a checkout after
-`make setup` has those of `benchmarks/plugins`.
+`make setup` has the formats of `benchmarks/plugins`.
 """
 
 import os
@@ -29,7 +29,7 @@ OWN_FORMATS: Mapping[str, FileFormat] = {
     "ros2_sqlite": FileFormat(partial(write_rosbag2, depth_code="raw", mcap=False)),
     "ros2_mcap": FileFormat(partial(write_rosbag2, depth_code="rvl", mcap=True)),
 }
-# Where `cut` looks for the image that comes last.
+# Patterns by which `cut` finds the last depth image.
 DEPTH_IMAGES = ("depth/*.png", "frame-*.depth.png", "depth_*.png", "keyframes/depth/*.png")
 
 __all__ = ["OWN_FORMATS", "FileFormat", "RecordedFrame", "Rig", "cut", "formats"]
@@ -37,7 +37,7 @@ __all__ = ["OWN_FORMATS", "FileFormat", "RecordedFrame", "Rig", "cut", "formats"
 
 @cache
 def formats() -> Mapping[str, FileFormat]:
-    """All formats: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
+    """Return all formats: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -48,15 +48,15 @@ def formats() -> Mapping[str, FileFormat]:
 def cut(path: Path, share: float) -> None:
     """Cut off the end of a finished recording.
 
-    A file loses its last bytes, a bag its index with them. In a folder the bag, or else the depth image whose
-    name comes last, loses them; every other file stays, lists that name it too .
+    A file loses its last bytes; a bag also loses its index. In a folder, the bag or else the last depth image
+    by name loses its last bytes; all other files stay, including lists that name it.
 
     Args:
         path: the recording.
-        share: of the bytes that go, 0 to below 1.
+        share: share of the bytes that is cut off, 0 to below 1.
 
     Raises:
-        RecordingError: a folder without depth images.
+        RecordingError: the folder has no depth images.
     """
     assert 0 <= share < 1
     files = [path] if path.is_file() else [*path.glob("*.db3"), *path.glob("*.mcap")]

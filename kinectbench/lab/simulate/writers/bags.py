@@ -1,6 +1,6 @@
-"""ROS bags as an OpenNI driver records them: depth in mm, JPEG colour, CameraInfo of both, poses.
+"""Write ROS bags like an OpenNI driver: depth in mm, JPEG colour, CameraInfo of both, poses.
 
-Messages are those of `MessageMaker`, in the order of the frames. Same frames, same bytes.
+Messages are made by `MessageMaker`, in the order of the frames. The same frames give the same bytes.
 """
 
 import shutil
@@ -30,29 +30,29 @@ DEPTH_FRAME_ID = "camera_depth_optical_frame"
 INFO = "sensor_msgs/msg/CameraInfo"
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
-# image_transport's ConfigHeader: int32 format, two float32 that only 32FC1 uses.
+# image_transport's ConfigHeader: an int32 format, and two float32 that only 32FC1 uses.
 COMPRESSED_DEPTH_HEADER = struct.pack("<iff", 0, 0.0, 0.0)
 
 
 class MessageMaker:
-    """Makes the messages of one frame after another.
+    """Makes the messages of frames, one frame at a time.
 
-    Depth that colour is registered to lies under /camera/depth_registered in the frame of colour, other
-    depth under /camera/depth in its own frame. Header stamps are those of depth, or of colour for colour and
-    its CameraInfo. PoseStamped holds the depth camera in frame `world`, optical axes; a frame without a pose
-    has none.
+    Depth with registered colour has topics below /camera/depth_registered in the frame of colour; other depth
+    is below /camera/depth in its own frame. Header stamps are those of depth, or of colour for colour and its
+    CameraInfo. PoseStamped is the depth camera's pose in frame `world`, optical axes; a frame without a pose
+    has no such message.
     """
 
     def __init__(
         self, types: Mapping[str, Callable[..., Message]], rig: Rig, depth_code: DepthCode, *, ros2: bool
     ) -> None:
-        """Make messages of a type store's `types`."""
+        """Prepare to make messages with a type store's `types`."""
         self._types, self._rig, self._code, self._ros2 = types, rig, depth_code, ros2
         self._depth_folder = "/camera/depth_registered" if rig.color_registered else "/camera/depth"
         self._depth_frame_id = COLOR_FRAME_ID if rig.color_registered else DEPTH_FRAME_ID
 
     def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Message]]:
-        """Topic, type and message of everything that belongs to a frame."""
+        """Return topic, type and message of everything that belongs to a frame."""
         depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
         logged = [
             (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
@@ -73,13 +73,13 @@ class MessageMaker:
         return logged
 
     def header(self, index: int, stamp_ns: int, frame_id: str) -> Message:
-        """A std_msgs/Header; ROS 2's has no number."""
+        """Return a std_msgs/Header; ROS 2's has no number."""
         stamp = self._types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
         number = {} if self._ros2 else {"seq": index}
         return self._types["std_msgs/msg/Header"](**number, stamp=stamp, frame_id=frame_id)
 
     def image(self, header: Message, pixels: NDArray[np.generic], encoding: str) -> Message:
-        """A sensor_msgs/Image of (height, width) or (height, width, channels), little-endian."""
+        """Return a sensor_msgs/Image of (height, width) or (height, width, channels), little-endian."""
         height, width = pixels.shape[:2]
         data = np.frombuffer(pixels.astype(pixels.dtype.newbyteorder("<")).tobytes(), np.uint8)
         return self._types[IMAGE](
@@ -93,7 +93,7 @@ class MessageMaker:
         )
 
     def camera_info(self, header: Message, camera: Camera) -> Message:
-        """The CameraInfo of an undistorted camera."""
+        """Return the CameraInfo of an undistorted camera."""
         matrices = {
             "D": np.zeros(5),
             "K": camera.K.ravel(),
@@ -113,7 +113,7 @@ class MessageMaker:
         )
 
     def transform(self, T_parent_child: NDArray[np.float64]) -> Message:
-        """A geometry_msgs/Transform."""
+        """Return a geometry_msgs/Transform."""
         quaternion_xyzw = quaternion_xyzw_from_rotation(T_parent_child[:3, :3])
         return self._types["geometry_msgs/msg/Transform"](
             self._types["geometry_msgs/msg/Vector3"](*T_parent_child[:3, 3].tolist()),
@@ -121,7 +121,7 @@ class MessageMaker:
         )
 
     def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Message]]:
-        """The pose of the colour camera relative to depth, on /tf_static; nothing if they are one camera."""
+        """Return the colour camera's pose relative to depth, for /tf_static; empty if they are one camera."""
         if self._rig.color_registered:
             return []
         header = self.header(0, stamp_ns, COLOR_FRAME_ID)
@@ -148,7 +148,7 @@ class MessageMaker:
 
 NAME = "recording"
 
-# Topic, type, time in nanoseconds at which it is logged, and message.
+# Topic, type, logging time in nanoseconds, and message.
 Messages = Iterator[tuple[str, str, int, Message]]
 
 
@@ -168,10 +168,10 @@ def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, dept
     """Write a ROS 1 bag; messages are logged at the stamps of their headers.
 
     Args:
-        path: of the bag, which does not exist yet.
+        path: the bag's path, which does not exist yet.
         rig: the cameras.
-        frames: what they record.
-        depth_code: how depth is coded: raw 16UC1 goes into bz2 chunks, the others into plain ones.
+        frames: the recorded frames.
+        depth_code: coding of depth; raw 16UC1 is written in bz2 chunks, other codes in uncompressed chunks.
     """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -197,14 +197,14 @@ def write_rosbag2(
 ) -> None:
     """Write a ROS 2 bag into an empty folder: metadata.yaml, and recording.mcap or recording.db3.
 
-    Where colour is not registered, /tf_static has the pose of its camera.
+    If colour is not registered, /tf_static has the pose of its camera.
 
     Args:
-        folder: an empty one.
+        folder: an empty folder.
         rig: the cameras.
-        frames: what they record.
-        depth_code: how depth is coded.
-        mcap: whether the file is MCAP; else SQLite.
+        frames: the recorded frames.
+        depth_code: coding of depth.
+        mcap: whether the file is MCAP instead of SQLite.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -214,7 +214,7 @@ def write_rosbag2(
     maker = MessageMaker(store.types, rig, depth_code, ros2=True)
 
     def messages() -> Messages:
-        """The logged messages, frame by frame."""
+        """Yield the messages to log, frame by frame."""
         for index, frame in enumerate(frames):
             static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
             for topic, kind, message in maker.messages(frame, index) + static:
@@ -224,7 +224,7 @@ def write_rosbag2(
 
     with Writer(folder / NAME, version=8, storage_plugin=plugin) as writer:
         log_messages(writer, store, messages(), ros2=True)
-    # The library makes a folder of its own; its files belong into the given one.
+    # The library makes its own subfolder; its files are moved to the given folder.
     for file in (folder / NAME).iterdir():
         shutil.move(file, folder / file.name)
     (folder / NAME).rmdir()

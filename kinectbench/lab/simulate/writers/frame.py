@@ -1,4 +1,4 @@
-"""Input of recorders: the camera rig, and frames one by one; number formats of recordings."""
+"""Input of the writers: the camera rig, and frames one by one; number formats of recordings."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +12,7 @@ from kinectbench.core.images import jpeg
 from kinectbench.core.trajectory.stamps import NS_PER_S
 
 JPEG_QUALITY = 85
-# Units per metre of depth in millimetres, as all formats but TUM have it.
+# Units per metre of depth in millimetres, as in all formats except TUM.
 DEPTH_SCALE = 1000.0
 
 
@@ -38,15 +38,15 @@ class ColorImage:
     """One image of a colour stream.
 
     Attributes:
-        stamp_ns: as recorded, nanoseconds.
-        rgb: (height, width, 3) uint8, the rig's colour camera.
+        stamp_ns: the recorded stamp, nanoseconds.
+        rgb: (height, width, 3) uint8, from the rig's colour camera.
     """
 
     stamp_ns: int
     rgb: NDArray[np.uint8]
 
     def jpeg(self) -> bytes:
-        """The image as a JPEG file."""
+        """Return the image as a JPEG file."""
         return jpeg(self.rgb, JPEG_QUALITY)
 
 
@@ -55,15 +55,16 @@ class RecordedFrame:
     """The sensor's output at one time.
 
     Attributes:
-        stamp_ns: time of depth as recorded, nanoseconds.
+        stamp_ns: recorded time of depth, nanoseconds.
         depth_m: (height, width) float32, metres along z, 0 = no measurement.
-        color_stamp_ns: time of colour as recorded, nanoseconds.
-        color_rgb: (height, width, 3) uint8, the rig's colour camera.
-        T_world_camera: (4, 4) float64 as given with the recording, depth camera, optical axes; or None.
-        pose_stamp_ns: time of that pose as recorded, nanoseconds; None: that of depth.
-        mask: (height, width) bool, the object, in depth pixels, as given with the recording; or None.
-        own_colors: of a colour stream with a rate of its own, the images since the depth before, any number;
-            None: one comes with each depth image. Formats that hold a pair in one place have no use for it.
+        color_stamp_ns: recorded time of colour, nanoseconds.
+        color_rgb: (height, width, 3) uint8, from the rig's colour camera.
+        T_world_camera: (4, 4) float64, pose of the depth camera given with the recording, optical axes; or
+            None.
+        pose_stamp_ns: recorded time of that pose, nanoseconds; None: the time of depth.
+        mask: (height, width) bool, the object's mask given with the recording, in depth pixels; or None.
+        own_colors: images of a separate colour stream since the previous depth image, any number; None: one
+            colour image comes with each depth image. Formats that store pairs of images ignore it.
     """
 
     stamp_ns: int
@@ -77,7 +78,7 @@ class RecordedFrame:
 
     @property
     def colors(self) -> tuple[ColorImage, ...]:
-        """The images of the colour stream since the last depth image: `own_colors`, or this frame's one."""
+        """The images of the colour stream since the last depth image: `own_colors`, or this frame's image."""
         if self.own_colors is None:
             return (ColorImage(self.color_stamp_ns, self.color_rgb),)
         return self.own_colors
@@ -88,48 +89,48 @@ class RecordedFrame:
         return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
     def color_jpegs(self) -> list[tuple[int, bytes]]:
-        """The images of `colors` as (stamp in nanoseconds, JPEG file)."""
+        """Return the images of `colors` as (stamp in nanoseconds, JPEG file)."""
         if self.own_colors is None:
             return [(self.color_stamp_ns, self.color_jpeg())]
         return [(color.stamp_ns, color.jpeg()) for color in self.own_colors]
 
     def depth_native(self, depth_scale: float = DEPTH_SCALE) -> NDArray[np.uint16]:
-        """Depth (height, width) uint16 in units of 1 / `depth_scale` metres, 0 = none or over 65,534."""
+        """Return depth (height, width) uint16 in units of 1 / `depth_scale` metres, 0 = none or too large."""
         native = np.round(self.depth_m.astype(np.float64) * depth_scale)
         return np.where(native > 65534, 0, native).astype(np.uint16)
 
     def depth_png(self, depth_scale: float = DEPTH_SCALE) -> bytes:
-        """`depth_native` as a 16-bit PNG file."""
+        """Return `depth_native` as a 16-bit PNG file."""
         return png_bytes(self.depth_native(depth_scale))
 
     @property
     def color_bgr(self) -> NDArray[np.uint8]:
-        """Colour as OpenCV has it: (height, width, 3) uint8 in blue, green, red."""
+        """Return colour in OpenCV's order: (height, width, 3) uint8 in blue, green, red."""
         return np.ascontiguousarray(self.color_rgb[..., ::-1])
 
     def add_mask(self, file: Path) -> None:
-        """Write the mask, if any, as a PNG (255 = object); creates the folder."""
+        """Write the mask, if any, as a PNG (255 = object); create the folder."""
         if self.mask is not None:
             file.parent.mkdir(exist_ok=True)
             file.write_bytes(png_bytes(np.where(self.mask, np.uint8(255), np.uint8(0))))
 
     def color_jpeg(self) -> bytes:
-        """Colour as a JPEG file."""
+        """Return colour as a JPEG file."""
         return ColorImage(self.color_stamp_ns, self.color_rgb).jpeg()
 
 
 def frames_as_seconds(index: int, stamp_ns: int) -> int:
-    """The stamp, nanoseconds, in a layout without stamps: frame `index` is at `index` seconds."""
+    """Return the stamp, nanoseconds, in a layout without stamps: frame `index` is at `index` seconds."""
     return index * NS_PER_S
 
 
 def whole_microseconds(index: int, stamp_ns: int) -> int:
-    """The stamp, nanoseconds, in a layout that keeps whole microseconds."""
+    """Return the stamp, nanoseconds, in a layout that keeps whole microseconds."""
     return stamp_ns // 1000 * 1000
 
 
 def nanoseconds(index: int, stamp_ns: int) -> int:
-    """The stamp, nanoseconds, in a layout that keeps it, as bags do."""
+    """Return the stamp, nanoseconds, in a layout that keeps it unchanged, such as bags."""
     return stamp_ns
 
 
@@ -138,15 +139,15 @@ Writer = Callable[[Path, Rig, Iterable[RecordedFrame]], None]
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A container that recordings are written in.
+    """A format in which recordings are written.
 
     Attributes:
-        write: (path, cameras, frames): fills an empty folder, or makes a file that does not exist yet. It
-            never sees the truth.
-        stamp_as_read: (place of a frame among those written, from 0; its stamp as written, nanoseconds) ->
-            the stamp in nanoseconds under which a reader finds it.
-        suffix: of the one file; "" for a folder.
-        masks: it has a place for masks.
+        write: called with (path, cameras, frames); fills an empty folder, or makes a new file. It does not
+            get the truth.
+        stamp_as_read: called with (index of a written frame, from 0; its written stamp, nanoseconds); returns
+            the stamp, nanoseconds, that a reader finds.
+        suffix: suffix of the file; "" for a folder.
+        masks: whether the format can store masks.
     """
 
     write: Writer
@@ -155,7 +156,7 @@ class FileFormat:
     masks: bool = False
 
     def write_new(self, stem: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Path:
-        """Write a recording to a new place: `stem` and the suffix, which it returns."""
+        """Write a recording to a new path, `stem` plus the suffix; return the path."""
         path = stem.with_name(stem.name + self.suffix)
         if not self.suffix:
             path.mkdir()
@@ -164,10 +165,10 @@ class FileFormat:
 
 
 def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """An image (height, width), or (height, width, 3) in blue, green, red, as a PNG file."""
+    """Return an image (height, width), or (height, width, 3) in blue, green, red, as a PNG file."""
     import cv2
 
-    # A fixed filter and a low level: a third of the time of the defaults on noisy depth, 15 % more bytes.
+    # A fixed filter and a low level take a third of the default's time on noisy depth, for 15 % more bytes.
     options = [cv2.IMWRITE_PNG_COMPRESSION, 3, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
     ok, encoded = cv2.imencode(".png", image, options)
     assert ok
@@ -175,11 +176,11 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def color_json(rig: Rig) -> dict[str, object]:
-    """The pose of colour relative to depth, as plain JSON values.
+    """Return the pose of colour relative to depth as plain JSON values.
 
-    `color_registered`, which readers know; where it is false also `color_camera` (size and intrinsics in
-    pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), for whoever wants to
-    register it.
+    The keys are `color_registered`, which readers know, and, if that is false, `color_camera` (size and
+    intrinsics in pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), which
+    registration needs.
     """
     if rig.color_registered:
         return {"color_registered": True}
@@ -191,12 +192,12 @@ def color_json(rig: Rig) -> dict[str, object]:
 
 
 def matrix_rows(matrix: NDArray[np.float64]) -> list[str]:
-    """The rows of a matrix (n, m) as text: numbers with every digit they have, spaces between."""
+    """Return the rows of a matrix (n, m) as text: numbers at full precision, separated by spaces."""
     return [" ".join(repr(number) for number in row) for row in matrix.tolist()]
 
 
 def make_folders(folder: Path, *names: str) -> None:
-    """Make the folders that a recording's images go into."""
+    """Make the folders for a recording's images."""
     for name in names:
         (folder / name).mkdir()
 

@@ -1,4 +1,4 @@
-"""Folders of images: TUM RGB-D, and plain ones as Open3D uses them."""
+"""Write folders of images: TUM RGB-D, and plain ones as Open3D uses them."""
 
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -29,11 +29,10 @@ TUM_HEADERS = {
 def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a recording into an empty folder: rgb.txt, depth.txt, groundtruth.txt, camera.json, rgb/, depth/.
 
-    Depth is PNG at 5000 units per metre, colour JPEG. The lists are in the order of the frames, colour with
-    its own stamps. A frame without a pose has no row in groundtruth.txt, which is not there at all if no
-    frame has one. `camera.json` holds what TUM folders by themselves do not say: width, height, fx, fy, cx,
-    cy, depth_scale, and what `color_json` says of colour. masks/ is there if frames have masks; each has the
-    name of its depth image.
+    Depth is PNG at 5000 units per metre, colour JPEG. The lists are in the order of the frames; colour has
+    its own stamps. A frame without a pose has no row in groundtruth.txt; the file is missing if no frame has
+    a pose. `camera.json` holds facts that TUM folders lack: width, height, fx, fy, cx, cy, depth_scale, and
+    the keys of `color_json`. masks/ exists if frames have masks; a mask has the name of its depth image.
     """
     make_folders(folder, "rgb", "depth")
     rows = {name: [header] for name, header in TUM_HEADERS.items()}
@@ -56,10 +55,10 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
 def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
     """Write a recording into an empty folder: depth/XXXXXX.png, color/XXXXXX.jpg, intrinsics, trajectory.
 
-    Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps. masks/XXXXXX.png is
-    there if frames have masks.
-    `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with depth_scale and what `color_json`
-    says beside it, which Open3D passes over. `trajectory.log` is not there if no frame has a pose.
+    Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps. masks/XXXXXX.png
+    exists if frames have masks. `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with
+    depth_scale and what `color_json` says beside it, which Open3D passes over. `trajectory.log` is not there
+    if no frame has a pose.
     """
     make_folders(folder, "depth", "color")
     log: list[str] = []
@@ -80,19 +79,19 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
 
 
 def seconds(stamp_ns: int) -> str:
-    """A time stamp in seconds with six decimals, truncated to 1 µs, as TUM writes it."""
+    """Return a time stamp in seconds with six decimals, truncated to 1 µs, as TUM writes it."""
     return format_stamp(stamp_ns // 1000 * 1000)[:-3]
 
 
 def tum_line(stamp_ns: int, T_world_camera: Float64) -> str:
-    """One pose as `t tx ty tz qx qy qz qw`, seconds and metres, camera to world."""
+    """Return one pose as `t tx ty tz qx qy qz qw`, seconds and metres, camera to world."""
     quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
     numbers = [*T_world_camera[:3, 3], *quaternion_xyzw]
     return " ".join([seconds(stamp_ns), *(f"{value:.9f}" for value in numbers)])
 
 
 def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: bytes) -> str:
-    """Write one image into `folder / name`, named by its stamp; its row of the list, `stamp file`."""
+    """Write one image into `folder / name`, named by its stamp; return its row of the list, `stamp file`."""
     stamp = seconds(stamp_ns)
     file, copies = folder / name / f"{stamp}{suffix}", 1
     while file.exists():  # stamps may repeat, and every frame is kept
@@ -103,7 +102,7 @@ def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: byte
 
 
 def log_rows(index: int, frame: RecordedFrame) -> list[str]:
-    """A frame in Redwood's log, `i i i+1` and camera to world in four rows; none for one without a pose."""
+    """Return a frame in Redwood's log: `i i i+1`, then camera to world in four rows; empty without a pose."""
     if frame.T_world_camera is None:
         return []
     return [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]
