@@ -13,11 +13,12 @@ from kinectbench.core.voxels.pair_file import Packed
 from kinectbench.release.release import Release
 from kinectbench.report.gallery import chosen_pairs, reduced_packed, surface_cells
 from kinectbench.scoring.camera.align import register_surface
-from kinectbench.scoring.camera.solid import closed_mesh, solid_in
+from kinectbench.scoring.camera.solid import solid_in
 from kinectbench.scoring.camera.surface import surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, files_of, read_space_truth
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, find_files, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.closed_mesh import closed_mesh
 
 
 def space_cells(

@@ -15,8 +15,8 @@ from kinectbench.core.untrusted import lies_below
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.camera.solid import closed_mesh, refuse_mesh
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
+from kinectbench.scoring.closed_mesh import closed_mesh, refuse_mesh
 from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
     LARGE,

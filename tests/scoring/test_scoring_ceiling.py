@@ -7,10 +7,10 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import Grid, invert_rigid, rigid, transform_points
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.scoring.camera.solid import closed_mesh
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
 from kinectbench.scoring.camera.view import Scored, score_shape
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
+from kinectbench.scoring.closed_mesh import closed_mesh
 
 SIDE, VOXEL_M, RADIUS_M = 256, 0.003, 0.3
 MIDDLE_M = np.full(3, SIDE * VOXEL_M / 2)

@@ -18,10 +18,11 @@ from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.release.release import open_release
 from kinectbench.report.space_table import space_table
 from kinectbench.scoring.camera import winding
-from kinectbench.scoring.camera.solid import closed_mesh, solid_in, to_be_closed
+from kinectbench.scoring.camera.solid import solid_in, to_be_closed
 from kinectbench.scoring.camera.surface import surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
+from kinectbench.scoring.closed_mesh import closed_mesh
 from kinectbench.scoring.score import score
 
 NONE = np.zeros((0, 3), np.int64)

@@ -14,10 +14,11 @@ from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring import camera_shape
 from kinectbench.scoring.camera import surface
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
-from kinectbench.scoring.camera.solid import closed_mesh, solid_in
+from kinectbench.scoring.camera.solid import solid_in
 from kinectbench.scoring.camera.surface import mesh_surface, point_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape, read_shape
+from kinectbench.scoring.closed_mesh import closed_mesh
 
 SIDE, VOXEL_M = 256, 0.004
 LOW, HIGH = np.array([28, 66, 53]), np.array([228, 190, 203])

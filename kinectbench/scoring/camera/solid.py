@@ -6,15 +6,15 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards
+from kinectbench.core.geometry.closed import outwards
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.closed_mesh import ClosedMesh, in_cells, refuse_mesh
 from kinectbench.scoring.mesh_outside import outside_share
-from kinectbench.scoring.mesh_prediction import MAX_FAR
 
 # Of Poisson reconstruction: samples, depth of its octree, side of its cube. So cells are 1/64 of the shape,
 # and what is open is closed (measured; docs/evidence/scoring.md, "Ways to close a mesh").
@@ -32,22 +32,6 @@ class Solid:
 
     cells: Packed
     outside: float
-
-
-@dataclass(frozen=True)
-class ClosedMesh:
-    """A mesh whose every edge has two faces; vertices (n, 3), faces (m, 3)."""
-
-    vertices_m: Float64
-    faces: Int32
-
-
-def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
-    """The mesh of a shape without doubled vertices; None if it is open or no mesh."""
-    if shape.form != "mesh":
-        return None
-    vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
-    return ClosedMesh(vertices, faces) if is_closed(faces) else None
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
@@ -123,24 +107,6 @@ def _is_same_place(T_cells: Float64) -> bool:
     return bool(np.abs(T_cells - np.eye(4)).max() < 1e-6)
 
 
-def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
-    """Refuse a mesh whose solid cannot be made in the cells of the truth.
-
-    Args:
-        vertices_m: (n, 3) in the truth's grid, metres.
-        faces: (m, 3).
-        voxel_size_m: edge of a cell.
-
-    Raises:
-        PredictionError: the mesh is too far away, or has too many faces across each other.
-    """
-    from kinectbench.core.voxels.solid import costs_too_much
-
-    vertices = _in_cells(voxel_size_m, vertices_m)
-    if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
-        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
-
-
 def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     from kinectbench.core.voxels.solid import voxelize_solid
 
@@ -159,22 +125,10 @@ def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
     from kinectbench.scoring.camera.winding import inside_winding
 
-    found = inside_winding(_in_cells(truth.voxel_size_m, vertices_m), faces, FULL_CELLS)
+    found = inside_winding(in_cells(truth.voxel_size_m, vertices_m), faces, FULL_CELLS)
     if found is None:
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
     return Solid(pack(found[0]), found[1])
-
-
-def _in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
-    """Vertices (n, 3) in cells of the truth; those that are too far away are refused."""
-    vertices = vertices_m / voxel_size_m
-    if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
-        far_m = MAX_FAR * FULL_CELLS * voxel_size_m
-        raise PredictionError(
-            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
-            what="far-off",
-        )
-    return vertices
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:

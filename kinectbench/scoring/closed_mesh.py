@@ -1,0 +1,58 @@
+"""Closed meshes among predicted shapes, and which of them are refused before they are made solid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinectbench.core.errors import PredictionError
+from kinectbench.core.geometry.closed import is_closed, joined_vertices
+from kinectbench.core.types import Float64, Int32
+from kinectbench.core.voxels.pair_file import FULL_CELLS
+from kinectbench.scoring.camera_shape import CameraShape
+from kinectbench.scoring.mesh_prediction import MAX_FAR
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A mesh whose every edge has two faces; vertices (n, 3), faces (m, 3)."""
+
+    vertices_m: Float64
+    faces: Int32
+
+
+def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
+    """The mesh of a shape without doubled vertices; None if it is open or no mesh."""
+    if shape.form != "mesh":
+        return None
+    vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
+    return ClosedMesh(vertices, faces) if is_closed(faces) else None
+
+
+def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
+    """Refuse a mesh whose solid cannot be made in the cells of the truth.
+
+    Args:
+        vertices_m: (n, 3) in the truth's grid, metres.
+        faces: (m, 3).
+        voxel_size_m: edge of a cell.
+
+    Raises:
+        PredictionError: the mesh is too far away, or has too many faces across each other.
+    """
+    from kinectbench.core.voxels.solid import costs_too_much
+
+    vertices = in_cells(voxel_size_m, vertices_m)
+    if costs_too_much(vertices[:, :2], faces, (FULL_CELLS, FULL_CELLS)):
+        raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")
+
+
+def in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
+    """Vertices (n, 3) in cells of the truth; those that are too far away are refused."""
+    vertices = vertices_m / voxel_size_m
+    if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
+        far_m = MAX_FAR * FULL_CELLS * voxel_size_m
+        raise PredictionError(
+            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
+            what="far-off",
+        )
+    return vertices
