@@ -197,7 +197,7 @@ def test_large_and_small_triangles_are_exact() -> None:
         assert np.abs(found - exact_m(mesh, places)).mean() < 1e-4
 
 
-def test_a_view_takes_no_longer_than_six_searches_of_scipy(truth: SpaceTruth) -> None:
+def test_a_view_takes_no_longer_than_nine_searches_of_scipy(truth: SpaceTruth) -> None:
     """A mesh of 80,000 faces, all metrics and registrations, on one core; once all is compiled.
 
     A search: a tree of 80,000 points is made, and the nearest to 40,000 others are found, 0.1 s of a core. So
@@ -216,4 +216,4 @@ def test_a_view_takes_no_longer_than_six_searches_of_scipy(truth: SpaceTruth) ->
         cKDTree(some).query(others)
         taken.append(middle - start)
         searched.append(time.process_time() - middle)
-    assert min(taken) < 6 * min(searched)
+    assert min(taken) < 9 * min(searched)
