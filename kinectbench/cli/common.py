@@ -140,7 +140,7 @@ class Common:
 
     @contextmanager
     def executor(self) -> Iterator["Executor | None"]:
-        """Connect to the requested cluster within the block; yields None for processes of this machine.
+        """Yield the requested cluster, connected within the block; yield None if no cluster is requested.
 
         Raises:
             SettingsError, ClusterError: the address is invalid, or nothing answers there.

@@ -21,8 +21,8 @@ TEXT_CELLS = 12
 class WideTable(Table):
     """A table split into as many pieces as the width requires; each piece repeats the first columns.
 
-    Only cells of the first column are wrapped or shortened. With `whole` nothing is shortened: the first
-    column gets the width it needs, and longer texts take more lines.
+    Only cells of the first column are wrapped or shortened. With `whole` they are never shortened: a
+    text longer than the first column is wide goes on in the next line.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ class UprightFrames:
     color_registered: bool
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Corrected depth of one frame: (height, width) uint16, 0 = no measurement."""
+        """Depth of a frame as if all rows were measured at once: (height, width) uint16, 0 = no depth."""
         native, shutter = self.frames.depth_native(index), self.shutter
         if not shutter.readout_s:
             return native

@@ -59,5 +59,5 @@ class Verified(StoredPart):
 
     @property
     def words(self) -> str:
-        """`verified 2026-11-25, kinectbench 0.1.0`."""
+        """The date and the version in words, such as `verified 2026-11-25, kinectbench 0.1.0`."""
         return f"verified {self.date}, kinectbench {self.package_version}"

@@ -38,14 +38,14 @@ def known_grid(grid: Grid, known: Bools) -> KnownGrid:
 
 
 def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8]:
-    """Cells of a grid with their centre in a known voxel of the fine grid, or beyond it of the coarse one.
+    """Return the cells of a grid whose centre lies in a known voxel.
 
-    Beyond both nothing is known. Blocks of 8^3 cells that fall into tiles of one state are set at once; the
-    result is the same as cell by cell.
+    The fine grid decides, outside it the coarse one; outside both nothing is known. Blocks of 8^3 cells that
+    fall into tiles of one state are set at once; the result is the same as cell by cell.
 
     Args:
-        fine: asked first.
-        coarse: asked beyond the fine grid.
+        fine: the grid that decides where it reaches.
+        coarse: the grid that decides outside the fine one.
         grid: of any orientation, its sides multiples of 8.
 
     Returns:

@@ -93,8 +93,8 @@ def _glb_fault(content: bytes) -> str | None:
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
     """Yield the differences between a GLB and its mesh, a clause each.
 
-    The GLB has fewer triangles than the mesh. So the boxes around both are compared, and what the GLB states
-    about the mesh.
+    The GLB has fewer triangles than the mesh. So this compares the boxes around both, and compares what the
+    GLB states about the mesh with the mesh itself.
 
     Args:
         content: bytes of the GLB; a damaged one counts as not of this mesh.

@@ -108,7 +108,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def datasheet_figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Return median and range of each figure, one line each; and who declared undersides closed."""
+    """Return a line for each figure with median and range, and one on who wrote `underside: closed`."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
         of_key = [getattr(info.quality, key) for info in infos.values()]

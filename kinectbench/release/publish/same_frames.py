@@ -29,7 +29,7 @@ class SameFrames:
 def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> Iterator[SameFrames]:
     """Yield pairs of recordings that hold the same frames but name different objects, in their order.
 
-    Entries that select by different boxes, clicks or masks are different objects of one recording.
+    Entries with different boxes, clicks or masks select different objects: such pairs are left out.
 
     Args:
         settings: the benchmark's settings.

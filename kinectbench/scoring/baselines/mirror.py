@@ -33,10 +33,12 @@ def mirror(inputs: Inputs) -> Bools:
 
 
 def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) -> tuple[Float64, float]:
-    """Return unit normal (3,) and offset (cells of the 256-grid) of the best plane n . x = offset.
+    """Return the best mirror plane n . x = offset: unit normal (3,), and offset in cells of the 256-grid.
+
+    Of the mirrored points most fall on the partial view, and fewest into observed free space.
 
     Args:
-        points: (n, 3) cells of the partial, in cells of the 256-grid.
+        points: (n, 3) occupied cells of the partial view, in cells of the 256-grid.
         partial: (64, 64, 64) bool.
         seen_empty: (64, 64, 64) bool, observed free space.
         up: (3,) unit vector in grid axes.

@@ -44,15 +44,15 @@ class Scored:
     Attributes:
         protocol: camera or aligned.
         part: whole, visible or occluded.
-        figures: of the part.
-        alignment: under `aligned`.
+        figures: figures of the part.
+        alignment: the registration under `aligned`; None under `camera`.
         solid: whether there is an inside; None where there is no prediction, or the truth has none.
         predicted_unknown_share: of the predicted surface, what lies in unknown space.
         cut: of the true known shape, what lies outside the method's own volume; None where it has none.
         silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
-        hypotheses: of several predictions; None of the first or only one.
+        hypotheses: which of several predictions of a view the row combines; None in the row of a single one.
         closed: how an open mesh or points were made solid, as `--close` has it; None where they were not.
-        calibration: of the votes of several predictions that have an inside.
+        calibration: how well the votes of several solid predictions are calibrated; None without votes.
     """
 
     protocol: str

@@ -25,7 +25,7 @@ class PartialSequence:
 
     Attributes:
         writer: the writer that has taken these frames.
-        marks: mark of each of these frames, made before the frame was read.
+        marks: each frame's stamp, and its files' names, sizes and times, taken before the frame was read.
     """
 
     writer: SequenceWriter

@@ -36,7 +36,7 @@ def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
     no_cells = np.zeros((0, 3), np.int64)
     floor = Floor(np.array([0.0, 0, 1, 0]), np.eye(4), 0.001, 0.5)
     chosen = Segmentation(floor, OrientedBox((0, 0, 0), (1, 1, 1)), no_cells, no_cells, "automatic")
-    warnings = _unsupported(chosen, shape)
+    warnings = _unsupported(chosen, shape, "unseen")
     assert [line[:34] for line in warnings] == (
         ["the solid begins 0.06 m above the "] * (low > 0) + ["the solid is in 2 large pieces tha"] * parted
     )

@@ -85,11 +85,10 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
-    unsupported = [*_unsupported(chosen, together), *_stands_on_its_rim(together, rules.underside)]
+    unsupported = _unsupported(chosen, together, rules.underside)
     advice = tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
-    of_odd, of_even = (_box_part(solid_box(half, chosen.floor, box.yaw_rad)) for half in (odd, even))
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
@@ -112,8 +111,8 @@ def measure_quality(
         volume_m3=round(int(together.solid.sum()) * together.grid.voxel_size_m**3, 6),
         labels=LabelCounts(**{each.name.lower(): int((together.labels == each).sum()) for each in Label}),
         box=_box_part(box),
-        box_odd=of_odd,
-        box_even=of_even,
+        box_odd=_box_part(solid_box(odd, chosen.floor, box.yaw_rad)),
+        box_even=_box_part(solid_box(even, chosen.floor, box.yaw_rad)),
         selection=chosen.how,
         good_frames=report.good_frames,
         unseen_side=report.unseen_side,
@@ -230,11 +229,11 @@ def _warnings(
     return [line for wrong, line in lines if wrong]
 
 
-def _unsupported(chosen: Segmentation, shape: SolidShape) -> list[str]:
-    """Warnings of a solid, or of large pieces of it, in the air: something of it is missing."""
+def _unsupported(chosen: Segmentation, shape: SolidShape, underside: Underside) -> list[str]:
+    """Warnings of a solid or large pieces of it in the air, and of one on its rim that is said to be open."""
     from scipy import ndimage
 
-    warnings = []
+    warnings = [*_stands_on_its_rim(shape, underside)]
     gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
     if chosen.floor.found and gap_m > MAX_GAP_M:
         warnings.append(

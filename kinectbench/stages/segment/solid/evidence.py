@@ -66,10 +66,10 @@ class Rules:
     """The parameters of a solid; lengths in metres.
 
     Attributes:
-        layers: of the grid about the floor.
+        layers: numbers of the grid's layers below, at and above the floor.
         ray_width_m: width of the frames' rays at the object; 0 = narrow.
-        limits: of the sensor; they define air.
-        underside: a person's statement on it.
+        limits: the sensor's limits, which define air.
+        underside: what a person says of the object's underside: closed, open or unseen.
         stands: False: the object stands on no plane, and cameras may be anywhere.
     """
 
