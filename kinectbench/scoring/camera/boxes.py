@@ -1,8 +1,8 @@
 """The two nearest samples of points, by a tree of boxes. Import late: numba is slow to load.
 
-A tree of SciPy finds them too, but needs six times the time to be made and twice for each search: it has one
-point and one box at a time. Here the samples are put along a Z curve, a leaf and a node are looked at as a
-whole, and a search begins at the samples that were the nearest last.
+A tree of SciPy finds them too, but takes two to four times as long to be made (measured at 80,000 and 190,000
+samples), and has one point and one box at a time. Here samples lie along a Z curve, a leaf and a node are
+looked at as a whole, and a search begins at the samples that were the nearest last.
 """
 
 import numpy as np

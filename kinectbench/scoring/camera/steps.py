@@ -88,7 +88,7 @@ def similarity_about(step, middle):  # type: ignore[no-untyped-def]
     """(4, 4) the similarity of a step (7,) about `middle` (3).
 
     A shift (3), the logarithm of a scale, and a rotation vector (3), by Rodrigues' formula: of a single one
-    SciPy's takes twenty times as long.
+    SciPy's takes 17 times as long (measured).
     """
     T, scale = np.eye(4), np.exp(step[3])
     x, y, z = step[4], step[5], step[6]

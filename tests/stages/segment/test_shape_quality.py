@@ -21,7 +21,10 @@ from kinectbench.stages.segment.judge.quality import (
     _warnings,
     detached_pieces,
 )
-from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS
+from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
+
+BELOW = 4
+RULES = Rules(layers=FloorLayers(below=BELOW, contact=1))
 
 
 @pytest.mark.parametrize(("low", "parted"), [(0, False), (6, False), (0, True), (6, True)])
@@ -36,7 +39,7 @@ def test_a_solid_that_hangs_or_falls_apart(low: int, parted: bool) -> None:
     no_cells = np.zeros((0, 3), np.int64)
     floor = Floor(np.array([0.0, 0, 1, 0]), np.eye(4), 0.001, 0.5)
     chosen = Segmentation(floor, OrientedBox((0, 0, 0), (1, 1, 1)), no_cells, no_cells, "automatic")
-    warnings = _unsupported(chosen, shape, "unseen")
+    warnings = _unsupported(chosen, shape, RULES)
     assert [line[:34] for line in warnings] == (
         ["the solid begins 0.06 m above the "] * (low > 0) + ["the solid is in 2 large pieces tha"] * parted
     )
@@ -97,16 +100,18 @@ def test_a_word_about_the_underside_is_asked_for_where_it_decides_much(word: Und
 @pytest.mark.parametrize("word", ["unseen", "closed", "open"])
 @pytest.mark.parametrize("legs", [False, True])
 @pytest.mark.parametrize("from_below", [False, True])
+@pytest.mark.parametrize("stands", [False, True])
 def test_open_is_said_to_have_no_effect_on_what_stands_on_its_rim(
-    word: Underside, legs: bool, from_below: bool
+    word: Underside, legs: bool, from_below: bool, stands: bool
 ) -> None:
     """A box upside down counts as solid, whatever is said: the floor closes it."""
     solid = np.zeros((20, 20, 20), bool)
-    solid[4:16, 4:16, FLOOR_LAYERS:] = True
+    solid[4:16, 4:16, BELOW:] = True
     if legs:
-        solid[5:15, :, : FLOOR_LAYERS + 8] = False
+        solid[5:15, :, : BELOW + 8] = False
     underside = np.zeros_like(solid)
-    underside[5:15, 5:15, FLOOR_LAYERS : FLOOR_LAYERS + 3] = from_below
-    lines = _stands_on_its_rim(replace(shape_of(solid), underside=underside), word)
-    assert len(lines) == (word == "open" and not legs and not from_below)
+    underside[5:15, 5:15, BELOW : BELOW + 3] = from_below
+    rules = replace(RULES, underside=word, stands=stands)
+    lines = _stands_on_its_rim(replace(shape_of(solid), underside=underside), rules)
+    assert len(lines) == (word == "open" and stands and not legs and not from_below)
     assert not lines or lines[0].startswith("`underside: open` has no effect: 100% of the solid's outline")
