@@ -12,8 +12,8 @@ from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.types import Float32, Float64, Int32
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 
-# Larger tiles leave out fewer blocks, smaller ones take longer to search: 1,000 frames of a chair are fused in
-# 39 s of the processor with 8, in 40 to 42 s with 4 (measured by turns).
+# Larger tiles leave out fewer blocks, smaller ones take longer to search: 1,000 frames of a chair take
+# 39 s of the processor with 8, and 40 to 42 s with 4 (measured by turns).
 TILE_PX = 8
 # Surfaces update voxels behind them up to the truncation, plus so many sigmas of depth. By a truncation of 20
 # mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm) 16 mm; with two

@@ -40,7 +40,7 @@ DETACHED_VOXELS, FARTHEST_DETACHED_M = 3, 0.5
 # A handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
 # A solid stands on the floor where it reaches one of so many layers of voxels above it, and as a whole if
-# this share of its outline does. Measured on ten built objects: 0.01 to 0.32 on legs, wheels or a narrow foot,
+# this share of its outline does. Measured on ten built objects: 0.01 to 0.32 on legs, wheels or a foot,
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5
 # Tenths of a millimetre, and less than that at a metre.
