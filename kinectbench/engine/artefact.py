@@ -33,7 +33,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 VERSIONS: dict[str, int] = {
     "ingest": 13,
     "track": 14,
-    "fuse": 6,
+    "fuse": 7,
     "segment": 42,
     "sample-views": 4,
     "pairs": 3,

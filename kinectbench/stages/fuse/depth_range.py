@@ -59,9 +59,9 @@ def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
     return SampledDepth(np.concatenate(whole), np.concatenate(middle), np.array(nearest, np.float32))
 
 
-def some_frames(frames: Int64) -> Int64:
-    """At most 40 of the frames (n,), evenly spread."""
-    places = np.linspace(0, len(frames) - 1, min(SAMPLE_FRAMES, len(frames))).astype(int)
+def some_frames(frames: Int64, most: int = SAMPLE_FRAMES) -> Int64:
+    """At most so many of the frames (n,), evenly spread."""
+    places = np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int)
     chosen: Int64 = frames[np.unique(places)]
     return chosen
 

@@ -12,6 +12,7 @@ from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.observation import evident_weight, without_fringe
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
+from kinectbench.stages.fuse.depth_range import some_frames
 
 # Marching cubes run on bricks of 128^3 voxels, whose dense arrays take 26 MB however large the scene is.
 BRICK_BLOCKS = 16
@@ -84,11 +85,10 @@ def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajector
     """
     if not sequence.color_registered or len(mesh.vertices) == 0:
         return mesh
-    good = trajectory.good_frames
     intrinsics = sequence.camera.intrinsics
     total = np.zeros((len(mesh.vertices), 3))
     count = np.zeros(len(mesh.vertices))
-    for index in good[np.unique(np.linspace(0, len(good) - 1, MAX_FRAMES).astype(int))]:
+    for index in some_frames(trajectory.good_frames, MAX_FRAMES):
         color = sequence.color_rgb(int(index))
         if color is None:
             continue

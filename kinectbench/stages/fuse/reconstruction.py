@@ -1,4 +1,4 @@
-"""The stage `fuse`: all good frames into one surface of the whole scene."""
+"""The stage `fuse`: good frames, evenly spread, into one surface of the whole scene."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -32,7 +32,13 @@ from kinectbench.stages.fuse.blocks import (
     in_cubes,
     unique_blocks,
 )
-from kinectbench.stages.fuse.depth_range import FARTHEST_M, depth_range_of, grid_range_m, range_warnings
+from kinectbench.stages.fuse.depth_range import (
+    FARTHEST_M,
+    depth_range_of,
+    grid_range_m,
+    range_warnings,
+    some_frames,
+)
 from kinectbench.stages.fuse.integrate import MAX_SLANT, DepthFrame, integrate
 from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
 from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
@@ -50,6 +56,10 @@ FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
 # Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
 # a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
 CLOSE_POSE_SIGMA_M = 0.005
+# The object is found in the scene, and then fused from all frames. The scene has so many of a longer recording,
+# and no fewer than one in ten, which of 30 a second are three. Of 1,000 frames around a chair, F at 5 mm is .9945
+# with 300 and .9947 with all, in a third of the time.
+SCENE_FRAMES, SCENE_STEP = 300, 10
 # The typical distance is the median over so many frames.
 DISTANCE_FRAMES = 60
 
@@ -72,9 +82,9 @@ class Reconstruction:
 def fuse(
     sequence: Sequence, trajectory: Trajectory, settings: FusionSettings, progress: Progress | None = None
 ) -> Reconstruction:
-    """Fuse every good frame (Curless & Levoy 1996, block-sparse) and extract the surface.
+    """Fuse good frames (Curless & Levoy 1996, block-sparse) and extract the surface.
 
-    Without a range of depth in the settings, the recording decides (`depth_range`).
+    Of more than 300 frames, some are fused, evenly spread (`SCENE_FRAMES`). Without a range of depth in the settings, the recording decides (`depth_range`).
 
     Raises:
         TrackingError: no frame has a pose.
@@ -88,6 +98,7 @@ def fuse(
     width_m = ray_width_m(sequence.camera, trajectory.median_pose_sigma_m, distance_m)
     voxel_size_m = settings.scene_voxel_size_m or scene_voxel_size_m(width_m)
     truncation_m = _truncation_m(trajectory, voxel_size_m, settings)
+    frames = some_frames(frames, max(SCENE_FRAMES, len(frames) // SCENE_STEP))
 
     def near_surface(index: np.int64) -> Int32:
         depth_m = usable_depth_m(sequence, int(index), settings)

@@ -154,6 +154,16 @@ def test_depth_out_of_range_is_not_fused(ball: tuple[Sequence, Trajectory]) -> N
     assert len(fuse(sequence, trajectory, near_only).mesh.faces) == 0
 
 
+def test_the_scene_of_a_long_recording_takes_some_of_its_frames() -> None:
+    poses = ring(330, 0.75, CENTER, (0.3, -0.5, 0.9, -1.1))
+    counts: list[tuple[int, int]] = []
+    mesh = fuse(
+        *scene_of([sphere(CENTER, RADIUS_M)], poses), SETTINGS, lambda *count: counts.append(count)
+    ).mesh
+    assert counts[-1] == (300, 300)
+    assert abs(1000 * (np.linalg.norm(mesh.vertices - CENTER, axis=1) - RADIUS_M).mean()) <= 0.2
+
+
 def test_no_poses() -> None:
     sequence = sequence_of([np.ones((240, 320), np.float32)] * 2)
     nowhere = Trajectory(sequence.stamps_ns, np.full((2, 4, 4), np.nan), "trust")
