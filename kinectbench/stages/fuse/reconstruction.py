@@ -56,9 +56,9 @@ FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
 # Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
 # a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
 CLOSE_POSE_SIGMA_M = 0.005
-# The object is found in the scene, and then fused from all frames. The scene has so many of a longer recording,
-# and no fewer than one in ten, which of 30 a second are three. Of 1,000 frames around a chair, F at 5 mm is .9945
-# with 300 and .9947 with all, in a third of the time.
+# The object is found in the scene, and then fused from all frames. The scene has so many of a longer
+# recording, and no fewer than one in ten: of 30 a second three. Of 1,000 frames around a chair, F at 5 mm is
+# .9945 with 300 and .9947 with all, in a third of the time.
 SCENE_FRAMES, SCENE_STEP = 300, 10
 # The typical distance is the median over so many frames.
 DISTANCE_FRAMES = 60
@@ -84,7 +84,8 @@ def fuse(
 ) -> Reconstruction:
     """Fuse good frames (Curless & Levoy 1996, block-sparse) and extract the surface.
 
-    Of more than 300 frames, some are fused, evenly spread (`SCENE_FRAMES`). Without a range of depth in the settings, the recording decides (`depth_range`).
+    Of more than 300 frames, some are fused, evenly spread (`SCENE_FRAMES`). Without a range of depth in the
+    settings, the recording decides (`depth_range`).
 
     Raises:
         TrackingError: no frame has a pose.
