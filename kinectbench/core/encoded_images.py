@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Bools
 from kinectbench.core.untrusted import IMAGE_BYTES, MOST_PIXELS, MOST_SIDE_PX, is_too_large
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -81,6 +82,21 @@ def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
         raise ValueError("cannot be decoded; the image is damaged")
     pixels: NDArray[np.generic] = image
     return pixels
+
+
+def decoded_mask(data: bytes) -> Bools:
+    """The pixels (height, width) of a mask of any bit depth that are not 0 in a channel other than alpha.
+
+    The image's header was checked.
+
+    Raises:
+        ValueError: the image is damaged.
+    """
+    import cv2
+
+    # Any other mode keeps the high byte of 16 bits, or rounds faint colours: a label of 1 would be 0.
+    pixels = decoded_image(data, cv2.IMREAD_UNCHANGED)
+    return np.asarray(pixels != 0 if pixels.ndim == 2 else pixels[..., :3].any(axis=2))
 
 
 def _png_head(data: bytes) -> ImageHead:

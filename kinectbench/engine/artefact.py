@@ -35,7 +35,7 @@ VERSIONS: dict[str, int] = {
     "track": 14,
     "fuse": 7,
     "segment": 42,
-    "sample-views": 4,
+    "sample-views": 5,
     "pairs": 3,
     "suggest": 7,
     "publish": 42,

@@ -24,6 +24,7 @@ from kinectbench.settings.words import (
     near_miss,
     suggestion,
     wanted,
+    without_none,
 )
 
 # Recordings to validate at a time: each may have several errors of two kilobytes.
@@ -235,7 +236,7 @@ def _value_hint(value: yaml.Node | None, annotation: object) -> str:
     if choices := choices_of(annotation):
         hint = near_miss(value.value, choices) if len(choices) > 1 else ""
         return f"; {hint}" if hint else ""
-    if annotation in (str, str | None):
+    if without_none(annotation) is str:
         return f": write '{printable(value.value)}' in quotes"
     return ""
 

@@ -23,7 +23,7 @@ def without_none(annotation: object) -> object:
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
-        return next(choice for choice in get_args(annotation) if choice is not type(None))
+        return without_none(next(one for one in get_args(annotation) if one is not type(None)))
     return annotation
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded_image, image_head
+from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded_image, decoded_mask, image_head
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Bools
 
@@ -83,12 +83,16 @@ def decode_color_bgr(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def decode_mask(data: bytes, name: str) -> Bools:
-    """Decode a PNG mask: (height, width) bool, True where any channel is not 0.
+    """Decode a PNG mask: (height, width) bool, True where any channel but alpha is not 0.
 
     Raises:
         DamagedImageError: the image is damaged.
     """
-    return np.asarray(decode_color_bgr(data, name).any(axis=2))
+    image_header(data, name)
+    try:
+        return decoded_mask(data)
+    except ValueError as error:
+        raise DamagedImageError(f"{name}: {error}") from error
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16], *, fast: bool = False) -> bytes:

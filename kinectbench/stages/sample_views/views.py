@@ -14,7 +14,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import MasksFile, Refused, ViewRow, ViewsFile
-from kinectbench.core.encoded_images import decoded_image, image_head
+from kinectbench.core.encoded_images import decoded_image, decoded_mask, image_head
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
@@ -332,12 +332,10 @@ def read_masks(folder: Path) -> GivenMasks:
 
 def _read_mask(path: Path) -> Bools | None:
     """Read a picture's nonzero pixels as a mask; None if the picture is missing or damaged."""
-    import cv2
-
     try:
         data = read_plain(path, IMAGE_BYTES)
         image_head(data)
-        return np.asarray(decoded_image(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8) > 0
+        return decoded_mask(data)
     except (OSError, ValueError):
         return None
 

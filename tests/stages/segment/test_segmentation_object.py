@@ -22,6 +22,7 @@ from kinectbench.core.voxels.surface_points import surface_points
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
+from kinectbench.stages.ingest.images import decode_mask
 from kinectbench.stages.sample_views.masks import (
     agreement_mask,
     inner_silhouette,
@@ -294,6 +295,20 @@ def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path) -> None:
     save(tmp_path / f"{name}.png", replaced)
     np.testing.assert_array_equal(overridden(), (replaced | include) & ~exclude)
     np.testing.assert_array_equal(overridden("004", 3), automatic)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_label_of_1_is_the_object(tmp_path: Path, dtype: type, channels: int) -> None:
+    drawn = np.zeros((12, 16), bool)
+    drawn[3:7, 4:9] = True
+    pixels = drawn.astype(dtype)
+    if channels > 1:  # the faintest blue, and opaque everywhere
+        pixels = np.stack([pixels, 0 * pixels, 0 * pixels, 0 * pixels + 255][:channels], axis=2)
+    assert cv2.imwrite(str(tmp_path / "003.png"), pixels)
+    read = override_mask(np.zeros((12, 16), bool), read_masks(tmp_path), "003", 24)
+    np.testing.assert_array_equal(read, drawn)
+    np.testing.assert_array_equal(decode_mask((tmp_path / "003.png").read_bytes(), "003.png"), drawn)
 
 
 def test_two_masks_of_one_image_are_refused(tmp_path: Path) -> None:
