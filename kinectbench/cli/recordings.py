@@ -21,10 +21,6 @@ EVIDENCE = {
     "copy": "a real recording whose licence lets it be copied",
     "writer": "nothing real, but files written by the format's own description",
 }
-# Folders with results beside a benchmark.yaml.
-OURS = frozenset(
-    {"build", "benchmark", "benchmark-private", "predictions", "scores", "masks", "triage", "evaluation"}
-)
 # Files that mark a folder as no recording: a simulation's truth, a benchmark, a release, an export, results.
 MARKS = ("truth.json", "benchmark.yaml", "benchmark.json", "export.json", "scores.json", "triage.json")
 # Most folders left out by `init` that are named: three lines of a terminal.
@@ -112,6 +108,8 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
         recordings: the recordings found in it.
         suffixes: endings of files that are recordings, such as ".bag".
     """
+    from kinectbench.engine.stages import RESULTS
+
     known = set(recordings)
     holding = {parent for path in recordings for parent in path.relative_to(folder).parents}
     left, waiting = list[Path](), [] if folder in known else [folder]
@@ -119,7 +117,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
         parent = waiting.pop(0)
         ours = parent == folder or (parent / "benchmark.yaml").is_file()
         for child in _children(parent):
-            if child in known or child.name.startswith(".") or (ours and child.name in OURS):
+            if child in known or child.name.startswith(".") or (ours and child.name in {*RESULTS, "masks"}):
                 continue
             if child.relative_to(folder) in holding:
                 waiting.append(child)

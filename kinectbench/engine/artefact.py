@@ -122,7 +122,8 @@ def whole_manifest(folder: Path) -> Manifest | None:
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
     """Hash the names and contents of files.
 
-    A file whose size and modification time are in the cache is not read again.
+    A file whose size and times are in the cache is not read again. Of two files of one name, size and
+    modification time, as of archives, the time of change on the disk differs.
 
     Args:
         files: the files.
@@ -140,13 +141,12 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
             stat = path.stat()
             _refuse_holes(path, stat)
             seen = known.get(name)
-            fresh = seen is not None and seen[:2] == (stat.st_size, stat.st_mtime_ns)
-            digest = seen.sha256 if seen is not None and fresh else sha256_file(path)
+            now = SourceFile(stat.st_size, stat.st_mtime_ns, seen.sha256 if seen else "", stat.st_ctime_ns)
+            entries[name] = now if now == seen else now._replace(sha256=sha256_file(path))
         except OSError as error:
             raise RecordingError(
                 f"{path}: cannot be read ({error.strerror}); check the file", what="unreadable"
             ) from error
-        entries[name] = SourceFile(stat.st_size, stat.st_mtime_ns, digest)
     sources = Sources.model_validate(entries)
     if cache is not None and entries != known:
         with replaced_file(cache / Sources.FILE) as temporary:

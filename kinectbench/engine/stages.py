@@ -36,8 +36,15 @@ from kinectbench.settings.models import (
     RecordingSettings,
 )
 
-# Files of a benchmark beside benchmark.yaml; they are no part of a recording in the same folder.
-OF_BENCHMARK = ("benchmark.yaml", "build", "benchmark", "predictions", "scores", "triage", "reproduce")
+# What commands write beside benchmark.yaml; it is no part of a recording in the same folder.
+RESULTS = frozenset(
+    {
+        *("build", "benchmark", "benchmark-private", "predictions", "scores", "triage", "reproduce"),
+        "evaluation",
+    }
+)
+# Endings of archives of releases there, whose names begin with the benchmark's.
+ARCHIVES = (".zip", ".zip.sha256")
 
 
 @dataclass(frozen=True)
@@ -224,9 +231,15 @@ def _recording(job: Job) -> Mapping[str, Source]:
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
     if job.root.is_relative_to(job.source):
-        own = {job.root / name for name in (*OF_BENCHMARK, f"masks/{job.recording.id}")}
-        files = [file for file in files if own.isdisjoint((file, *file.parents))]
+        files = [file for file in files if not _is_of_benchmark(job, file)]
     return {"recording": Source(job.source, content_hash(files, job.source, job.build))}
+
+
+def _is_of_benchmark(job: Job, file: Path) -> bool:
+    """Whether a file in the folder of benchmark.yaml is the benchmark's own, not a recording's."""
+    own = {job.root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
+    archive = file.parent == job.root and file.name.endswith(ARCHIVES)
+    return not own.isdisjoint((file, *file.parents)) or (archive and file.name.startswith(job.settings.name))
 
 
 STAGES: tuple[Stage, ...] = (

@@ -19,6 +19,7 @@ BAD_USAGE = {
     "unknown recording to set": (["build", "--set", "recordings.chiar.split=test"], "did you mean 'chair'?"),
     "jobs 0": (["build", "--jobs", "0"], "--jobs|build --help"),
     "jobs many": (["build", "--jobs", "many"], "--jobs|build --help"),
+    "a limit that is no number": (["build", "--time-limit", "nan"], "--time-limit|build --help"),
     "unknown option": (["build", "--nope"], "--nope|build --help"),
     "unknown command": (["biuld"], "'biuld'|build|--help"),
     "no argument": (["check"], "Missing argument|check --help"),

@@ -25,7 +25,7 @@ from kinectbench.core.storage import (
     sha256_text,
     storage_errors,
 )
-from kinectbench.engine.artefact import Artefact, fingerprint
+from kinectbench.engine.artefact import Artefact, content_hash, fingerprint
 from kinectbench.engine.locks import locked
 
 # SHA-256 of "abc", FIPS 180-2, appendix B.1
@@ -302,3 +302,14 @@ def test_a_disk_without_any_room_keeps_the_lock_without_a_name(tmp_path: Path) -
     )
     done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_another_file_of_equal_name_size_and_time_is_read(tmp_path: Path) -> None:
+    """Two raw logs of one archive have one name in the cache: each is the whole recording."""
+    logs = [tmp_path / "a.klg", tmp_path / "b.klg"]
+    for log in logs:
+        log.write_text(log.name)
+        os.utime(log, (1, 1))
+    cached = [content_hash([log], log, cache=tmp_path) for log in logs]
+    assert cached == [content_hash([log], log) for log in logs]
+    assert cached[0] != cached[1]

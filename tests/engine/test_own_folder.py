@@ -10,7 +10,7 @@ from kinectbench.settings.file import load_benchmark
 
 
 def test_what_the_benchmark_keeps_there_is_no_part_of_the_recording(tmp_path: Path) -> None:
-    """What is built, settings and masks leave `ingest` current; a changed image does not."""
+    """What commands write there leaves `ingest` current, and so do settings; a changed image does not."""
     root = make_small(tmp_path, ("chair",)) / "recordings/chair"
     file = root / "benchmark.yaml"
     file.write_text("name: own\nrecordings: [{id: chair, path: ., category: chair, trajectory: ignore}]\n")
@@ -18,8 +18,9 @@ def test_what_the_benchmark_keeps_there_is_no_part_of_the_recording(tmp_path: Pa
     job = Job(settings, settings.recordings[0], root)
     assert build([job], "ingest")[0].made == ("ingest",)
     file.write_text(file.read_text() + "license: CC0-1.0\n")
-    for name in ("masks/chair/000.png", "scores/nearest.json"):
-        (root / name).parent.mkdir(parents=True)
+    results = ("scores/nearest.json", "evaluation/chair/index.html", "benchmark-private/benchmark.json")
+    for name in ("masks/chair/000.png", *results, "own-1.0.zip", "own-1.0.zip.sha256"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(b"something")
     assert build([job], "ingest")[0].current == ("ingest",)
     image = min((root / "depth").iterdir())

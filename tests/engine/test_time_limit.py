@@ -28,6 +28,14 @@ from kinectbench.settings.file import load_benchmark
 Command = Callable[..., Run]
 
 
+@pytest.mark.parametrize("limit_s", [1e10, float("inf")])
+def test_a_limit_that_no_timer_can_wait_for_is_none(limit_s: float) -> None:
+    said: list[int] = []
+    with time_limit(limit_s, lambda stage, done, total: said.append(done)) as report:
+        report("fuse", 1, 1)
+    assert said == [1]
+
+
 def test_what_takes_too_long_is_stopped_at_its_next_report() -> None:
     said: list[int] = []
     match = r"fuse: took longer than --time-limit 0\.3 \(seconds\)"

@@ -60,11 +60,19 @@ class Failed(Stored):
 
 
 class SourceFile(NamedTuple):
-    """A file of a recording, as it was when it was hashed: size in bytes, time in ns, SHA-256 as hex."""
+    """A file of a recording, as it was when it was hashed.
+
+    Attributes:
+        size: bytes.
+        mtime_ns: time of the last change of its content, which a copy may keep.
+        sha256: hex.
+        ctime_ns: time of the last change of the file on this disk; 0 if unknown.
+    """
 
     size: int
     mtime_ns: int
     sha256: str
+    ctime_ns: int = 0
 
 
 class Sources(Stored):

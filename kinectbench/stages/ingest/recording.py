@@ -1,5 +1,6 @@
 """The interface of recordings: frames one by one, a camera, and optionally a trajectory."""
 
+import errno
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -31,6 +32,8 @@ from kinectbench.stages.ingest.images import (
 # Most damaged images or messages to try until an undamaged one: five minutes at 30 frames a second. An index
 # may start long before the images that were kept.
 MOST_TRIED = 10_000
+# What a path is may keep a file from being read, for ever; any other reason is the machine's, and may pass.
+NO_IMAGE_FILE = {errno.EINVAL, errno.EFBIG, errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 # What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
@@ -266,14 +269,18 @@ def read_image_file(path: Path) -> bytes:
     """Read a whole image file.
 
     Raises:
-        DamagedImageError: the file is missing or unreadable.
+        DamagedImageError: the file is missing, or no image file.
+        RecordingError: the machine cannot read it now; the next run may.
     """
     try:
         return read_plain(path, IMAGE_BYTES)
     except FileNotFoundError as error:
         raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
     except OSError as error:
-        raise DamagedImageError(f"{path}: cannot be read ({error.strerror})") from error
+        line = f"{path}: cannot be read ({error.strerror})"
+        if error.errno in NO_IMAGE_FILE:
+            raise DamagedImageError(line) from error
+        raise RecordingError(f"{line}; check the file and the disk", what="unreadable") from error
 
 
 def mask_beside(depth: Path, recording: Path) -> Path | None:

@@ -47,12 +47,15 @@ def test_times_and_failures(tmp_path: Path) -> None:
 
 def test_sources_are_one_line_whatever_the_files_are_called(tmp_path: Path) -> None:
     files = {
-        name: SourceFile(1, 2, name * 2) for name in ("", "files", "copy", "depth/0.png", "model_fields")
+        name: SourceFile(1, 2, name * 2, 3) for name in ("", "files", "copy", "depth/0.png", "model_fields")
     }
     sources = Sources.model_validate(files)
-    assert sources.text().startswith('{"":[1,2,""],"copy":[1,2,"copycopy"],')
+    assert sources.text().startswith('{"":[1,2,"",3],"copy":[1,2,"copycopy",3],')
     (tmp_path / "sources.json").write_text(sources.text())
     assert Sources.read(tmp_path).files == files
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old/sources.json").write_text('{"a":[1,2,"b"]}')
+    assert Sources.read(tmp_path / "old").files == {"a": SourceFile(1, 2, "b")}
     assert Sources.read(tmp_path).sha256["depth/0.png"] == "depth/0.pngdepth/0.png"
 
 

@@ -1,5 +1,6 @@
 """Depth in .npz files, and single frames of another kind: left out as damaged ones are, or named."""
 
+import errno
 import io
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from raising import raises
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.untrusted import read_plain
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
@@ -130,3 +132,20 @@ def test_colour_of_another_size_stops_build_and_inspect(tmp_path: Path) -> None:
         write_sequence(open_recording(tmp_path / "r"), tmp_path / "out")
     diagnosis, _ = inspect(tmp_path / "r")
     assert diagnosis.stops and any("its colour is" in found.what for found in diagnosis.findings)
+
+
+def test_what_the_machine_cannot_read_now_is_no_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A read error of a disk ends the build, which is tried again; it leaves no frame out for ever."""
+    recording = open_recording(write_folder(tmp_path / "r", MANY))
+
+    def failing(path: Path, most_bytes: int) -> bytes:
+        if path.stem == "7":
+            raise OSError(errno.EIO, "Input/output error", str(path))
+        return read_plain(path, most_bytes)
+
+    monkeypatch.setattr("kinectbench.stages.ingest.recording.read_plain", failing)
+    with raises(RecordingError, "recording.unreadable", match="Input/output error") as caught:
+        write_sequence(recording, tmp_path / "out")
+    assert isinstance(caught.value.__cause__, OSError)
