@@ -302,7 +302,7 @@ def test_overrides_replace_add_and_take_away(name: str, tmp_path: Path) -> None:
 def test_a_label_of_1_is_the_object(tmp_path: Path, dtype: type, channels: int) -> None:
     drawn = np.zeros((12, 16), bool)
     drawn[3:7, 4:9] = True
-    pixels = drawn.astype(dtype)
+    pixels: NDArray[np.uint8 | np.uint16] = drawn.astype(dtype)
     if channels > 1:  # the faintest blue, and opaque everywhere
         pixels = np.stack([pixels, 0 * pixels, 0 * pixels, 0 * pixels + 255][:channels], axis=2)
     assert cv2.imwrite(str(tmp_path / "003.png"), pixels)
