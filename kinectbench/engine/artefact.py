@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 13,
     "track": 14,
     "fuse": 7,
-    "segment": 42,
+    "segment": 43,
     "sample-views": 5,
     "pairs": 3,
     "suggest": 7,

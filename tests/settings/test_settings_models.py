@@ -108,6 +108,8 @@ def test_a_box_becomes_a_value() -> None:
         (("recordings",), "a list with at least one entry", 1),
         (("publish", "color"), "true or false", 2),
         (("name",), "text", 1),
+        (("recordings", 3, "object"), "text", 3),
+        (("publish", "citation", "title"), "text", 3),
         (("tracking", "max_stamp_gap_s"), "a number above 0 and up to 10", 2),
         (("views", "seed"), "a whole number from 0 up", 2),
     ],
@@ -144,3 +146,9 @@ def test_a_plane_has_a_normal_and_a_distance(floor: object) -> None:
     given = RecordingSettings.model_validate({**said, "floor": {"plane_world": [0, 0.6, 0.8, -1]}})
     assert given.plane_world == (0, 0.6, 0.8, -1)
     assert RecordingSettings.model_validate(said).plane_world is None
+
+
+@pytest.mark.parametrize("model", every_model())
+def test_what_is_wanted_of_every_field(model: type[Settings]) -> None:
+    for field in model.model_fields.values():
+        assert wanted(field.annotation, field.metadata)

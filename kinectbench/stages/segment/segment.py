@@ -121,7 +121,7 @@ def segment(
     del odd, even  # of a large object each is a gigabyte
     whole, frontiers = _solid_of_all(together, found, rules)
     del together
-    solids = Solids(whole, of_odd, of_even, sigma_m)
+    solids = Solids(whole, of_odd, of_even, sigma_m, len(good))
     # Label the space around it, coarsely.
     chosen, around = found.chosen, surround_grid(found.grid, found.chosen.floor)
     surround = observe(sequence, trajectory, some_frames(good), around, fusion)

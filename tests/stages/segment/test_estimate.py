@@ -258,6 +258,16 @@ def test_what_is_better_is_never_estimated_to_be_worse() -> None:
         check(one)
 
 
+def test_more_frames_of_the_same_path_do_not_raise_it() -> None:
+    """The deviation of the halves falls with the root of their number; the surface gets no better."""
+    few, many = (
+        estimate_iou(known_solid(), 0.002, CERTAIN, (), 180),
+        estimate_iou(known_solid(), 0.002 / 2, CERTAIN, (), 720),
+    )
+    assert many.value == pytest.approx(few.value) and many.low == pytest.approx(few.low)
+    assert estimate_iou(known_solid(), 0.002, CERTAIN, (), 20) == few
+
+
 @pytest.mark.parametrize("sigma_m", [0.005, 0.05])
 def test_nothing_is_below_zero(sigma_m: float) -> None:
     paper = known_solid(block_mesh(1.0, 1.0, 0.001))

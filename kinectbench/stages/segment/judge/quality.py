@@ -84,7 +84,7 @@ def measure_quality(
     together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
-    estimate = estimate_iou(together, sigma_m, pose_error, frontiers)
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, solids.frames)
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)

@@ -68,12 +68,14 @@ class Solids:
         odd: from the odd frames alone.
         even: from the even frames alone.
         surface_sigma_m: standard deviation of the surface of all frames, metres.
+        frames: how many frames were fused.
     """
 
     whole: SolidShape
     odd: SolidShape
     even: SolidShape
     surface_sigma_m: float
+    frames: int
 
 
 def solidify(
