@@ -40,7 +40,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 7,
     "publish": 42,
     "synthesize": 2,
-    "score": 11,
+    "score": 12,
     "baselines": 3,
 }
 
