@@ -36,7 +36,7 @@ VERSIONS: dict[str, int] = {
     "fuse": 7,
     "segment": 42,
     "sample-views": 5,
-    "pairs": 3,
+    "pairs": 4,
     "suggest": 7,
     "publish": 42,
     "synthesize": 2,
