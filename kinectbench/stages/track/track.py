@@ -24,7 +24,7 @@ from kinectbench.stages.track.check_given import (
     warnings_of,
 )
 from kinectbench.stages.track.health import health
-from kinectbench.stages.track.outliers import outlier_warnings
+from kinectbench.stages.track.outliers import far_warnings, outlier_warnings
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 
@@ -101,9 +101,8 @@ def _finished(
             f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}",
             what="too-few-poses",
         )
-    figures = health(
-        sequence, source, tracked, [*warnings, *outlier_warnings(tracked.reasons, source)], check
-    )
+    lines = [*warnings, *outlier_warnings(tracked.reasons, source), *far_warnings(tracked.T_world_camera)]
+    figures = health(sequence, source, tracked, lines, check)
     return Trajectory(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
