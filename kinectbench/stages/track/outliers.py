@@ -20,7 +20,7 @@ ADVICE: dict[Source, str] = {
 # median, because the spread may be tiny. Measured: frames of a fast turn have 3.6 to 4.5 times the median;
 # 300 frames of three recordings without a fast turn have at most 1.35 times.
 MODIFIED_Z, Z_OF_MEDIAN, OUTLIER_RATIO = 3.5, 0.6745, 2.0
-# Depth is fused up to 8 m (`fuse.depth_range`): cameras farther apart than twice this show no place in common.
+# Depth is fused up to 8 m (`fuse.depth_range`): cameras farther apart than twice this show no common place.
 FAR_APART_M = 16.0
 
 

@@ -29,7 +29,7 @@ def test_labels_are_those_of_a_dense_grid(through_faces: bool) -> None:
 def test_a_patch_a_kilometre_off_costs_no_memory() -> None:
     patch = np.random.default_rng(0).random((3000, 3)) * [0.4, 0.4, 0.02]
     one = connected(patch, CELL_M)
-    both = connected(np.concatenate([patch, patch + [900.0, 700.0, 300.0]]), CELL_M)
+    both = connected(np.concatenate([patch, patch + np.array([900.0, 700.0, 300.0])]), CELL_M)
     assert one.max() == 1 and both.max() == 2
     np.testing.assert_array_equal(both, np.repeat([1, 2], 3000))
 

@@ -1,4 +1,4 @@
-"""Masks that a person drew beside the object, or of one pixel; and a rule that leaves nothing of a surface."""
+"""Masks that a person drew beside the object, or of one pixel; a rule that leaves nothing of a surface."""
 
 from types import SimpleNamespace
 from typing import Any
