@@ -13,6 +13,8 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64, Rgb
 
 PLAN_CELL_M = 0.04
+# The picture has fewer pixels a side. Of a scene that one wrong pose extends, cells are larger.
+MOST_PLAN_CELLS = 2000
 # Blue, orange, green, vermilion, purple, sky blue of Okabe and Ito, which colour-blind people distinguish.
 COLORS_RGB = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 121, 167), (86, 180, 233))
 JUDGED_FRAMES = 60
@@ -189,13 +191,14 @@ def _edges_px(
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
     """The greatest height of the surface in each ground cell, NaN without surface; and the cells' extent."""
-    cells = np.floor(points_floor[:, :2] / PLAN_CELL_M).astype(int)
+    cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
+    cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)
     shape = cells.max(axis=0) - first + 1
     heights_m = np.full(shape, -np.inf)
     np.maximum.at(heights_m, tuple((cells - first).T), points_floor[:, 2])
     heights_m[np.isinf(heights_m)] = np.nan
-    low, high = first * PLAN_CELL_M, (first + shape) * PLAN_CELL_M
+    low, high = first * cell_m, (first + shape) * cell_m
     return heights_m, (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
 
 

@@ -80,7 +80,7 @@ ERROR_CODES: Mapping[str, str] = {
     "recording.unreadable": "A file cannot be read; check it and its permissions.",
     "recording.unsupported": "The file has a version or compression that is not supported; convert it.",
     "recording.unused-setting": "A setting does not apply to this format; remove it.",
-    "tracking.bad-given": "The given trajectory cannot be read; correct it, or set `trajectory: ignore`.",
+    "tracking.bad-given": "The given trajectory cannot be used; correct it, or set `trajectory: ignore`.",
     "tracking.given-disagrees": "The given poses contradict the depth; correct them, or ignore them.",
     "tracking.given-unchecked": "Too few given poses can be checked; set `trajectory: trust` or `ignore`.",
     "tracking.no-given": "The recording has no trajectory to use; set `trajectory: ignore`.",

@@ -36,11 +36,11 @@ VERSIONS: dict[str, int] = {
     "fuse": 7,
     "segment": 43,
     "sample-views": 5,
-    "pairs": 3,
+    "pairs": 4,
     "suggest": 7,
     "publish": 42,
     "synthesize": 2,
-    "score": 11,
+    "score": 12,
     "baselines": 3,
 }
 

@@ -14,12 +14,18 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
-from kinectbench.core.voxels.morphology import containment, packed_shell
-from kinectbench.core.voxels.pair_file import Pair, pack, packed_count, pair_bytes, unpack
+from kinectbench.core.voxels.morphology import containment_of_cells, packed_shell
+from kinectbench.core.voxels.pair_file import BLOCK, Pair, pack, packed_count, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import MAX_CUT_SHARE, object_cube, partial_grids, view_cube
+from kinectbench.core.voxels.view_grids import (
+    MAX_CUT_SHARE,
+    depth_cells,
+    object_cube,
+    partial_grids,
+    view_cube,
+)
 from kinectbench.settings.models import PairSettings
 from kinectbench.stages.sample_views.views import View
 from kinectbench.stages.segment.object_model import ObjectModel
@@ -97,8 +103,10 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
     depth_m = sequence.depth_m(view.frame)
     object_m = np.where(view.mask, depth_m, np.float32(0))
     mesh = shape.mesh
-    if not object_m.any():
-        return MadePair(None, 0.0, "no pixel of the mask has depth: draw another mask")
+    pixels = np.count_nonzero(object_m)
+    if pixels < 2:  # one makes a cube without a side
+        what = "only one pixel" if pixels else "no pixel"
+        return MadePair(None, 0.0, f"{what} of the mask has depth: draw another mask")
     if settings.framing == "object":
         grid = object_cube(mesh.vertices, T_world_camera)
     else:
@@ -106,11 +114,15 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
     full = voxelize_solid(mesh.vertices, mesh.faces, grid)
     partial_256, partial = partial_grids(object_m, camera, T_world_camera, grid)
     cut_share = max(0.0, 1.0 - packed_count(full) * grid.voxel_size_m**3 / shape.volume_m3)
-    reason = _refusal(settings, cut_share, containment(partial, full))
+    # Not those of `partial`: depth beyond the cube is not in the shape, either.
+    cells = depth_cells(depth_m, view.mask, camera, T_world_camera, grid.coarser(BLOCK))
+    reason = _refusal(settings, cut_share, containment_of_cells(cells, full))
     if reason:
         return MadePair(None, cut_share, reason)
     if settings.partial_rule != "any":
         partial = pack(reduce_blocks(unpack(partial_256), settings.partial_rule))
+    if not partial.any():
+        return MadePair(None, cut_share, _no_input(settings.partial_rule))
     pair = Pair(
         partial=partial,
         partial_256=partial_256,
@@ -142,6 +154,13 @@ def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | N
         least = f"less than {settings.min_containment:.0%}"
         return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
     return None
+
+
+def _no_input(partial_rule: str) -> str:
+    """Why a pair whose input is empty must not be used."""
+    if partial_rule == "any":
+        return "nothing of the masked partial lies in the cube: see the view's mask"
+    return "its depth fills no block of 4³ cells by more than half: set `pairs.partial_rule` to any"
 
 
 def write_pairs(

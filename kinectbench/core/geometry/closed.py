@@ -2,27 +2,43 @@
 
 import numpy as np
 
-from kinectbench.core.types import Float64, Int32
+from kinectbench.core.types import Bools, Float64, Int32
 
 # Vertices closer than this differ by rounding alone; trimesh joins them at the same distance.
 SAME_PLACE_M = 1e-8
 
 
 def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
-    """The mesh with vertices at the same place joined into one."""
+    """The mesh with vertices at the same place joined into one, without the faces that collapse by that.
+
+    Such a face has no area, and its edges have no partner. Marching cubes makes them where a value is exactly
+    that of the surface, and the poles of a sphere of latitudes have them.
+    """
     places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
     order = np.lexsort(places.T).astype(np.int32)
     is_first = np.ones(len(order), bool)
     is_first[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
     joined = np.empty(len(order), np.int32)
     joined[order] = np.cumsum(is_first, dtype=np.int32) - 1
-    return vertices[order[is_first]], joined[faces]
+    faces = joined[faces]
+    return vertices[order[is_first]], faces[three_corners(faces)]
+
+
+def three_corners(faces: Int32) -> Bools:
+    """Which faces (m, 3) have three different corners: bool (m,)."""
+    a, b, c = faces.T
+    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def is_closed(faces: Int32) -> bool:
-    """Whether each edge belongs to exactly two triangles that run along it in opposite directions."""
+    """Whether each edge belongs to exactly two triangles that run along it in opposite directions.
+
+    No faces are not closed.
+    """
     from kinectbench.core.geometry.pieces import sorted_edges
 
+    if not len(faces):
+        return False
     edges = sorted_edges(faces)
     forwards, backwards = edges[:-1:2], edges[1::2]
     paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()

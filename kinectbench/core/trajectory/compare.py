@@ -194,6 +194,12 @@ def _pieces(positions: Float64) -> tuple[Int64, Int64]:
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)
-    last = np.array([i + 1 + np.argmin(np.abs(path_m[i + 1 :] - path_m[i] - PIECE_M)) for i in first], int)
+    # The path ascends: the closest pose is the first one beyond, or the one before it.
+    beyond = np.clip(np.searchsorted(path_m, path_m[first] + PIECE_M), first + 1, len(path_m) - 1)
+    before = np.maximum(beyond - 1, first + 1)
+    off_beyond_m, off_before_m = (np.abs(path_m[at] - path_m[first] - PIECE_M) for at in (beyond, before))
+    last = np.where(off_before_m <= off_beyond_m, before, beyond)
+    # Of poses at one place the first.
+    last = np.maximum(np.searchsorted(path_m, path_m[last]), first + 1)
     fits = np.abs(path_m[last] - path_m[first] - PIECE_M) <= PIECE_TOLERANCE_M
     return first[fits], last[fits]

@@ -18,7 +18,8 @@ from kinectbench.core.types import Float64
 HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world)\n"
 # Recorded rotation matrices have small errors; a matrix farther than this from SO(3) is no rotation.
 RIGID_TOLERANCE = 0.05
-# Limit of positions; coordinates relative to the centre of the Earth stay below.
+# Limit of positions that are read; coordinates relative to the centre of the Earth stay below. A build needs
+# nearer ones (`stages.track`).
 FARTHEST_M = 1e7
 
 
@@ -101,23 +102,34 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
     """
     if not rows:
         raise GivenPosesError(f"{name}: the trajectory is empty; remove it or export it again")
-    for row in rows:
-        if not np.isfinite([*row.translation_m, *row.quaternion_xyzw]).all():
-            raise GivenPosesError(f"{row.where}: the pose holds NaN or infinity; remove this row")
-        if np.abs([*row.translation_m, *row.quaternion_xyzw]).max() > FARTHEST_M:
-            raise GivenPosesError(f"{row.where}: the pose is beyond {FARTHEST_M:g} m; give metres")
-        if np.linalg.norm(row.quaternion_xyzw) < 1e-6:
-            raise GivenPosesError(f"{row.where}: the quaternion has length zero; remove this row")
+    values = np.array([(*row.translation_m, *row.quaternion_xyzw) for row in rows])
+    _refuse_values(rows, values)
     order, repeated = first_by_stamp([row.stamp_ns for row in rows])
     warnings = []
     if repeated:
         warnings.append(f"{name}: {repeated} poses repeat the stamp of an earlier row and were left out")
-    kept = [rows[i] for i in order]
-    rotations = rotation_from_xyzw([row.quaternion_xyzw for row in kept])
-    T_world_camera = np.stack(
-        [rigid(rotation, row.translation_m) for rotation, row in zip(rotations, kept, strict=True)]
-    )
-    return GivenTrajectory(np.array([row.stamp_ns for row in kept], np.int64), T_world_camera), warnings
+    T_world_camera = np.tile(np.eye(4), (len(order), 1, 1))
+    T_world_camera[:, :3, :3] = rotation_from_xyzw(values[order, 3:])
+    T_world_camera[:, :3, 3] = values[order, :3]
+    return GivenTrajectory(np.array([rows[i].stamp_ns for i in order], np.int64), T_world_camera), warnings
+
+
+def _refuse_values(rows: Sequence[TimedPose], values: Float64) -> None:
+    """Refuse the first row that is no pose; values (n, 7) are its translation and quaternion."""
+    unknown = ~np.isfinite(values).all(axis=1)
+    largest = np.abs(np.where(unknown[:, None], 0, values)).max(axis=1)
+    far = largest > FARTHEST_M
+    without_length = np.linalg.norm(np.where((unknown | far)[:, None], 1, values)[:, 3:], axis=1) < 1e-6
+    wrong = unknown | far | without_length
+    if not wrong.any():
+        return
+    first = int(np.argmax(wrong))
+    why = "the quaternion has length zero; remove this row"
+    if unknown[first]:
+        why = "the pose holds NaN or infinity; remove this row"
+    elif far[first]:
+        why = f"the pose is beyond {FARTHEST_M:g} m; give metres"
+    raise GivenPosesError(f"{rows[first].where}: {why}")
 
 
 def trajectory_text(trajectory: GivenTrajectory) -> str:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import TriangleMesh, rigid
+from kinectbench.core.geometry.closed import three_corners
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 from kinectbench.lab.synthesize.models import Model
@@ -147,8 +148,8 @@ def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
     faces = which.reshape(-1)[mesh.faces]
     # Sorted so that neighbours in space are neighbours in memory: voxelising a large mesh is twice as fast.
     faces = faces[np.argsort(faces.min(axis=1), kind="stable")]
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return TriangleMesh(places, np.asarray(faces, dtype=np.int32)).keep_faces(distinct)
+    faces = np.asarray(faces, dtype=np.int32)
+    return TriangleMesh(places, faces).keep_faces(three_corners(faces))
 
 
 def _is_closed(faces: NDArray[np.int32]) -> bool:

@@ -15,6 +15,7 @@ from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose
 
 VOXELIZERS = {"winding": voxelize_solid, "seeable": voxelize_solid, "six-rays": voxelize_open}
+NOTHING_SEEN = "the camera sees nothing of the shape"
 NOTHING_MEASURED = "a Kinect measures nothing of it, from 0.4 to 4.5 m; give models in metres"
 
 
@@ -43,7 +44,9 @@ def make_synthetic_pair(
     rng = np.random.default_rng([settings.seed, view.n, *view.steps, *name.encode()])
     depth_m = eye.kinect_depth_m(T_world_camera, rng) if noisy else eye.depth_m(T_world_camera)
     whole = grid = object_cube(eye.corners_world, T_world_camera)
-    if settings.framing == "view" and depth_m.any():
+    # One pixel makes a cube without a side.
+    is_seen = np.count_nonzero(depth_m) >= (2 if settings.framing == "view" else 1)
+    if settings.framing == "view" and is_seen:
         grid = view_cube(camera.backproject(depth_m)[depth_m > 0], T_world_camera)
     full, known = _solid(checked, grid)
     cut_share = 0.0 if grid is whole else _cut_share(grid, checked, whole)
@@ -64,8 +67,8 @@ def make_synthetic_pair(
         partial_rule="any",
         occupancy_rule=checked.rule,
     )
-    if noisy and not depth_m.any():
-        return pair, NOTHING_MEASURED
+    if not is_seen:
+        return pair, NOTHING_MEASURED if noisy else NOTHING_SEEN
     return pair, _reason(pair, settings.min_containment, cut_share)
 
 
@@ -98,7 +101,7 @@ def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
     if not pair.full.any():
         return "no cell's centre lies in the shape: its walls are thinner than a cell"
     if not pair.partial.any():
-        return "the camera sees nothing of the shape"
+        return NOTHING_SEEN
     inside = containment(pair.partial, pair.full)
     if inside < min_containment:
         return f"containment is {inside:.3f}, below {min_containment}"

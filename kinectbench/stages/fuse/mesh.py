@@ -4,6 +4,7 @@ import numba
 import numpy as np
 
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
+from kinectbench.core.geometry.closed import three_corners
 from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
@@ -61,10 +62,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     indices = np.concatenate(vertices)[first_of]
     joined = merged.reshape(-1)[np.concatenate(faces)].astype(np.int32)
     points_world = transform_points(volume.T_world_grid, (indices + 0.5) * volume.voxel_size_m)
-    distinct = (
-        (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
-    )
-    return TriangleMesh(points_world, joined).keep_faces(distinct)
+    return TriangleMesh(points_world, joined).keep_faces(three_corners(joined))
 
 
 def _edge_keys(vertices: Float64, first: Int64) -> Int64:

@@ -5,7 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from kinectbench.core.artefacts.trajectory import Source
+from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64
+from kinectbench.core.voxels.touching_cells import far_apart
 
 OUTLIER_REASON = "its depth lies farther from the frames around it than that of nearly all others"
 ADVICE: dict[Source, str] = {
@@ -18,6 +20,8 @@ ADVICE: dict[Source, str] = {
 # median, because the spread may be tiny. Measured: frames of a fast turn have 3.6 to 4.5 times the median;
 # 300 frames of three recordings without a fast turn have at most 1.35 times.
 MODIFIED_Z, Z_OF_MEDIAN, OUTLIER_RATIO = 3.5, 0.6745, 2.0
+# Depth is fused up to 8 m (`fuse.depth_range`): cameras farther apart than twice this show no common place.
+FAR_APART_M = 16.0
 
 
 def find_outliers(residual: Float64, judged: Bools) -> Bools:
@@ -50,5 +54,28 @@ def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
     frames = sorted(frame for frame, reason in reasons.items() if reason == OUTLIER_REASON)
     if not frames:
         return []
-    which = f"{len(frames)} frames ({frames[0]} to {frames[-1]})" if len(frames) > 1 else f"frame {frames[0]}"
-    return [f"left out: {which}: {OUTLIER_REASON}; {ADVICE[source]}"]
+    return [f"left out: {_named(frames)}: {OUTLIER_REASON}; {ADVICE[source]}"]
+
+
+def far_warnings(T_world_camera: Float64) -> list[str]:
+    """A warning about frames so far from most others that these cannot show what they show; or none.
+
+    Such a pose contradicts no other frame.
+
+    Args:
+        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
+    """
+    posed = np.flatnonzero(has_pose(T_world_camera))
+    positions = T_world_camera[posed, :3, 3]
+    far = far_apart(positions, FAR_APART_M) if len(posed) else np.zeros(0, bool)
+    if not far.any():
+        return []
+    away_m = np.linalg.norm(positions[far] - np.median(positions[~far], axis=0), axis=1).max()
+    return [
+        f"{away_m:.0f} m away from most others: {_named(posed[far].tolist())}: nothing checks such a pose; "
+        "remove it from the trajectory if the camera was not there"
+    ]
+
+
+def _named(frames: list[int]) -> str:
+    return f"{len(frames)} frames ({frames[0]} to {frames[-1]})" if len(frames) > 1 else f"frame {frames[0]}"

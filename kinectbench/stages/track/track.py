@@ -13,7 +13,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Float64, Progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track.check_given import (
     CAUSES,
@@ -24,12 +24,15 @@ from kinectbench.stages.track.check_given import (
     warnings_of,
 )
 from kinectbench.stages.track.health import health
-from kinectbench.stages.track.outliers import outlier_warnings
+from kinectbench.stages.track.outliers import far_warnings, outlier_warnings
 from kinectbench.stages.track.tracked import Tracked
 from kinectbench.stages.track.tracker import track_frames
 
 # Fewer poses see an object from too few sides for fusion.
 MIN_GOOD_FRAMES = 3
+# Given poses farther from the origin are refused. A scene's vertices are numbered in 20 bits along each axis
+# (`fuse.mesh`): 1048 m either way with the finest voxels, 2 mm. Depth reaches 20 m beyond a camera.
+WORLD_REACH_M = 1000.0
 
 
 def track(
@@ -66,6 +69,7 @@ def track(
     posed = int(np.isfinite(T_given[:, 0, 0]).sum())
     if posed < MIN_GOOD_FRAMES:
         raise TrackingError(_too_few_poses(sequence, posed), what="no-match")
+    _refuse_far(T_given)
     n = len(sequence)
     # Progress: the tracker counts every frame twice.
     rounds = 3 if mode == "refine" else 1
@@ -101,9 +105,8 @@ def _finished(
             f"{': ' if reasons else ''}{'; '.join(reasons)}; {advice}",
             what="too-few-poses",
         )
-    figures = health(
-        sequence, source, tracked, [*warnings, *outlier_warnings(tracked.reasons, source)], check
-    )
+    lines = [*warnings, *outlier_warnings(tracked.reasons, source), *far_warnings(tracked.T_world_camera)]
+    figures = health(sequence, source, tracked, lines, check)
     return Trajectory(
         stamps_ns=sequence.stamps_ns,
         T_world_camera=tracked.T_world_camera,
@@ -113,6 +116,19 @@ def _finished(
         health=figures,
         depth_calibration=tracked.calibration,
     )
+
+
+def _refuse_far(T_given: Float64) -> None:
+    """Refuse given poses (n, 4, 4) whose world the scene's volume cannot hold."""
+    off_m = np.nan_to_num(np.abs(T_given[:, :3, 3]).max(axis=1))
+    frame = int(np.argmax(off_m))
+    if off_m[frame] > WORLD_REACH_M:
+        raise TrackingError(
+            f"the given pose of frame {frame} lies {off_m[frame]:.0f} m from the world's origin, and a scene "
+            f"reaches to {WORLD_REACH_M:.0f} m: give metres, remove wrong poses, and subtract the first "
+            "position from all where they are of a map (GPS, UTM)",
+            what="bad-given",
+        )
 
 
 def _too_few_poses(sequence: Sequence, posed: int) -> str:

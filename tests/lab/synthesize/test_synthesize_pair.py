@@ -248,3 +248,12 @@ def test_what_a_kinect_cannot_measure_is_refused_in_words() -> None:
     large.apply_scale(1000)
     _, refused = made(large, settings=SETTINGS.model_copy(update={"noise": "kinect"}))
     assert refused is not None and "give models in metres" in refused
+
+
+def test_a_needle_of_which_one_pixel_is_seen_is_refused() -> None:
+    """Seen along its length, it makes a cube of framing view without a side."""
+    needle = trimesh.creation.box([0.004, 0.004, 1.0])
+    needle.apply_translation([0.002, 0.002, 0])
+    settings = SynthesisSettings(up="y", framing="view")
+    _, refused = made(needle, ViewAngles((0, 0, 0), 5), settings)
+    assert refused == "the camera sees nothing of the shape"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinectbench.core.geometry import TriangleMesh
+from kinectbench.core.geometry.closed import three_corners
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.lab.simulate.objects.shapes import solid, surface, union
 
@@ -39,8 +40,7 @@ def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
     keys = np.round(mesh.vertices / MERGE_M).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces].astype(np.int32)
-    corners = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return TriangleMesh(mesh.vertices[first], faces[corners])
+    return TriangleMesh(mesh.vertices[first], faces[three_corners(faces)])
 
 
 def open_edges(mesh: TriangleMesh) -> int:

@@ -8,13 +8,14 @@ from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.surface_points import spacing_m, surface_points
+from kinectbench.core.voxels.touching_cells import connected
 from kinectbench.stages.segment.find.box_anchor import check_anchor
 from kinectbench.stages.segment.find.distance_scale import cell_scale, distance_scale
 from kinectbench.stages.segment.find.floor import Floor, against_gravity, level_floor
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.find.planes import floor_frame
-from kinectbench.stages.segment.find.select import CELL_M, connected, fit_box
+from kinectbench.stages.segment.find.select import CELL_M, fit_box
 
 # Pieces with a smaller share of the surface are specks that masks let through (chosen by hand).
 LEAST_SHARE = 0.05

@@ -9,6 +9,7 @@ from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_ri
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.surface_points import spacing_m, surface_points
+from kinectbench.core.voxels.touching_cells import connected
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.find.box_anchor import check_anchor
 from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, LOOK, Selection, choice_warnings
@@ -18,7 +19,6 @@ from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.select import (
     CELL_M,
     NOTHING_STANDS,
-    connected,
     fit_box,
     label_pieces,
     select_in_box,

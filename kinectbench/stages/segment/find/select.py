@@ -8,6 +8,7 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Bools, Float64, Int32, Int64
+from kinectbench.core.voxels.touching_cells import connected, pieces_of_cells, touching_cells
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -50,18 +51,6 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
         (n,) int32, from 1; not every number need occur.
     """
     return _with_floating_merged(connected(points_floor, cell_m, through_faces), points_floor)
-
-
-def connected(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
-    """Label points (n, 3) as `label_pieces`, with floating pieces separate: (n,) int32, from 1."""
-    from scipy import ndimage
-
-    cells = np.floor(points_floor / cell_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    occupied = np.zeros(cells.max(axis=0) + 1, dtype=bool)
-    occupied[tuple(cells.T)] = True
-    labels, _ = ndimage.label(occupied, structure=None if through_faces else np.ones((3, 3, 3)))
-    return np.asarray(labels[tuple(cells.T)])
 
 
 def standing(label: Int32, points_floor: Float64) -> Bools:
@@ -163,25 +152,21 @@ def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
         points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
         in_box: (n,) bool, at least one.
     """
-    from scipy import ndimage
-
-    cells = np.floor(points_floor / CELL_M).astype(np.int64)
-    cells -= cells.min(axis=0) - 1
-    shape = cells.max(axis=0) + 2
-    inside, outside = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    inside[tuple(cells[in_box].T)] = True
-    outside[tuple(cells[~in_box].T)] = True
-    around = np.ones((3, 3, 3))
-    labels, count = ndimage.label(inside, structure=around)
-    runs_on = np.zeros(count + 1, dtype=bool)
-    runs_on[np.unique(labels[ndimage.binary_dilation(outside, around)])] = True
-    sizes = np.bincount(labels.reshape(-1), minlength=count + 1)
-    sizes[0] = 0
+    which, pairs = touching_cells(points_floor, CELL_M)
+    inside, outside = np.zeros((2, int(which.max()) + 1), dtype=bool)
+    inside[which[in_box]] = True
+    outside[which[~in_box]] = True
+    label = pieces_of_cells(pairs[inside[pairs].all(axis=1)], len(inside))
+    meets = outside.copy()
+    for one, other in (pairs.T, pairs.T[::-1]):
+        meets[one[outside[other]]] = True
+    runs_on = np.zeros(len(inside), dtype=bool)
+    runs_on[label[inside & meets]] = True
+    sizes = np.bincount(label, weights=inside, minlength=len(inside))
     kept = ~runs_on
     if sizes[kept].max(initial=0) < ENDING_SHARE * sizes.max():
         kept[np.argmax(sizes)] = True
-    kept[0] = False
-    return np.asarray(in_box & kept[labels[tuple(cells.T)]])
+    return np.asarray(in_box & kept[label[which]])
 
 
 def fit_box(points_floor: Float64, yaw_rad: float | None = None, left_out: float = 0.0005) -> OrientedBox:

@@ -14,10 +14,10 @@ from kinectbench.core.still_camera import Watched, watch_some
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.core.voxels.touching_cells import connected
 from kinectbench.stages.segment.find.floor import Floor, find_floor
 from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.planes import floor_frame
-from kinectbench.stages.segment.find.select import connected
 
 # Neighbours on each side whose points make a normal (chosen by hand).
 NORMAL_REACH_PX = 2
