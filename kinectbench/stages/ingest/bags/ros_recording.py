@@ -76,8 +76,6 @@ class RosRecording(Recording):
     wanted: ClassVar[frozenset[str]] = WANTED
     # Types for which the bag's definition is used.
     own_types: ClassVar[frozenset[str]] = frozenset()
-    # Whether images with the same frame_id have the same pixels.
-    frame_ids_tell: ClassVar[bool] = True
 
     depth: ImageTopic
     color_topic: ImageTopic | None
@@ -96,6 +94,11 @@ class RosRecording(Recording):
         """
 
     @classmethod
+    def frame_ids_tell(cls, depth: ImageTopic) -> bool:
+        """Whether images with the same frame_id have the same pixels."""
+        return True
+
+    @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
         """Native units per metre of integer depth; None if the bag does not state it."""
         return None
@@ -105,14 +108,14 @@ class RosRecording(Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """`T_color_depth`; None if the bag does not have it."""
-        return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
+        return tree.fixed(color.frame_id, depth.frame_id)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
         """`T_depth_imu`; None if the bag does not have it."""
-        return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
+        return tree.fixed(depth.frame_id, frame_id)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
@@ -126,7 +129,7 @@ class RosRecording(Recording):
         bag = cls.walk(path)
         depth, depth_warnings = choose_depth(bag, settings.depth_topic)
         color, color_warnings = choose_color(bag, depth, settings.color_topic)
-        if not cls.frame_ids_tell:
+        if not cls.frame_ids_tell(depth):
             depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
         size_px = _first_depth_size(bag, depth)
         infos = cls.camera_infos(bag)
