@@ -33,6 +33,7 @@ from kinectbench.stages.ingest.images import (
 MOST_TRIED = 10_000
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Pixel = TypeVar("Pixel", bound=np.generic)
 # What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
 # project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
@@ -233,12 +234,12 @@ class FileRecording(Recording):
         native = (
             stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale or 1.0))
         )
-        depth = read_by_code(
-            self.depth_code, self.clean_depth(np.asarray(native, np.uint16), index), self.camera
-        )
+        cleaned = self.placed(self.clean_depth(np.asarray(native, np.uint16), index), index)
+        depth = read_by_code(self.depth_code, cleaned, self.camera)
         mask = None if files.mask is None else self.mask(files.mask, depth)
-        if mask is not None and mask.shape != depth.shape:
+        if mask is not None and mask.shape != native.shape:
             raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
+        mask = None if mask is None else self.placed(mask, index)
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
@@ -253,6 +254,10 @@ class FileRecording(Recording):
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Set invalid pixels of a frame to 0."""
         return depth
+
+    def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
+        """An image (height, width, ...) of a frame, on the pixels of the recording's camera."""
+        return image
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ class Record3dRecording(Recording):
         return (
             (suffix, data)
             if tuple(found_px) == size_px
-            else shrunk_png(decode_color_bgr(data, name), size_px)
+            else shrunk_png(decode_color_bgr(data, name), size_px, name)
         )
 
 

@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
-    scaled,
+    scaled_to_depth,
 )
 from kinectbench.stages.ingest.recording import (
     Evidence,
@@ -67,7 +67,8 @@ class ScannerAppRecording(PhoneRecording):
         size_px = first_depth_size(files)
         K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
         color_px = first_color_size(files) or COLOR_PX
-        recorded = scaled(np.full((3, 3), np.nan) if K is None else K, color_px, size_px)
+        K = np.full((3, 3), np.nan) if K is None else K
+        recorded = scaled_to_depth(K, color_px, size_px, path)
         trajectory, lost, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
         )

@@ -18,7 +18,12 @@ from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, t
 from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
+from kinectbench.stages.ingest.readers.phone_images import (
+    COLOR_PX,
+    GRAVITY_UP,
+    PhoneRecording,
+    scaled_to_depth,
+)
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
 
 if TYPE_CHECKING:
@@ -105,7 +110,7 @@ class StrayScannerRecording(PhoneRecording):
         if color_px is None:
             warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
         K = read_matrix(path / "camera_matrix.csv", 3)
-        intrinsics = scaled(K, color_px or COLOR_PX, size_px).overridden_by(settings)
+        intrinsics = scaled_to_depth(K, color_px or COLOR_PX, size_px, path).overridden_by(settings)
         poses = [row for _, row in paired]
         trajectory, pose_warnings, error = read_given(lambda: trajectory_from_poses(poses, str(path)))
         return cls(
@@ -131,7 +136,7 @@ class StrayScannerRecording(PhoneRecording):
         bgr = self.video.frame(number)
         if bgr is None:
             raise DamagedImageError(f"{self.video.path}: has no frame {number}; the video is cut off")
-        return self.shrunk(bgr)
+        return self.shrunk(bgr, f"{self.video.path}, frame {number}")
 
 
 def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
