@@ -108,10 +108,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
             raise GivenPosesError(f"{row.where}: the pose is beyond {FARTHEST_M:g} m; give metres")
         if np.linalg.norm(row.quaternion_xyzw) < 1e-6:
             raise GivenPosesError(f"{row.where}: the quaternion has length zero; remove this row")
-    order, repeated = first_by_stamp([row.stamp_ns for row in rows])
-    warnings = []
-    if repeated:
-        warnings.append(f"{name}: {repeated} poses repeat the stamp of an earlier row and were left out")
+    order, warnings = first_by_stamp([row.stamp_ns for row in rows], name, "poses")
     kept = [rows[i] for i in order]
     rotations = rotation_from_xyzw([row.quaternion_xyzw for row in kept])
     T_world_camera = np.stack(

@@ -39,6 +39,20 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 Evidence = Literal["recording", "copy", "writer"]
 
 
+# Settings of a camera that only some formats have a use for; others warn of them.
+OF_SOME_FORMATS = (
+    "depth_topic",
+    "color_topic",
+    "pose_topic",
+    "color_delay_s",
+    "min_confidence",
+    "mask_object",
+    "sensor",
+    "swap_red_blue",
+)
+COLOR_DELAY = frozenset({"color_delay_s"})
+
+
 @dataclass(frozen=True)
 class RawFrame:
     """One recorded frame.
@@ -99,6 +113,7 @@ class Recording(ABC):
         format: name of the format, as in FORMATS.
         looks_for: what a folder or file must contain to be recognised.
         suffixes: suffixes of such files, which ids of recordings omit.
+        uses: the settings of only some formats (`OF_SOME_FORMATS`) that this reader applies.
         evidence: the best kind of data that the reader was tested on.
         verified: that data, including files of other programs; "" if only files made here.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
@@ -121,6 +136,7 @@ class Recording(ABC):
     format: ClassVar[str]
     looks_for: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
+    uses: ClassVar[frozenset[str]] = frozenset()
     evidence: ClassVar[Evidence] = "writer"
     verified: ClassVar[str] = ""
     up_world: ClassVar[tuple[float, float, float] | None] = None

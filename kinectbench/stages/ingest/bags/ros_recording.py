@@ -74,6 +74,7 @@ class RosRecording(Recording):
     """
 
     wanted: ClassVar[frozenset[str]] = WANTED
+    uses: ClassVar[frozenset[str]] = frozenset({"depth_topic", "color_topic", "pose_topic", "color_delay_s"})
     # Types for which the bag's definition is used.
     own_types: ClassVar[frozenset[str]] = frozenset()
 
@@ -240,12 +241,11 @@ def _pair(
 ) -> tuple[tuple[MessagePair, ...], list[str]]:
     """Pair depth messages of distinct stamps with colour messages; also return warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
-    order, repeated = first_by_stamp(depth_ns)
-    warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
+    order, warnings = first_by_stamp(depth_ns, depth.name, "messages")
     if color is None:
         return tuple(MessagePair(depth_ns[i], i, None) for i in order), warnings
     color_ns = [place.stamp_ns for place in color.topic.messages]
-    color_order, _ = first_by_stamp(color_ns)
+    color_order, _ = first_by_stamp(color_ns, color.name, "messages")
     partners = pair_by_time(
         [depth_ns[i] for i in order],
         [color_ns[j] for j in color_order],
@@ -288,8 +288,7 @@ def _depth_info(
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
     )
-    decided = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
-    return info, [warnings] if warnings and not decided else []
+    return info, [warnings] if warnings and not settings.gives_intrinsics else []
 
 
 def _same_frame(depth: ImageTopic, color: ImageTopic) -> bool:

@@ -49,6 +49,7 @@ class BopRecording(FileRecording):
     """
 
     format: ClassVar[str] = "bop"
+    uses: ClassVar[frozenset[str]] = frozenset({"mask_object"})
     looks_for: ClassVar[str] = "a folder with scene_camera.json and depth/ (rgb/, mask_visib/, scene_gt.json)"
 
     moved_px: tuple[tuple[int, int], ...] = ()

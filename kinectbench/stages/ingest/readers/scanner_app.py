@@ -39,6 +39,7 @@ class ScannerAppRecording(PhoneRecording):
     """A folder of 3D Scanner App; only some frames have colour."""
 
     format: ClassVar[str] = "scanner_app"
+    uses: ClassVar[frozenset[str]] = frozenset({"min_confidence"})
     looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     evidence: ClassVar[Evidence] = "copy"
