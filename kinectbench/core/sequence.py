@@ -7,6 +7,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.sequence import AGAIN
+from kinectbench.core.encoded_images import decoded_image
+from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.depth import DepthCalibration, corrected_depth_m
 from kinectbench.core.types import Bools, Float32, Float64, Int64
@@ -109,14 +112,21 @@ class Sequence:
         return replace(self, depth_correction_per_m=correction)
 
     def color_rgb(self, index: int) -> NDArray[np.uint8] | None:
-        """Colour of one frame: (height, width, 3) uint8 RGB; None without colour."""
+        """Colour of one frame: (height, width, 3) uint8 RGB; None without colour.
+
+        Raises:
+            StorageError: the image is missing or damaged.
+        """
         import cv2
 
         encoded = self.frames.color_encoded(index)
         if encoded is None:
             return None
-        bgr = cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_COLOR)
-        return np.ascontiguousarray(np.asarray(bgr)[..., ::-1])
+        try:
+            bgr = decoded_image(encoded[1], cv2.IMREAD_COLOR)
+        except ValueError as error:
+            raise StorageError(f"the stored colour of frame {index} {error}; {AGAIN}") from error
+        return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8, copy=False)
 
 
 def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:

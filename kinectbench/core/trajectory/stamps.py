@@ -111,15 +111,22 @@ def format_stamp(stamp_ns: int) -> str:
     return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
 
 
-def first_by_stamp(stamps_ns: Sequence[int]) -> tuple[list[int], int]:
+def first_by_stamp(stamps_ns: Sequence[int], where: str, what: str) -> tuple[list[int], list[str]]:
     """Sort stamps and drop repeated ones.
 
+    Args:
+        stamps_ns: nanoseconds, in any order.
+        where: file or topic, for the warning.
+        what: what the stamps are of, such as "rows", for the warning.
+
     Returns:
-        Indices into `stamps_ns` with strictly increasing stamps (the first of equal stamps), and the number
-        of dropped stamps.
+        Indices into `stamps_ns` with strictly increasing stamps (the first of equal stamps), and a warning if
+        stamps were dropped.
     """
     _, first = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_index=True)
-    return first.tolist(), len(stamps_ns) - len(first)
+    repeated = len(stamps_ns) - len(first)
+    line = f"{where}: {repeated} {what} repeat an earlier stamp and were left out"
+    return first.tolist(), [line] if repeated else []
 
 
 @dataclass(frozen=True)

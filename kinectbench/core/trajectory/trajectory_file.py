@@ -104,10 +104,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
         raise GivenPosesError(f"{name}: the trajectory is empty; remove it or export it again")
     values = np.array([(*row.translation_m, *row.quaternion_xyzw) for row in rows])
     _refuse_values(rows, values)
-    order, repeated = first_by_stamp([row.stamp_ns for row in rows])
-    warnings = []
-    if repeated:
-        warnings.append(f"{name}: {repeated} poses repeat the stamp of an earlier row and were left out")
+    order, warnings = first_by_stamp([row.stamp_ns for row in rows], name, "poses")
     T_world_camera = np.tile(np.eye(4), (len(order), 1, 1))
     T_world_camera[:, :3, :3] = rotation_from_xyzw(values[order, 3:])
     T_world_camera[:, :3, 3] = values[order, :3]

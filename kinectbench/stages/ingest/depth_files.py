@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import PNG_MAGIC, decoded_image, image_head
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.types import MM_PER_M, Float32
+from kinectbench.core.types import MM_PER_M, Bools, Float32
 from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
@@ -89,11 +89,19 @@ def kind_of(depth: UInt16 | Float32) -> str:
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
-    """Units per metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers."""
+    """Units per metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers.
+
+    An empty image tells nothing, and counts as one in metres.
+    """
     if depth.dtype == np.uint16:
         return None
-    measured = depth[np.isfinite(depth) & (depth > 0)]
+    measured = depth[is_measured(depth)]
     return MM_PER_M if len(measured) and float(np.median(measured)) > FARTHEST_M else 1.0
+
+
+def is_measured(depth: UInt16 | Float32) -> Bools:
+    """The pixels with a depth: (height, width) bool."""
+    return np.asarray(np.isfinite(depth) & (depth > 0))
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
@@ -137,6 +145,10 @@ def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
     if pixels.ndim == 2 and pixels.dtype.kind == "f":
         with np.errstate(over="ignore"):
             return pixels.astype(np.float32)
+    if pixels.ndim == 2 and pixels.dtype.kind in "ui" and pixels.dtype.itemsize == 1:
+        raise OddImageError(
+            f"{name}: depth is 8-bit ({pixels.dtype}): export the raw depth again, not a picture of it"
+        )
     if pixels.ndim == 2 and pixels.dtype.kind in "ui":
         if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
             raise OddImageError(f"{name}: its whole numbers do not fit into 16 bits: write metres as floats")

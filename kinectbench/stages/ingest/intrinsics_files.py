@@ -78,7 +78,7 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
         intrinsics = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
         others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
         return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
-    if all(getattr(settings, key) is not None for key in NEEDED):
+    if settings.gives_intrinsics:
         return Intrinsics(), None
     for file in (path / name for name in LOOSE_FILES):
         with suppress(RecordingError):

@@ -36,9 +36,24 @@ MOST_TRIED = 10_000
 NO_IMAGE_FILE = {errno.EINVAL, errno.EFBIG, errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Pixel = TypeVar("Pixel", bound=np.generic)
 # What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
 # project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
+
+
+# Settings of a camera that only some formats have a use for; others warn of them.
+OF_SOME_FORMATS = (
+    "depth_topic",
+    "color_topic",
+    "pose_topic",
+    "color_delay_s",
+    "min_confidence",
+    "mask_object",
+    "sensor",
+    "swap_red_blue",
+)
+COLOR_DELAY = frozenset({"color_delay_s"})
 
 
 @dataclass(frozen=True)
@@ -101,6 +116,7 @@ class Recording(ABC):
         format: name of the format, as in FORMATS.
         looks_for: what a folder or file must contain to be recognised.
         suffixes: suffixes of such files, which ids of recordings omit.
+        uses: the settings of only some formats (`OF_SOME_FORMATS`) that this reader applies.
         evidence: the best kind of data that the reader was tested on.
         verified: that data, including files of other programs; "" if only files made here.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
@@ -123,6 +139,7 @@ class Recording(ABC):
     format: ClassVar[str]
     looks_for: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
+    uses: ClassVar[frozenset[str]] = frozenset()
     evidence: ClassVar[Evidence] = "writer"
     verified: ClassVar[str] = ""
     up_world: ClassVar[tuple[float, float, float] | None] = None
@@ -236,12 +253,12 @@ class FileRecording(Recording):
         native = (
             stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale or 1.0))
         )
-        depth = read_by_code(
-            self.depth_code, self.clean_depth(np.asarray(native, np.uint16), index), self.camera
-        )
+        cleaned = self.placed(self.clean_depth(np.asarray(native, np.uint16), index), index)
+        depth = read_by_code(self.depth_code, cleaned, self.camera)
         mask = None if files.mask is None else self.mask(files.mask, depth)
-        if mask is not None and mask.shape != depth.shape:
+        if mask is not None and mask.shape != native.shape:
             raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
+        mask = None if mask is None else self.placed(mask, index)
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
@@ -256,6 +273,10 @@ class FileRecording(Recording):
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Set invalid pixels of a frame to 0."""
         return depth
+
+    def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
+        """An image (height, width, ...) of a frame, on the pixels of the recording's camera."""
+        return image
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:

@@ -155,17 +155,20 @@ def _checked_frames(
 def _packed(
     register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
 ) -> _Checked | _Damaged:
-    """Pack a frame's depth, and register its colour."""
+    """Pack a frame's depth, and register its colour, or at least decode it once: a header tells no damage."""
     if isinstance(checked, _Damaged):
         return checked
-    depth = encode_depth(checked.frame.depth)
-    if register is None:
-        return replace(checked, depth=depth)
+    frame = checked.frame
+    depth = encode_depth(frame.depth)
     try:
-        registered = register(checked.frame)
+        if register is not None:
+            suffix = checked.color_suffix and ".png"
+            return replace(checked, depth=depth, written=register(frame), color_suffix=suffix)
+        if frame.color is not None:
+            decode_color_bgr(frame.color[1], f"colour of {frame.name}")
     except DamagedImageError as error:
         return _Damaged(str(error))
-    return replace(checked, depth=depth, written=registered, color_suffix=checked.color_suffix and ".png")
+    return replace(checked, depth=depth)
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:

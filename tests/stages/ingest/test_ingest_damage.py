@@ -1,6 +1,9 @@
 """Bags cut at every tenth: what is whole is read. Fuzzed bags: one line, and no memory is asked for."""
 
+import shutil
+import sqlite3
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +14,11 @@ from ingest_writers import CAMERA, START_NS, STEP_NS, depth_image, every_frame, 
 from mcap.writer import CompressionType
 from test_ingest_realsense import property_of_version_2, units
 from test_ingest_realsense import write as write_realsense
-from test_ingest_rosbag2 import messages, write_mcap
+from test_ingest_rosbag2 import RIG, STORE, TYPES, messages, write_mcap
 from test_ingest_rosbag2 import write_bag as write_bag2
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.lab.simulate.writers.bags import MessageMaker
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import RawFrame
@@ -43,6 +47,39 @@ def test_a_bag_cut_off_at_every_tenth(tmp_path: Path, compression: str | None, t
     for frame in frames:
         assert isinstance(frame, RawFrame)
         np.testing.assert_array_equal(frame.depth, depth_image((frame.stamp_ns - START_NS) // STEP_NS))
+
+
+def test_a_log_of_writes_that_is_not_read_is_named(tmp_path: Path) -> None:
+    """As rosbag2's preset `resilient` leaves it where the recorder was killed."""
+    file = write_bag2(tmp_path / "bag", messages(40)) / "bag.db3"
+    found = tmp_path / "found.db3"
+    with closing(sqlite3.connect(file)) as database:
+        columns = "topic_id, timestamp, data"
+        rows = database.execute(f"SELECT {columns} FROM messages ORDER BY id").fetchall()
+        database.execute("DELETE FROM messages WHERE id > 100")
+        database.commit()
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        database.executemany(f"INSERT INTO messages({columns}) VALUES (?, ?, ?)", rows[100:])
+        database.commit()
+        for end in ("", "-wal"):
+            shutil.copy(f"{file}{end}", f"{found}{end}")
+    recording = open_recording(found)
+    assert len(recording) == 20
+    assert "found.db3-wal beside it may hold further messages" in recording.warnings[0]
+    with closing(sqlite3.connect(found)) as database:
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    recording = open_recording(found)
+    assert (len(recording), recording.warnings) == (40, ())
+
+
+def test_a_time_beyond_64_bits_is_damage(tmp_path: Path) -> None:
+    maker, image = MessageMaker(TYPES, RIG, "raw", ros2=True), "sensor_msgs/msg/Image"
+    found = messages(4)
+    message = maker.image(maker.header(0, 0, "d"), depth_image(0, 1000.0), "16UC1")
+    late = ("/camera/depth_registered/image_raw", image, 2**63, bytes(STORE.serialize_cdr(message, image)))
+    recording = open_recording(write_mcap(tmp_path / "r.mcap", [*found, late], use_chunking=False))
+    assert len(recording) == 4 and "20 messages were saved" in recording.warnings[0]
 
 
 def originals(tmp_path: Path) -> dict[str, bytes]:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from ingest_writers import HEIGHT, WIDTH, depth_image, jpeg, png, write_folder
@@ -110,6 +111,64 @@ def test_a_frame_of_another_kind_is_left_out(tmp_path: Path, name: str) -> None:
     assert read_sequence(tmp_path / "out").recorded == (*range(7), *range(8, 24))
     diagnosis, severities = looked_over(folder)
     assert severities == ["warning"] and not diagnosis.stops
+
+
+def test_the_unit_of_floats_is_that_of_the_first_image_that_measures(tmp_path: Path) -> None:
+    images = [npy(np.zeros((HEIGHT, WIDTH), np.float32)), *(npy(1000 * metres(i)) for i in range(1, 8))]
+    recording = open_recording(recorded(tmp_path / "r", ".npy", images))
+    assert any("taken for millimetres" in warning for warning in recording.warnings)
+    assert np.abs(recording.frame(5).depth / recording.depth_scale - metres(5)).max() < 2e-4
+    empty = open_recording(recorded(tmp_path / "s", ".npy", [images[0]] * 5))
+    with raises(RecordingError, "recording.empty-depth"):
+        write_sequence(empty, tmp_path / "out")
+
+
+def in_channels(depth: NDArray[np.uint16]) -> bytes:
+    return png(np.dstack([depth & 255, depth >> 8, 0 * depth]).astype(np.uint8))
+
+
+@pytest.mark.parametrize("first", [in_channels(0 * depth_image(0)), b""])
+def test_two_channels_are_those_of_the_first_image_that_measures(tmp_path: Path, first: bytes) -> None:
+    rows = np.arange(HEIGHT, dtype=np.uint16)[:, None] * 20
+    images = [np.asarray(depth_image(i, 1000.0) + rows, np.uint16) for i in range(8)]
+    recording = open_recording(recorded(tmp_path / "r", ".png", [first, *map(in_channels, images[1:])]))
+    np.testing.assert_array_equal(recording.frame(5).depth, images[5])
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".tiff", ".png"])
+def test_a_picture_of_depth_in_8_bits_is_no_depth(tmp_path: Path, suffix: str) -> None:
+    picture = np.tile(np.linspace(120, 250, WIDTH).astype(np.uint8), (HEIGHT, 1))
+    encoded = {".npy": npy(picture), ".npz": npz(depth=picture), ".png": png(picture)}
+    data = encoded.get(suffix) or bytes(cv2.imencode(".tiff", picture)[1])
+    recording = open_recording(recorded(tmp_path / "r", suffix, [data] * 5))
+    with raises(RecordingError, "recording.too-many-damaged", match="8-bit.*not a picture of it"):
+        write_sequence(recording, tmp_path / "out")
+
+
+@pytest.mark.parametrize("kinds", [(".png", ".npy"), (".npy", ".tiff")])
+@pytest.mark.parametrize("beside", [True, False])
+def test_depth_of_a_frame_in_two_files_is_read_once(
+    tmp_path: Path, kinds: tuple[str, str], beside: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In whatever order the file system lists the files."""
+    folder = write_folder(tmp_path / "r", MANY[:4])
+    named = "{}-depth{}" if beside else "depth/{}{}"
+    for i in range(4):
+        (folder / f"depth/{i}.png").rename(folder / named.format(i, ".png"))
+        (folder / f"color/{i}.jpg").rename(folder / (f"{i}-color.jpg" if beside else f"color/{i}.jpg"))
+        (folder / named.format(i, ".npy")).write_bytes(npy(metres(i)))
+        if ".tiff" in kinds and not beside:
+            (folder / named.format(i, ".png")).unlink()
+            (folder / named.format(i, ".tiff")).write_bytes(
+                bytes(cv2.imencode(".tiff", depth_image(i, 1000.0))[1])
+            )
+    if beside:
+        (folder / "depth").rmdir()
+        (folder / "color").rmdir()
+    recording = open_recording(folder)
+    assert (len(recording), all(place.color for place in recording.places)) == (4, True)
+    assert len({place.depth.suffix for place in recording.places}) == 1
+    assert "are not read: keep one kind" in recording.warnings[0]
 
 
 @pytest.mark.parametrize("name", [name for name in ODD if name != "no bytes"])

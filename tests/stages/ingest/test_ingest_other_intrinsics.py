@@ -1,18 +1,21 @@
 """7-Scenes' file names with another camera: where its intrinsics are, and what contradicts the images."""
 
+import inspect
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import CX, CY, FX, FY, color_image, jpeg, png, write_seven_scenes
+from ingest_writers import CX, CY, FX, FY, color_image, jpeg, png, write_folder, write_seven_scenes
 from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.engine.artefact import content_hash
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.intrinsics import number_of, object_of
-from kinectbench.stages.ingest.readers import open_recording, source_files
+from kinectbench.stages.ingest.readers import FORMATS, open_recording, reader_of, source_files
+from kinectbench.stages.ingest.recording import OF_SOME_FORMATS
 
 SMALL = Camera(64, 48, FX, FY, CX, CY)
 K = f"{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n"
@@ -156,6 +159,55 @@ def test_the_info_of_scannets_tools_is_read(tmp_path: Path, name: str) -> None:
         (folder / name).write_text(wrong)
         with pytest.raises(RecordingError, match=name):
             open_recording(folder)
+
+
+def test_poses_of_scannets_tools_are_moved_from_the_rig_to_depth(tmp_path: Path) -> None:
+    folder = bare(tmp_path)
+    before = open_recording(folder, CameraSettings(fx=FX, fy=FY, cx=31.5, cy=23.5)).given_trajectory
+    assert before is not None
+    place = np.eye(4)
+    place[0, 3] = 0.05
+    said = " ".join(f"{value:g}" for value in place.ravel())
+    row = f"m_calibrationDepthExtrinsic = {IDENTITY}"
+    (folder / "info.txt").write_text(info().replace(row, f"m_calibrationDepthExtrinsic = {said}"))
+    given = open_recording(folder).given_trajectory
+    assert given is not None
+    np.testing.assert_allclose(given.T_world_camera, before.T_world_camera @ place, atol=1e-3)
+    assert np.abs(given.T_world_camera - before.T_world_camera).max() > 0.04
+
+
+def test_no_camera_is_assumed_where_the_settings_give_it(tmp_path: Path) -> None:
+    """A plain folder with Redwood's names and size."""
+    for name in ("depth", "color"):
+        (tmp_path / "r" / name).mkdir(parents=True)
+    for i in range(3):
+        name = f"{i + 1:07d}-{i * 33_333:012d}"
+        (tmp_path / f"r/depth/{name}.png").write_bytes(png(np.full((480, 640), 1500, np.uint16)))
+    assert "PrimeSense camera are taken" in " ".join(open_recording(tmp_path / "r").warnings)
+    given = CameraSettings(fx=600.0, fy=601.0, cx=320.0, cy=240.0)
+    recording = open_recording(tmp_path / "r", given)
+    assert (recording.camera.fx, recording.warnings) == (600.0, ())
+
+
+def test_a_setting_of_another_format_is_said_to_do_nothing(tmp_path: Path) -> None:
+    given = CameraSettings(color_delay_s=0.01, swap_red_blue=True, sensor="NP1", mask_object=1)
+    scenes = open_recording(write_seven_scenes(tmp_path / "s"), given)
+    assert "`color_delay_s`, `mask_object`, `sensor`, `swap_red_blue` under" in scenes.warnings[-1]
+    assert scenes.color_delay_s == 0.0
+    folder = open_recording(write_folder(tmp_path / "f"), CameraSettings(color_delay_s=0.01))
+    assert (folder.warnings, folder.color_delay_s) == ((), 0.01)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_settings_that_a_reader_uses_are_those_that_it_names(name: str) -> None:
+    """By the text of its module; those of bags share a second one."""
+    reader = reader_of(name)
+    modules = [reader, *([RosRecording] if issubclass(reader, RosRecording) else [])]
+    text = "\n".join(Path(inspect.getfile(each)).read_text("utf-8") for each in modules)
+    mentioned = {each for each in OF_SOME_FORMATS if f"settings.{each}" in text}
+    # `pair_files` of a plain folder takes the settings.
+    paired = {"color_delay_s"} if "pair_files(" in text else set()
+    assert reader.uses == mentioned | paired
 
 
 def test_another_info_is_none(tmp_path: Path) -> None:

@@ -83,6 +83,24 @@ def test_stray_scanner(tmp_path: Path) -> None:
     np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [1.0, 0, 0], atol=1e-12)
 
 
+def test_colour_of_another_shape_is_no_colour_of_the_same_camera(tmp_path: Path) -> None:
+    """Turned upright or cut: its intrinsics, squeezed to depth's size, would be of no camera."""
+    folder = stray(tmp_path / "a", video=False)
+    writer = cv2.VideoWriter(str(folder / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, BIG[::-1])
+    for i in range(4):
+        writer.write(np.ascontiguousarray(np.rot90(big_color(i))))
+    writer.release()
+    with raises(RecordingError, "recording.bad-intrinsics", match="192x256.*another shape"):
+        open_recording(folder)
+    folder = scanner_app(tmp_path / "b")
+    (folder / "frame_00003.jpg").write_bytes(jpeg(big_color(3)[:144]))
+    with raises(DamagedImageError, "recording.other-image", match="256x144.*another shape"):
+        open_recording(folder).frame(3)
+    (folder / "frame_00000.jpg").write_bytes(jpeg(big_color(3)[:144]))
+    with raises(RecordingError, "recording.bad-intrinsics", match="256x144.*another shape"):
+        open_recording(folder)
+
+
 @pytest.mark.parametrize("least", [0, 1, 2])
 def test_confidence_becomes_holes(tmp_path: Path, least: int) -> None:
     frame = open_recording(stray(tmp_path / "r"), CameraSettings(min_confidence=least)).frame(1)
@@ -263,6 +281,26 @@ def test_bop_images_that_were_cut_out_are_moved_to_one_principal_point(tmp_path:
     given, true = recording.given_trajectory, whole.given_trajectory
     assert given is not None and true is not None
     np.testing.assert_array_equal(given.T_world_camera, true.T_world_camera)
+
+
+def test_ray_distances_of_images_that_are_moved(tmp_path: Path) -> None:
+    rays = CameraSettings(depth_code="ray_distance")
+    whole = open_recording(bop(tmp_path / "whole"), rays)
+    recording = open_recording(cut(tmp_path / "cut", tmp_path / "whole"), rays)
+    for index, (x, y) in enumerate(CUT.values()):
+        found, expected = (each.frame(index).depth[y : y + 40, x : x + 48] for each in (recording, whole))
+        np.testing.assert_array_equal(found, expected)
+        assert (found < depth_image(list(CUT)[index], 10_000.0)[y : y + 40, x : x + 48]).mean() > 0.9
+
+
+@pytest.mark.parametrize("key", ["cam_K", "depth_scale"])
+def test_bop_numbers_that_are_too_large(tmp_path: Path, key: str) -> None:
+    folder = bop(tmp_path / "r")
+    cameras = json.loads((folder / "scene_camera.json").read_text())
+    cameras["2"][key] = 10**400 if key == "depth_scale" else [10**400] * 9
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    with raises(RecordingError, "recording.bad-intrinsics", match="image 2"):
+        open_recording(folder)
 
 
 @pytest.mark.parametrize(("place", "change"), [(2, 0.4), (5, -0.2), (4, 3.0)])

@@ -115,6 +115,8 @@ def test_an_older_file_that_does_not_say_the_size_of_depth(tmp_path: Path, portr
         f"rgbd/{i}.depth": lzfse(np.full(shape, 1.5, "<f4")) for i in range(4)
     }
     members |= {f"rgbd/{i}.conf": None for i in range(4)}
+    color = jpeg(np.zeros((size["h"], size["w"], 3), np.uint8))
+    members |= {f"rgbd/{i}.jpg": color for i in range(4)}
     K = [700.0, 0, 0, 0, 700, 0, size["w"] / 2, size["h"] / 2, 1]
     path = r3d(tmp_path / "r.r3d", {"dw": None, "dh": None, "K": K} | size, members)
     recording = open_recording(path)

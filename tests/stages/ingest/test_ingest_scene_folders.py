@@ -142,6 +142,27 @@ def test_depth_of_sun3d_that_was_put_right_already_is_left(tmp_path: Path) -> No
     np.testing.assert_array_equal(open_recording(folder).frame(2).depth, depth_image(2, 1000.0))
 
 
+@pytest.mark.parametrize("stream", ["depth", "image"])
+def test_a_stamp_of_sun3d_that_repeats_leaves_the_others_on_one_clock(tmp_path: Path, stream: str) -> None:
+    folder = sun3d(tmp_path / "r", 12)
+    files = sorted((folder / stream).iterdir())
+    files[7].rename(files[7].with_name(files[7].name[:8] + files[6].name[8:]))
+    recording = open_recording(folder)
+    (warning, *_) = recording.warnings
+    assert f"{stream}: 1 images repeat an earlier stamp" in warning
+    kept = [i for i in range(12) if (stream, i) != ("depth", 7)]
+    assert recording.stamps_ns.tolist() == [(i * 33_333 + 5000) * 1000 for i in kept]
+    colors = [place.color and int(place.color.stem[:7]) - 1 for place in recording.places]
+    assert colors == [None if (stream, i) == ("image", 7) else i for i in kept]
+    given = recording.given_trajectory
+    assert given is not None and len(given.stamps_ns) == (13 if stream == "depth" else 12)
+    np.testing.assert_allclose(given.T_world_camera[-1], pose(12), atol=1e-12)
+    for file in (folder / "image").iterdir():
+        file.rename(file.with_name(f"{file.name[:7]}.jpg"))
+    with raises(RecordingError, "recording.unpaired", match="only one of depth/ and image/ has times"):
+        open_recording(folder)
+
+
 def test_poses_of_another_number_are_no_poses(tmp_path: Path) -> None:
     folder = sun3d(tmp_path / "r")
     np.savetxt(folder / "extrinsics/20150101000000.txt", np.ones((9, 4)))

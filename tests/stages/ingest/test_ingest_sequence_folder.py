@@ -29,6 +29,7 @@ from raising import raises
 from kinectbench.core.errors import RecordingError, StorageError, TrackingError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
 from kinectbench.core.threads import using_threads
+from kinectbench.doctor.during_build import OffsetWatch
 from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_code import encode_depth
 from kinectbench.stages.ingest.readers import open_recording
@@ -180,6 +181,22 @@ def undecodable_png(image: np.ndarray) -> bytes:
         + b"IEND"
         + struct.pack(">I", zlib.crc32(b"IEND"))
     )
+
+
+def test_colour_that_is_damaged_behind_its_header_is_left_out(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r", frames=41)
+    broken = bytearray(jpeg(color_image(7)))
+    table = broken.index(b"\xff\xc4") + 4
+    broken[table : table + 18] = b"\xff" * 18
+    (folder / "rgb/7.jpg").write_bytes(broken)
+    recording = open_recording(folder)
+    (warning,) = write_sequence(recording, tmp_path / "sequence", watch=OffsetWatch(recording))
+    assert "colour" in warning and "7.png: cannot be decoded" in warning
+    sequence = read_sequence(tmp_path / "sequence")
+    assert (len(sequence), sequence.color_rgb(7) is None) == (40, False)
+    (tmp_path / "sequence/color/000003.jpg").write_bytes(broken)
+    with raises(StorageError, "storage.damaged", match="colour of frame 3 cannot be decoded"):
+        sequence.color_rgb(3)
 
 
 def beside(recording: Recording) -> Recording:

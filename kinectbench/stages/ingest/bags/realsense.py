@@ -10,8 +10,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import closest_rotation, rigid
+from kinectbench.core.trajectory.text_rows import parse_floats
+from kinectbench.core.trajectory.trajectory_file import FARTHEST_M
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
 from kinectbench.stages.ingest.bags.ros_messages import BagTopic, Message, RosBag
@@ -20,12 +24,15 @@ from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageT
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
 
 FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
-# Since 2.58 librealsense writes ROS 2 bags (.db3) with options as text.
+# Since 2.58 librealsense writes ROS 2 bags (.db3) with options and extrinsics as text.
 STRING = "std_msgs/String"
 STREAM_INFO = "realsense_msgs/stream_info"
 # /device_0/sensor_0/Depth_0/image/data, /camera/DEPTH/image_raw/0
 STREAM = re.compile(r"(/device_\d+/sensor_\d+)/(\w+)_\d+/image/data(?:/compressedDepth)?")
 OLD_STREAM = re.compile(r"/camera/([A-Z]+)\d*/image_raw/(\d+)")
+ANY_STREAM = re.compile(r"/device_\d+/sensor_\d+/\w+_\d+/")
+# "rotation=" with nine numbers by columns, and "translation=" with three, metres (its ros2_writer.cpp).
+EXTRINSICS = re.compile(r"rotation=([^;]{17,400});translation=([^;]{5,200})")
 UNITS = re.compile(r"depth[ _]units", re.IGNORECASE)
 # Version 3 has a topic for each option, version 2 one topic for all options.
 OPTION = re.compile(r"/option/depth[ _]units/value$|/property$", re.IGNORECASE)
@@ -40,7 +47,6 @@ class RealsenseRecording(Rosbag1Recording):
     verified: ClassVar[str] = ""
     wanted: ClassVar[frozenset[str]] = WANTED | {FLOAT, KEY_VALUE, TRANSFORM, STREAM_INFO}
     own_types: ClassVar[frozenset[str]] = frozenset({STREAM_INFO})
-    frame_ids_tell: ClassVar[bool] = False
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -57,6 +63,11 @@ class RealsenseRecording(Rosbag1Recording):
         return any(word in part for word in TELL_TALES for part in (start, end))
 
     @classmethod
+    def frame_ids_tell(cls, depth: ImageTopic) -> bool:
+        """False: librealsense gives every stream the frame_id "0"."""
+        return False
+
+    @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
         """1 / Depth Units (metres) of the depth sensor."""
         return depth_units_scale(bag, depth)
@@ -66,14 +77,14 @@ class RealsenseRecording(Rosbag1Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """`T_color_depth`, if both streams have extrinsics with the same reference."""
-        return _between(bag, color.name, depth.name)
+        return between_streams(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
         """`T_depth_imu`, if both streams have extrinsics with the same reference."""
-        return _between(bag, depth.name, imu.name)
+        return between_streams(bag, depth.name, imu.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
@@ -122,8 +133,8 @@ def _positive(text: str) -> float | None:
     return number if number > 0 else None  # false for NaN
 
 
-def _between(bag: RosBag, to: str, of: str) -> Float64 | None:
-    """`T_to_of` between two streams; None if unknown."""
+def between_streams(bag: RosBag, to: str, of: str) -> Float64 | None:
+    """`T_to_of` (4, 4) between two streams, by the names of their topics; None if unknown."""
     T_to, T_of = _place_of_stream(bag, to), _place_of_stream(bag, of)
     if T_to is None or T_of is None or T_to[0] != T_of[0]:
         return None
@@ -132,21 +143,42 @@ def _between(bag: RosBag, to: str, of: str) -> Float64 | None:
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
     """The reference of a stream's extrinsics, and `T_stream_reference`; None if unknown."""
-    stream = name.removesuffix("/image/data").removesuffix("/imu/data") + "/tf/"
-    for topic in bag.topics:
-        if topic.type == TRANSFORM and topic.name.startswith(stream):
+    stream = ANY_STREAM.match(name)
+    places = f"{stream[0]}tf/" if stream else "/"
+    for topic in bag.topics if stream else ():
+        if topic.type in (TRANSFORM, STRING) and topic.name.startswith(places):
             message = bag.first(topic)
-            matrix = None if message is None else matrix_of(message)
-            return None if matrix is None else (topic.name.removeprefix(stream), matrix)
+            read = matrix_of if topic.type == TRANSFORM else _matrix_of_text
+            matrix = None if message is None else read(message)
+            return None if matrix is None else (topic.name.removeprefix(places), matrix)
     info = _old_stream_info(bag, name)
     if info is None:
         return None
     extrinsics = info.stream_extrinsics
-    # librealsense stores matrices by columns.
-    R = np.asarray(extrinsics.extrinsics.rotation, np.float64).reshape(3, 3).T
-    if not np.isfinite(R).all() or abs(np.linalg.det(R) - 1) > 0.01:
+    matrix = _rigid_by_columns(extrinsics.extrinsics.rotation, extrinsics.extrinsics.translation)
+    return None if matrix is None else (str(extrinsics.reference_point_id), matrix)
+
+
+def _matrix_of_text(message: Message) -> Float64 | None:
+    """The matrix (4, 4) of extrinsics that are stored as text; None if it holds none."""
+    said = EXTRINSICS.fullmatch(message.data)
+    try:
+        rotation, translation_m = (
+            [parse_floats(part.split(","), "") for part in said.groups()] if said else ([], [])
+        )
+    except RecordingError:
         return None
-    return str(extrinsics.reference_point_id), rigid(closest_rotation(R), extrinsics.extrinsics.translation)
+    if (len(rotation), len(translation_m)) != (9, 3):
+        return None
+    return _rigid_by_columns(rotation, translation_m)
+
+
+def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 | None:
+    """The matrix (4, 4) of a rotation by columns, as librealsense stores it; None if it is no place."""
+    R, t_m = np.asarray(rotation, np.float64).reshape(3, 3).T, np.asarray(translation_m, np.float64)
+    if not np.abs(R).max() <= 2 or abs(np.linalg.det(R) - 1) > 0.01:  # true for NaN, too
+        return None
+    return rigid(closest_rotation(R), t_m) if np.abs(t_m).max() <= FARTHEST_M else None
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Message | None:

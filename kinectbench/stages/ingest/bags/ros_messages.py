@@ -25,6 +25,7 @@ from pathlib import Path
 from sqlite3 import Blob
 from typing import BinaryIO, Literal, NamedTuple
 
+from kinectbench.core.trajectory.stamps import LIMIT_NS
 from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.images import DamagedImageError
 
@@ -224,7 +225,7 @@ class FoundMessages:
             whole: whether to read the whole message, to check that it is complete, and not only its Header.
 
         Raises:
-            DamagedRecordError: the stated size exceeds that of any message.
+            DamagedRecordError: the stated size exceeds that of any message, or the time exceeds 64 bits.
         """
         known = self.connections.get(connection)
         # The message's connection may be known only later: its chunk is lost, but the end of the file repeats
@@ -239,6 +240,8 @@ class FoundMessages:
             start = _start_of_packed(start + file.read(max(0, min(PACKED_HEAD_BYTES, size) - len(start))))
         sort = known or BagTopic("", "")
         stamp_ns = header_stamp_ns(start, sort.type, sort.encoding) or recorded_ns
+        if abs(stamp_ns) >= LIMIT_NS:
+            raise DamagedRecordError(f"a message of the time {stamp_ns} ns")
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
 
     def topics(self) -> tuple[BagTopic, ...]:

@@ -1,12 +1,13 @@
 """The trajectory of a ROS bag: from a topic of poses, or from tf, the tree of coordinate frames."""
 
-from bisect import bisect_left
+import math
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.geometry import interpolate_rigid, rigid, rotation_from_quaternion_xyzw
+from kinectbench.core.geometry import interpolate_rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import (
     FARTHEST_M,
@@ -43,7 +44,9 @@ class TransformTree:
         return chain
 
     def fixed(self, to_frame: str, from_frame: str) -> Float64 | None:
-        """`T_to_from` between frames without relative motion; None if unknown."""
+        """`T_to_from` between frames without relative motion; None if unknown, or without names."""
+        if not (to_frame and from_frame):
+            return None
         up, down = self.path(from_frame), self.path(to_frame)
         common = next((name for name in up if name in down), None)
         if common is None:
@@ -57,21 +60,21 @@ class TransformTree:
     def moving(self, frame: str) -> GivenTrajectory | None:
         """The motion of a frame relative to the root of its tree, the world.
 
-        The result has the stamps of the most frequent transform; the others are interpolated. None if nothing
-        on the way to the root moves.
+        The result has the stamps of the most frequent transform that moves; the others are interpolated. None
+        if nothing on the way to the root moves.
         """
         links = [self.edges[name] for name in self.path(frame)[:-1]]
-        busiest = max(links, key=lambda link: len(link[1]), default=None)
-        if busiest is None or not _moves(busiest[2]):
+        moving = [own for _, own, transforms in links if _moves(transforms)]
+        if not moving:
             return None
-        several = [link[1] for link in links if len(link[1]) > 1]
-        first, last = max(s[0] for s in several), min(s[-1] for s in several)
-        stamps = busiest[1][(busiest[1] >= first) & (busiest[1] <= last)]
+        busiest = max(moving, key=len)
+        first, last = max(own[0] for own in moving), min(own[-1] for own in moving)
+        stamps = busiest[(busiest >= first) & (busiest <= last)]
         if len(stamps) == 0:
             return None
         T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
         for _, own, transforms in links:
-            T = np.stack([_at(own, transforms, stamp) for stamp in stamps.tolist()]) @ T
+            T = _at(own, transforms, stamps) @ T
         return GivenTrajectory(stamps, np.ascontiguousarray(T))
 
     def _fixed_up(self, frames: list[str]) -> Float64 | None:
@@ -86,50 +89,64 @@ class TransformTree:
 
 def read_transforms(bag: RosBag) -> TransformTree:
     """Read every tf and tf_static message; invalid transforms are skipped."""
-    # For each frame: its parent, and by stamp its transform to the parent.
+    # For each frame: its parent, the stamps of its transforms, and seven numbers of each. A robot's bag has
+    # millions of transforms: the matrices are made at once.
     parents: dict[str, str] = {}
-    placed: dict[str, dict[int, Float64]] = {}
+    placed: dict[str, tuple[array[int], array[float]]] = {}
     read = (message for topic in bag.topics if topic.type in TF for message in bag.whole(topic))
     for stamped in (stamped for message in read for stamped in message.transforms):
         # tf 1 wrote names with a leading slash.
         child, parent = stamped.child_frame_id.lstrip("/"), stamped.header.frame_id.lstrip("/")
-        matrix, stamp = matrix_of(stamped.transform), stamped.header.stamp
-        if matrix is not None and child != parent and parents.setdefault(child, parent) == parent:
-            placed.setdefault(child, {})[stamp.sec * 10**9 + stamp.nanosec] = matrix
-    return TransformTree(
-        {
-            name: (
-                parents[name],
-                np.array(sorted(at), np.int64),
-                np.stack([at[stamp_ns] for stamp_ns in sorted(at)]),
-            )
-            for name, at in placed.items()
-        }
-    )
+        numbers, stamp = _numbers_of(stamped.transform), stamped.header.stamp
+        named = child and parent and child != parent
+        if numbers is not None and named and parents.setdefault(child, parent) == parent:
+            stamps_ns, rows = placed.setdefault(child, (array("q"), array("d")))
+            stamps_ns.append(stamp.sec * 10**9 + stamp.nanosec)
+            rows.extend(numbers)
+    return TransformTree({name: (parents[name], *_by_stamp(*placed[name])) for name in placed})
+
+
+def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
+    """Stamps, increasing, and the (n, 4, 4) matrices; of several with one stamp the last counts."""
+    # In reverse, because unique takes the first of equal stamps.
+    stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
+    return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
 
 
 def matrix_of(transform: Message) -> Float64 | None:
     """The (4, 4) matrix of a geometry_msgs/Transform; None if not finite, too far, or without rotation."""
+    numbers = _numbers_of(transform)
+    return None if numbers is None else _matrices(np.array([numbers]))[0]
+
+
+def _numbers_of(transform: Message) -> tuple[float, ...] | None:
+    """Translation and quaternion, x y z x y z w; None if not finite, too far, or without rotation."""
     t, q = transform.translation, transform.rotation
-    quaternion_xyzw, translation_m = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
-    if not np.abs([*quaternion_xyzw, *translation_m]).max() <= FARTHEST_M:  # false for NaN, too
+    numbers = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+    if not all(abs(number) <= FARTHEST_M for number in numbers):  # false for NaN, too
         return None
-    if np.linalg.norm(quaternion_xyzw) < SHORTEST_QUATERNION:
-        return None
-    return rigid(rotation_from_quaternion_xyzw(quaternion_xyzw), translation_m)
+    return numbers if math.hypot(*numbers[3:]) >= SHORTEST_QUATERNION else None
+
+
+def _matrices(rows: Float64) -> Float64:
+    """The matrices (n, 4, 4) of translations and quaternions (n, 7)."""
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = rotation_from_quaternion_xyzw(rows[:, 3:]), rows[:, :3]
+    return T
 
 
 def _moves(transforms: Float64) -> bool:
     return len(transforms) > 1 and bool(np.abs(transforms - transforms[0]).max() > 1e-6)
 
 
-def _at(stamps: Int64, transforms: Float64, stamp_ns: int) -> Float64:
-    """Interpolate a transform: linear in position, along the shortest rotation."""
-    after = min(max(bisect_left(stamps, stamp_ns), 0), len(stamps) - 1)
-    if stamps[after] == stamp_ns or after == 0 or len(stamps) == 1:
-        return np.asarray(transforms[after])
-    share = (stamp_ns - int(stamps[after - 1])) / int(stamps[after] - stamps[after - 1])
-    return interpolate_rigid(transforms[after - 1], transforms[after], min(share, 1.0))
+def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
+    """Interpolate transforms to (n, 4, 4): linear in position, along the shortest rotation."""
+    after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
+    before = np.maximum(after - 1, 0)
+    at_one = (own[after] == stamps) | (after == before)
+    share = (stamps - own[before]) / np.where(at_one, 1, own[after] - own[before])
+    between = interpolate_rigid(transforms[before], transforms[after], np.clip(share, 0, 1))
+    return np.where(at_one[:, None, None], transforms[after], between)
 
 
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
@@ -173,7 +190,7 @@ def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageT
         where = f"{name}, message {index}"
         rows.append(TimedPose(place.stamp_ns, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), where))
     trajectory, warnings = trajectory_from_poses(rows, name)
-    camera = depth.frame_id.lstrip("/")
+    camera = depth.frame_id
     if not child or child == camera:
         return trajectory, warnings
     T_child_camera = tree.fixed(child, camera)
@@ -187,7 +204,7 @@ def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageT
 
 
 def _from_tree(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> Given:
-    moving = tree.moving(depth.frame_id.lstrip("/")) if depth.frame_id else None
+    moving = tree.moving(depth.frame_id) if depth.frame_id else None
     if moving is None and named == "tf":
         raise RecordingError(
             f"{bag.path}: `pose_topic: tf`, but no transform above the frame '{depth.frame_id}' of "

@@ -74,10 +74,9 @@ class RosRecording(Recording):
     """
 
     wanted: ClassVar[frozenset[str]] = WANTED
+    uses: ClassVar[frozenset[str]] = frozenset({"depth_topic", "color_topic", "pose_topic", "color_delay_s"})
     # Types for which the bag's definition is used.
     own_types: ClassVar[frozenset[str]] = frozenset()
-    # Whether images with the same frame_id have the same pixels.
-    frame_ids_tell: ClassVar[bool] = True
 
     depth: ImageTopic
     color_topic: ImageTopic | None
@@ -96,6 +95,11 @@ class RosRecording(Recording):
         """
 
     @classmethod
+    def frame_ids_tell(cls, depth: ImageTopic) -> bool:
+        """Whether images with the same frame_id have the same pixels."""
+        return True
+
+    @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
         """Native units per metre of integer depth; None if the bag does not state it."""
         return None
@@ -105,14 +109,14 @@ class RosRecording(Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """`T_color_depth`; None if the bag does not have it."""
-        return tree.fixed(color.frame_id.lstrip("/"), depth.frame_id.lstrip("/"))
+        return tree.fixed(color.frame_id, depth.frame_id)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
         """`T_depth_imu`; None if the bag does not have it."""
-        return tree.fixed(depth.frame_id.lstrip("/"), frame_id) if frame_id else None
+        return tree.fixed(depth.frame_id, frame_id)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
@@ -126,7 +130,7 @@ class RosRecording(Recording):
         bag = cls.walk(path)
         depth, depth_warnings = choose_depth(bag, settings.depth_topic)
         color, color_warnings = choose_color(bag, depth, settings.color_topic)
-        if not cls.frame_ids_tell:
+        if not cls.frame_ids_tell(depth):
             depth, color = replace(depth, frame_id=""), color and replace(color, frame_id="")
         size_px = _first_depth_size(bag, depth)
         infos = cls.camera_infos(bag)
@@ -237,12 +241,11 @@ def _pair(
 ) -> tuple[tuple[MessagePair, ...], list[str]]:
     """Pair depth messages of distinct stamps with colour messages; also return warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
-    order, repeated = first_by_stamp(depth_ns)
-    warnings = [f"{depth.name}: {repeated} messages repeat a stamp and were left out"] if repeated else []
+    order, warnings = first_by_stamp(depth_ns, depth.name, "messages")
     if color is None:
         return tuple(MessagePair(depth_ns[i], i, None) for i in order), warnings
     color_ns = [place.stamp_ns for place in color.topic.messages]
-    color_order, _ = first_by_stamp(color_ns)
+    color_order, _ = first_by_stamp(color_ns, color.name, "messages")
     partners = pair_by_time(
         [depth_ns[i] for i in order],
         [color_ns[j] for j in color_order],
@@ -285,8 +288,7 @@ def _depth_info(
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
     )
-    decided = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
-    return info, [warnings] if warnings and not decided else []
+    return info, [warnings] if warnings and not settings.gives_intrinsics else []
 
 
 def _same_frame(depth: ImageTopic, color: ImageTopic) -> bool:

@@ -43,7 +43,7 @@ class ImageTopic:
     Attributes:
         topic: its name and messages.
         encoding: encoding of the first readable message.
-        frame_id: frame_id of that message.
+        frame_id: frame_id of that message, without the leading slash of tf 1.
     """
 
     topic: BagTopic
@@ -82,7 +82,7 @@ def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> l
         message = bag.first(topic) if topic.type in (IMAGE, COMPRESSED_IMAGE) else None
         encoding = None if message is None else encoding_of(message)
         if message is not None and encoding is not None:
-            topics.append(ImageTopic(topic, encoding, message.header.frame_id))
+            topics.append(ImageTopic(topic, encoding, message.header.frame_id.lstrip("/")))
     return topics
 
 
@@ -226,7 +226,7 @@ def choose_camera_info(
     ranked = []
     for name, info in usable:
         shared = _shared_folders(name, image.name)
-        same_frame = bool(image.frame_id) and info.header.frame_id == image.frame_id
+        same_frame = bool(image.frame_id) and info.header.frame_id.lstrip("/") == image.frame_id
         beside = _is_beside(name, image)
         if same_frame or beside or any(word in folder.lower() for folder in shared for word in kind.words):
             rank = ((info.width, info.height) == size_px, beside, same_frame, len(shared))

@@ -9,10 +9,17 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import copy_bounded, listed_paths, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
-from kinectbench.stages.ingest.bags.realsense import STREAM, STRING, depth_units_scale
+from kinectbench.stages.ingest.bags.realsense import (
+    STREAM,
+    STRING,
+    TRANSFORM,
+    between_streams,
+    depth_units_scale,
+)
 from kinectbench.stages.ingest.bags.ros_messages import (
     ZSTD_MAGIC,
     BagTopic,
@@ -21,6 +28,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     by_stamp,
     unpacked_message,
 )
+from kinectbench.stages.ingest.bags.ros_poses import TransformTree
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, ImageTopic
 
@@ -36,7 +44,7 @@ class Rosbag2Recording(RosRecording):
     looks_for: ClassVar[str] = "a .mcap or .db3 file, or a folder with such files (and metadata.yaml)"
     suffixes: ClassVar[tuple[str, ...]] = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
     verified: ClassVar[str] = "files written by rosbags, by mcap's own writer and by librealsense 2.59"
-    wanted: ClassVar[frozenset[str]] = WANTED | {STRING}
+    wanted: ClassVar[frozenset[str]] = WANTED | {STRING, TRANSFORM}
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -46,9 +54,32 @@ class Rosbag2Recording(RosRecording):
         return path.is_file() and _is_bag_file(path)
 
     @classmethod
+    def frame_ids_tell(cls, depth: ImageTopic) -> bool:
+        """Whether the bag is not by librealsense, whose ROS 1 bags, converted, have one frame_id for all."""
+        return not STREAM.fullmatch(depth.name)
+
+    @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
         """Units per metre in a bag by librealsense, which states them; None for other bags."""
         return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
+
+    @classmethod
+    def color_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
+    ) -> Float64 | None:
+        """`T_color_depth`, in a bag by librealsense from its extrinsics."""
+        if STREAM.fullmatch(depth.name):
+            return between_streams(bag, color.name, depth.name)
+        return super().color_place(bag, tree, depth, color)
+
+    @classmethod
+    def imu_place(
+        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
+    ) -> Float64 | None:
+        """`T_depth_imu`, in a bag by librealsense from its extrinsics."""
+        if STREAM.fullmatch(depth.name):
+            return between_streams(bag, depth.name, imu.name)
+        return super().imu_place(bag, tree, depth, imu, frame_id)
 
     @classmethod
     def walk(cls, path: Path) -> RosBag:

@@ -48,7 +48,7 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
         RecordingError: the file is not a bag's database.
     """
     messages = FoundMessages(types)
-    cut_off = _page_bytes_if_cut_off(path)
+    cut_off, unread = _page_bytes_if_cut_off(path), _unread_log(path)
     trouble = f"{path}: is cut off" if cut_off else ""
     reader = _Reader(path, cut_off > 0)
     try:
@@ -69,13 +69,26 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
     except (sqlite3.DatabaseError, ValueError, TypeError) as error:
         what = "is cut off, and" if cut_off else "is damaged:"
         raise RecordingError(
-            f"{path}: {what} cannot be read as a ROS 2 bag ({error}); copy it again"
+            f"{path}: {what} cannot be read as a ROS 2 bag ({error}); {unread or 'copy it again'}"
         ) from error
     if cut_off and reader.file_bytes % cut_off:
         _leave_out_torn(messages, cut_off)
     if trouble:
         trouble += f": {sum(map(len, messages.places.values()))} whole messages were saved; copy it again"
+    if unread:
+        trouble = "; ".join(filter(None, (trouble, f"{path}: {unread}")))
     return RosBag(path, messages.topics(), reader, trouble)
+
+
+def _unread_log(path: Path) -> str:
+    """What to do with a write-ahead log, which a recorder that was killed leaves behind; "" without one."""
+    log = path.with_name(f"{path.name}-wal")
+    if not log.is_file() or not log.stat().st_size:
+        return ""
+    return (
+        f"{log.name} beside it may hold further messages, which are not read: take them in by "
+        f"`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+    )
 
 
 class _Reader:
@@ -104,7 +117,7 @@ class _Reader:
     def connect(self) -> sqlite3.Connection:
         """Open the file read-only, as untrusted input."""
         open_plain(self._path).close()  # a regular file
-        # immutable: nothing is written beside the file, and a missing journal does not matter.
+        # immutable: nothing is written beside the file, and no journal or log is read.
         database = sqlite3.connect(
             f"file:{quote(str(self._path.resolve()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
         )

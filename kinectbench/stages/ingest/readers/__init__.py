@@ -18,7 +18,7 @@ from kinectbench.settings.pick import PICK_FILE
 from kinectbench.stages.ingest.depth_codes import SAMPLED_IMAGES, find_pattern
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.readers.color_only import without_depth
-from kinectbench.stages.ingest.recording import FileRecording, Recording, read_image_file
+from kinectbench.stages.ingest.recording import OF_SOME_FORMATS, FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.sources import check_count, check_link, check_there, files_below
 
 # name -> "module:class"; the first reader that recognises a path reads it, so special layouts come first.
@@ -98,7 +98,7 @@ def open_recording(
         for scale in (recording.depth_scale, settings.depth_scale or recording.depth_scale):
             _check_scale(path, scale)
         check_count(path, len(recording))
-        return with_depth_code(_with_delays(recording, settings), settings)
+        return with_depth_code(_with_delays(_with_unused(recording, settings), settings), settings)
     except OSError as error:
         raise RecordingError(
             f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"
@@ -205,6 +205,18 @@ def _check_scale(path: Path, scale: float) -> None:
         )
 
 
+def _with_unused(recording: Recording, camera: CameraSettings) -> Recording:
+    """The recording, with a warning of given settings that its format has no use for."""
+    silent, given = CameraSettings(), (name for name in OF_SOME_FORMATS if name not in recording.uses)
+    unused = [f"`{name}`" for name in given if getattr(camera, name) != getattr(silent, name)]
+    if not unused:
+        return recording
+    what = (
+        f"{', '.join(unused)} under `camera:` is of other formats than {recording.format}, and is not applied"
+    )
+    return replace(recording, warnings=(*recording.warnings, f"{recording.path}: {what}: remove it"))
+
+
 def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
     """Remove the delay of given poses; the recording's reader has corrected that of colour."""
     given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
@@ -213,7 +225,7 @@ def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
     return replace(
         recording,
         given_trajectory=given,
-        color_delay_s=camera.color_delay_s,
+        color_delay_s=camera.color_delay_s if "color_delay_s" in recording.uses else 0.0,
         trajectory_delay_s=camera.trajectory_delay_s,
     )
 

@@ -27,7 +27,7 @@ from kinectbench.stages.ingest.readers.azure_calibration import (
     COLOR_LOCATION,
     AzureCalibration,
 )
-from kinectbench.stages.ingest.recording import RawFrame, Recording
+from kinectbench.stages.ingest.recording import COLOR_DELAY, RawFrame, Recording
 from kinectbench.stages.ingest.sources import check_count
 from kinectbench.stages.ingest.undistortion import Undistortion
 
@@ -77,6 +77,7 @@ class AzureKinectRecording(Recording):
     """
 
     format: ClassVar[str] = "azure_kinect"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = "a .mkv of Azure Kinect or Femto with a depth track (needs kinectbench[azure])"
     suffixes: ClassVar[tuple[str, ...]] = (SUFFIX,)
 
@@ -316,8 +317,7 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
 
 def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
     """Sort images by stamp, each stamp once; and a warning about others."""
-    order, repeated = first_by_stamp([place.stamp_ns for place in places])
-    warnings = [f"{path}: {repeated} images repeat a stamp and were left out"] if repeated else []
+    order, warnings = first_by_stamp([place.stamp_ns for place in places], str(path), "images")
     return [places[i] for i in order], warnings
 
 

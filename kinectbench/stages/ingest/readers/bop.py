@@ -1,8 +1,8 @@
 """One scene of a BOP data set: depth/, rgb/ or gray/, scene_camera.json, and masks of an object."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from kinectbench.stages.ingest.intrinsics import (
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
-    RawFrame,
+    Pixel,
     first_depth_size,
     first_file,
     without_color,
@@ -35,7 +35,6 @@ COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06
 # Matrices are of one camera if they differ by no more than the first; principal points of images that were
 # cut from one camera's image differ by whole pixels, up to the second.
 MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
-Pixel = TypeVar("Pixel", bound=np.generic)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +49,7 @@ class BopRecording(FileRecording):
     """
 
     format: ClassVar[str] = "bop"
+    uses: ClassVar[frozenset[str]] = frozenset({"mask_object"})
     looks_for: ClassVar[str] = "a folder with scene_camera.json and depth/ (rgb/, mask_visib/, scene_gt.json)"
 
     moved_px: tuple[tuple[int, int], ...] = ()
@@ -108,14 +108,9 @@ class BopRecording(FileRecording):
             ),
         )
 
-    def frame(self, index: int) -> RawFrame:
-        """Read the files of a frame, and shift the images."""
-        frame = super().frame(index)
-        if not self.moved_px:
-            return frame
-        by_px = self.moved_px[index]
-        mask = None if frame.mask is None else _moved(frame.mask, by_px, self.camera)
-        return replace(frame, depth=_moved(frame.depth, by_px, self.camera), mask=mask)
+    def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
+        """An image of a frame, shifted to the common principal point."""
+        return _moved(image, self.moved_px[index], self.camera) if self.moved_px else image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Colour of a frame; if it is shifted, it is encoded again."""
@@ -123,7 +118,7 @@ class BopRecording(FileRecording):
         if encoded is None or not self.moved_px:
             return encoded
         bgr = decode_color_bgr(encoded[1], str(self.places[index].color))
-        return ".png", encode_png(_moved(bgr, self.moved_px[index], self.camera))
+        return ".png", encode_png(self.placed(bgr, index))
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
@@ -173,7 +168,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
     """The matrix (3, 3) and the depth scale (mm per unit) of an image."""
     try:
         K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise IntrinsicsError(f"{file}: image {number} needs cam_K (9 numbers) and depth_scale") from error
     usable = np.isfinite(K).all() and np.abs(K).max() < MOST_FOCAL_PX and np.isfinite(scale) and scale > 0
     if not usable:

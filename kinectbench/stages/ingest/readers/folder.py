@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -13,12 +14,19 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import (
     SUFFIXES,
     decode_depth_file,
+    is_measured,
     kind_of,
     packed_channels,
     units_a_metre,
 )
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
-from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError
+from kinectbench.stages.ingest.images import (
+    FLOAT_SCALE,
+    DamagedImageError,
+    OddImageError,
+    decode_color_bgr,
+    is_depth_png,
+)
 from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics, passed_over
 from kinectbench.stages.ingest.pairing import pair_images
@@ -39,6 +47,7 @@ from kinectbench.stages.ingest.readers.pose_files import (
     unread_poses,
 )
 from kinectbench.stages.ingest.recording import (
+    COLOR_DELAY,
     FileRecording,
     FrameFiles,
     first_color_size,
@@ -75,13 +84,14 @@ class DepthFormat:
 
     @classmethod
     def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
-        """Determine the format from the first undamaged depth image."""
-        with suppress(DamagedImageError):
-            return first_whole(lambda frame: cls._of(frame.depth, settings), files)
+        """Determine the format from the first undamaged depth image that measures something, if any does."""
+        for empty_too in (False, True):
+            with suppress(DamagedImageError):
+                return first_whole(partial(cls._of, settings, empty_too), [frame.depth for frame in files])
         return cls()
 
     @classmethod
-    def _of(cls, file: Path, settings: CameraSettings) -> "DepthFormat":
+    def _of(cls, settings: CameraSettings, empty_too: bool, file: Path) -> "DepthFormat":
         data = read_image_file(file)
         channels = packed_channels(data, str(file))
         if channels is not None:
@@ -91,8 +101,12 @@ class DepthFormat:
             )
             return cls(channels=channels, warnings=(warning,))
         if file.suffix.lower() == ".png":
+            if not (empty_too or is_depth_png(data) or decode_color_bgr(data, str(file)).any()):
+                raise OddImageError(f"{file}: is empty")
             return cls()
         depth = decode_depth_file(data, str(file))
+        if not (empty_too or is_measured(depth).any()):
+            raise OddImageError(f"{file}: is empty")
         units, kind = units_a_metre(depth), (kind_of(depth), file)
         if units is None:
             return cls(kind=kind)
@@ -110,6 +124,7 @@ class FolderRecording(FileRecording):
     """
 
     format: ClassVar[str] = "folder"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = (
         "a folder with depth/*.png, .npy, .npz or .tiff (and color/, masks/, intrinsics.json, "
         "trajectory.log or pose/), or with 000000-depth.png beside 000000-color.jpg"
@@ -133,7 +148,7 @@ class FolderRecording(FileRecording):
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
         said, camera_file = find_intrinsics(path, settings)
-        if camera_file is None and said == Intrinsics():
+        if camera_file is None and said == Intrinsics() and not settings.gives_intrinsics:
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered

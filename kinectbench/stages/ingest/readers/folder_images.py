@@ -32,37 +32,39 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """The depth images in a recording's folder; empty without any."""
-    folder = path / "depth"
-    if not folder.is_dir():
-        return beside_each_other(path, DEPTH_WORD)
-    suffixes = {file.suffix.lower() for file in listed_paths(folder)} & DEPTH_SUFFIXES
+    """The depth images in a recording's folder, of one kind; empty without any."""
+    every = _every_depth(path)
+    kinds = [file.suffix.lower() for file in every.files]
+    raw = [kind for kind in kinds if kind != ".png"]
+    pngs = [file for file, kind in zip(every.files, kinds, strict=True) if kind == ".png"]
     # Pictures of depth may be beside the depth itself.
-    raw = suffixes - {".png"}
-    if raw and ".png" in suffixes:
-        pngs = listed_paths(folder, wanted=lambda name: name.lower().endswith(".png"))
-        if not any(map(is_16_bit, pngs)):
-            return in_folder(folder, frozenset(raw))
-    return in_folder(folder, frozenset({".png"}) if ".png" in suffixes else frozenset(raw))
+    chosen = (
+        ".png"
+        if pngs and not (raw and not any(map(is_16_bit, pngs)))
+        else max(raw, key=raw.count, default="")
+    )
+    kept = [at for at, kind in enumerate(kinds) if kind == chosen]
+    return NamedImages(tuple(every.files[at] for at in kept), tuple(every.stems[at] for at in kept))
+
+
+def _every_depth(path: Path) -> NamedImages:
+    folder = path / "depth"
+    return in_folder(folder, DEPTH_SUFFIXES) if folder.is_dir() else beside_each_other(path, DEPTH_WORD)
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """A line on images in depth/ of an unsupported kind."""
-    folder = path / "depth"
-    if not folder.is_dir() or not read.files:
-        return ()
+    """A line on depth images of another kind than those that are read."""
     read_kinds = {file.suffix.lower() for file in read.files}
     others: dict[str, list[str]] = {}
-    for file in sorted(listed_paths(folder)):
-        kind = file.suffix.lower()
-        if kind in DEPTH_SUFFIXES - read_kinds and not file.name.startswith("."):
-            others.setdefault(kind, []).append(file.name)
-    if not others:
+    for file in sorted(_every_depth(path).files):
+        if file.suffix.lower() not in read_kinds:
+            others.setdefault(file.suffix.lower(), []).append(file.name)
+    if not others or not read.files:
         return ()
     counted = " and ".join(f"{len(n)} {kind} (such as {printable(n[0])})" for kind, n in others.items())
     kinds = f"{', '.join(sorted(read_kinds))} (such as {printable(read.files[0].name)})"
     line = f"{counted} images beside the {len(read.files)} {kinds} are not read: keep one kind"
-    return (f"{folder}: {line}",)
+    return (f"{read.files[0].parent}: {line}",)
 
 
 def color_images(path: Path) -> NamedImages:
@@ -74,12 +76,12 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder contains 16-bit depth and colour, each named by a word; reads one file's header."""
+    """Whether a folder contains 16-bit depth and colour, each named by a word; reads headers of depth."""
     if not path.is_dir():
         return False
-    depth = next(listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"}))), None)
-    color = next(listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES)), None)
-    return depth is not None and color is not None and is_16_bit(depth)
+    depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
+    color = listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES))
+    return any(color) and any(map(is_16_bit, depth))
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
@@ -94,7 +96,8 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
-        ((_without(word, file.stem), file) for file in files), key=lambda each: counting_key(each[0])
+        ((_without(word, file.stem), file) for file in files),
+        key=lambda each: (counting_key(each[0]), each[1].name),
     )
     return NamedImages(tuple(file for _, file in named), tuple(stem for stem, _ in named))
 

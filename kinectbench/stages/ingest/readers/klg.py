@@ -87,6 +87,7 @@ class KlgRecording(PackedRecording):
     """
 
     format: ClassVar[str] = "klg"
+    uses: ClassVar[frozenset[str]] = frozenset({"swap_red_blue"})
     looks_for: ClassVar[str] = "a .klg file of ElasticFusion"
     suffixes: ClassVar[tuple[str, ...]] = (".klg",)
 
@@ -137,14 +138,12 @@ class KlgRecording(PackedRecording):
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
     """The frames, with counted stamps if theirs are no times; their order, each stamp once; and warnings."""
-    warnings, why = [], no_times([frame.stamp_ns for frame in frames])
+    counted, why = [], no_times([frame.stamp_ns for frame in frames])
     if why:
         frames = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]
-        warnings.append(f"{path}: its stamps are no times ({why}); its frames are counted instead")
-    order, repeated = first_by_stamp([frame.stamp_ns for frame in frames])
-    if repeated:
-        warnings.append(f"{path}: {repeated} frames repeat a stamp and were left out")
-    return frames, order, warnings
+        counted.append(f"{path}: its stamps are no times ({why}); its frames are counted instead")
+    order, warnings = first_by_stamp([frame.stamp_ns for frame in frames], str(path), "frames")
+    return frames, order, [*counted, *warnings]
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:

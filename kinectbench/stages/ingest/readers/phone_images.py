@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.types import Float64
-from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png, image_header
+from kinectbench.stages.ingest.images import (
+    DamagedImageError,
+    OddImageError,
+    decode_color_bgr,
+    encode_png,
+    image_header,
+)
 from kinectbench.stages.ingest.intrinsics import Intrinsics
 from kinectbench.stages.ingest.recording import FileRecording, read_image_file
 
@@ -59,24 +65,46 @@ class PhoneRecording(FileRecording):
         suffix, *size_px = image_header(data, str(file))
         if size_px == [self.camera.width, self.camera.height]:
             return suffix, data
-        return self.shrunk(decode_color_bgr(data, str(file)))
+        return self.shrunk(decode_color_bgr(data, str(file)), str(file))
 
-    def shrunk(self, bgr: NDArray[np.uint8]) -> tuple[str, bytes]:
+    def shrunk(self, bgr: NDArray[np.uint8], name: str) -> tuple[str, bytes]:
         """Average colour (height, width, 3) over the pixels of depth, and encode it as PNG."""
-        return shrunk_png(bgr, (self.camera.width, self.camera.height))
+        return shrunk_png(bgr, (self.camera.width, self.camera.height), name)
 
 
-def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int]) -> tuple[str, bytes]:
-    """Average colour (height, width, 3) over the pixels of an image of this size, and encode it as PNG."""
+def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int], name: str) -> tuple[str, bytes]:
+    """Average colour (height, width, 3) over the pixels of an image of this size, and encode it as PNG.
+
+    Raises:
+        OddImageError: the aspect ratios differ.
+    """
     import cv2
 
-    if bgr.shape[1::-1] != size_px:
+    height, width = bgr.shape[:2]
+    if not _same_shape((width, height), size_px):
+        raise OddImageError(
+            f"{name}: colour is {width}x{height}, another shape than depth's {size_px[0]}x{size_px[1]}"
+        )
+    if (width, height) != size_px:
         bgr = np.asarray(cv2.resize(bgr, size_px, interpolation=cv2.INTER_AREA), np.uint8)
     return ".png", encode_png(bgr)
 
 
-def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> Intrinsics:
-    """Scale colour's intrinsics (3, 3) to depth's size; pixel centres are integers, image edges coincide."""
+def scaled_to_depth(
+    K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int], path: Path
+) -> Intrinsics:
+    """Scale colour's intrinsics (3, 3) to depth's size, if both images have the same aspect ratio.
+
+    Pixel centres are integers, and the edges of both images coincide.
+
+    Raises:
+        RecordingError: the aspect ratios differ by more than a pixel of depth.
+    """
+    if not _same_shape(color_px, depth_px):
+        raise IntrinsicsError(
+            f"{path}: the intrinsics are for {color_px[0]}x{color_px[1]} images, but the depth images are "
+            f"{depth_px[0]}x{depth_px[1]}, which is another shape: export both again, whole and not turned"
+        )
     x, y = depth_px[0] / color_px[0], depth_px[1] / color_px[1]
     return Intrinsics(
         fx=float(K[0, 0]) * x,
@@ -86,21 +114,10 @@ def scaled(K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int]) -> 
     )
 
 
-def scaled_to_depth(
-    K: Float64, color_px: tuple[int, int], depth_px: tuple[int, int], path: Path
-) -> Intrinsics:
-    """Scale colour's intrinsics (3, 3) to depth's size, if both images have the same aspect ratio.
-
-    Raises:
-        RecordingError: the aspect ratios differ by more than a pixel of depth.
-    """
-    (width, height), fits = color_px, min(color_px) > 0
-    if not fits or abs(width * depth_px[1] / height - depth_px[0]) > 1:
-        raise IntrinsicsError(
-            f"{path}: the intrinsics are for {width}x{height} images, but the depth images are "
-            f"{depth_px[0]}x{depth_px[1]}, which is another shape: export depth again, whole and upright"
-        )
-    return scaled(K, color_px, depth_px)
+def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:
+    """Whether two images have the same aspect ratio, to a pixel of depth."""
+    (width, height), (depth_width, depth_height) = color_px, depth_px
+    return min(color_px) > 0 and abs(width * depth_height / height - depth_width) <= 1
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:

@@ -43,6 +43,7 @@ class PolycamRecording(PhoneRecording):
     """A folder of Polycam's raw data; its optimised poses are used if present."""
 
     format: ClassVar[str] = "polycam"
+    uses: ClassVar[frozenset[str]] = frozenset({"min_confidence"})
     looks_for: ClassVar[str] = "a folder with keyframes/depth and keyframes/cameras or corrected_cameras"
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
 

@@ -20,9 +20,8 @@ from kinectbench.stages.ingest.recording import FrameFiles, first_file
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
-# Number of values in a row: stamp, position and quaternion; the same and an id; matrix without and with its
-# last row.
-STAMPED, WITH_ID, KITTI, MATRIX = 8, 9, 12, 16
+# Number of values in a row: stamp, position, quaternion and an id; matrix without and with its last row.
+WITH_ID, KITTI, MATRIX = 9, 12, 16
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
@@ -196,7 +195,7 @@ def read_pose_folder(
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
-    matrices = [_read(folder / f"{frame.depth.stem}.txt", place) for frame in files]
+    matrices = [read_pose_matrix(folder / f"{frame.depth.stem}.txt", place) for frame in files]
     return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
 
 
@@ -209,7 +208,12 @@ def finite_trajectory(
     return trajectory_from_matrices(stamps_ns, matrices, name)
 
 
-def _read(file: Path, T_camera_depth: Float64) -> Float64 | None:
+def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
+    """The pose (4, 4) of the depth camera, from a file with that of the camera it lies to; None if missing.
+
+    Raises:
+        RecordingError: the file does not contain 16 numbers.
+    """
     if not file.is_file():
         return None
     T = read_matrix(file, 4)

@@ -67,6 +67,7 @@ class Record3dRecording(Recording):
     """
 
     format: ClassVar[str] = "record3d"
+    uses: ClassVar[frozenset[str]] = frozenset({"min_confidence"})
     looks_for: ClassVar[str] = "a .r3d file of Record3D (needs kinectbench[record3d])"
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     suffixes: ClassVar[tuple[str, ...]] = (".r3d",)
@@ -136,7 +137,7 @@ class Record3dRecording(Recording):
         return (
             (suffix, data)
             if tuple(found_px) == size_px
-            else shrunk_png(decode_color_bgr(data, name), size_px)
+            else shrunk_png(decode_color_bgr(data, name), size_px, name)
         )
 
 

@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.intrinsics import Intrinsics
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.folder import DEPTH_SCALE, PRIMESENSE
-from kinectbench.stages.ingest.recording import RawFrame, Recording, first_whole, tried
+from kinectbench.stages.ingest.recording import COLOR_DELAY, RawFrame, Recording, first_whole, tried
 
 # Images are named by a number of seven digits and a stamp of twelve in microseconds, such as
 # depth/0000002-000000033369.png of scan 00033 of redwood-3dscan; numbers of up to nine digits are accepted.
@@ -44,6 +44,7 @@ class RedwoodZipRecording(Recording):
     """
 
     format: ClassVar[str] = "redwood_zip"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = "a .zip of Redwood's scans: depth/0000001-000000000000.png and rgb/"
     suffixes: ClassVar[tuple[str, ...]] = (".zip",)
 

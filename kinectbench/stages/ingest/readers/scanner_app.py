@@ -19,7 +19,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
-    scaled,
+    scaled_to_depth,
 )
 from kinectbench.stages.ingest.recording import (
     Evidence,
@@ -39,6 +39,7 @@ class ScannerAppRecording(PhoneRecording):
     """A folder of 3D Scanner App; only some frames have colour."""
 
     format: ClassVar[str] = "scanner_app"
+    uses: ClassVar[frozenset[str]] = frozenset({"min_confidence"})
     looks_for: ClassVar[str] = "a folder with depth_00000.png and frame_00000.json (conf_, frame_*.jpg)"
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
     evidence: ClassVar[Evidence] = "copy"
@@ -67,7 +68,8 @@ class ScannerAppRecording(PhoneRecording):
         size_px = first_depth_size(files)
         K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
         color_px = first_color_size(files) or COLOR_PX
-        recorded = scaled(np.full((3, 3), np.nan) if K is None else K, color_px, size_px)
+        K = np.full((3, 3), np.nan) if K is None else K
+        recorded = scaled_to_depth(K, color_px, size_px, path)
         trajectory, lost, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
         )

@@ -19,7 +19,13 @@ from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intri
 from kinectbench.stages.ingest.readers.folder import pair_files
 from kinectbench.stages.ingest.readers.folder_images import color_images, in_folder
 from kinectbench.stages.ingest.readers.pose_files import read_pose_folder
-from kinectbench.stages.ingest.recording import FileRecording, first_color_size, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import (
+    COLOR_DELAY,
+    FileRecording,
+    first_color_size,
+    first_depth_size,
+    first_file,
+)
 
 DEPTH_SCALE = 1000.0
 
@@ -28,6 +34,7 @@ class ScannetFolderRecording(FileRecording):
     """One exported scene of ScanNet; frame numbers count as seconds."""
 
     format: ClassVar[str] = "scannet"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = "a folder with depth/0.png and intrinsic/intrinsic_depth.txt (color/, pose/)"
 
     @classmethod

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
-from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
+from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
+from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed_paths, read_head
 from kinectbench.settings.models import CameraSettings
@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.intrinsics import (
     rig_calibration,
     scale_warnings,
 )
+from kinectbench.stages.ingest.readers.pose_files import read_pose_matrix
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
     Evidence,
@@ -68,12 +69,14 @@ class ScannetRig:
         depth: intrinsics of the depth camera.
         color: calibration of colour relative to depth, or None if missing.
         registered: whether colour is registered to depth, whatever the file states.
+        T_rig_depth: (4, 4), depth camera to the rig, whose poses are recorded, metres.
     """
 
     file: Path
     depth: Intrinsics
     color: ColorCalibration | None = None
     registered: bool = False
+    T_rig_depth: Float64 = field(default_factory=lambda: np.eye(4))
 
 
 class SevenScenesRecording(FileRecording):
@@ -105,19 +108,18 @@ class SevenScenesRecording(FileRecording):
             for stamp_ns, file in zip(stamps_ns, depth, strict=True)
         )
         size_px = first_depth_size(files)
-        poses = [_beside(file, "pose.txt") for file in depth]
-        trajectory, warnings, error = read_given(
-            lambda: trajectory_from_matrices(
-                stamps_ns, [read_matrix(f, 4) if f.is_file() else None for f in poses], str(path)
-            )
-        )
         camera_file = _camera_file(path)
-        rig = _read_rig(camera_file, first_color_size(files) or (0, 0), size_px)
+        rig, assumed = _read_rig(camera_file, first_color_size(files) or (0, 0), size_px), list[str]()
         if rig is None:
             rig, assumed = _default_rig(path, files, size_px, settings)
-            warnings = [*assumed, *warnings]
         elif settings.fx is None:
             check_focal_lengths(rig.depth, size_px, rig.file)
+        poses, T_rig_depth = [_beside(file, "pose.txt") for file in depth], rig.T_rig_depth
+        trajectory, warnings, error = read_given(
+            lambda: trajectory_from_matrices(
+                stamps_ns, [read_pose_matrix(file, T_rig_depth) for file in poses], str(path)
+            )
+        )
         intrinsics = rig.depth.overridden_by(settings)
         camera = intrinsics.camera(size_px, rig.file)
         registered = rig.registered or (rig.color is not None and rig.color.lies_on(camera))
@@ -133,6 +135,7 @@ class SevenScenesRecording(FileRecording):
             warnings=(
                 *without_color(path, files),
                 *scale_warnings(path, rig.depth.depth_scale, settings),
+                *assumed,
                 *warnings,
             ),
         )
@@ -178,8 +181,7 @@ def _default_rig(
     """The data set's Kinect; with a warning, unless the settings give a camera or it is 7-Scenes itself."""
     if size_px != (KINECT.width, KINECT.height):
         return ScannetRig(path, Intrinsics()), []
-    is_given = None not in (settings.fx, settings.fy, settings.cx, settings.cy)
-    if is_given or _marks_holes(files):
+    if settings.gives_intrinsics or _marks_holes(files):
         return ScannetRig(path, KINECT), []
     return ScannetRig(path, KINECT), [
         f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
@@ -233,15 +235,17 @@ def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
     depth = Intrinsics.of_matrix(K, scale)
     if width and height:
         depth = replace(depth, width=int(width), height=int(height))
-    K_color = _matrix(rows, "calibrationColorIntrinsic")
-    if K_color is None:
-        return ScannetRig(file, depth)
     color_place, depth_place = (
         np.eye(4) if place is None else place
         for place in (_matrix(rows, f"calibration{name}Extrinsic") for name in ("Color", "Depth"))
     )
+    T_rig_depth = rigid_or_none(depth_place)
+    rig = ScannetRig(file, depth, T_rig_depth=np.eye(4) if T_rig_depth is None else T_rig_depth)
+    K_color = _matrix(rows, "calibrationColorIntrinsic")
+    if K_color is None:
+        return rig
     color = Intrinsics.of_matrix(K_color)
-    return ScannetRig(file, depth, rig_calibration(color, color_px, color_place, depth_place, file.parent))
+    return replace(rig, color=rig_calibration(color, color_px, color_place, depth_place, file.parent))
 
 
 def _matrix(rows: dict[str, tuple[str, list[str]]], key: str) -> Float64 | None:

@@ -1,7 +1,6 @@
 """Folders of StrayScanner: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
 
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,15 +16,20 @@ from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, tex
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
 from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.readers.phone_images import COLOR_PX, GRAVITY_UP, PhoneRecording, scaled
+from kinectbench.stages.ingest.readers.phone_images import (
+    COLOR_PX,
+    GRAVITY_UP,
+    PhoneRecording,
+    scaled_to_depth,
+)
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
 
 if TYPE_CHECKING:
     from cv2 import VideoCapture
 
 DEPTH_SCALE = 1000.0
-NUMBER = re.compile(r"\d{1,9}")
 # An MP4 starts with a box: four bytes of length and this name.
 MP4_HEAD = b"\0\0\0\0ftyp"
 # Makes FFmpeg within OpenCV print nothing (av_log's AV_LOG_QUIET).
@@ -72,6 +76,7 @@ class StrayScannerRecording(PhoneRecording):
     """
 
     format: ClassVar[str] = "stray"
+    uses: ClassVar[frozenset[str]] = frozenset({"min_confidence"})
     looks_for: ClassVar[str] = "a folder with odometry.csv, camera_matrix.csv, depth/000000.png (rgb.mp4)"
     up_world: ClassVar[tuple[float, float, float] | None] = GRAVITY_UP
 
@@ -86,14 +91,13 @@ class StrayScannerRecording(PhoneRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read odometry.csv, and keep the frames with depth."""
-        depth = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
+        depth = {int(f.stem): f for f in (path / "depth").glob("*.png") if FRAME_NUMBER.fullmatch(f.stem)}
         rows = _read_odometry(path / "odometry.csv")
         paired = [(number, row) for number, row in rows if number in depth]
         if not paired:
             raise RecordingError(f"{path}: no row of odometry.csv names an image in depth/", what="no-frame")
         alone = len(depth.keys() - {number for number, _ in paired})
-        order, repeated = first_by_stamp([row.stamp_ns for _, row in paired])
-        warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
+        order, warnings = first_by_stamp([row.stamp_ns for _, row in paired], str(path), "rows")
         if alone:
             warnings.append(f"{path}: {alone} depth images have no row in odometry.csv and were left out")
         numbers = tuple(paired[i][0] for i in order)
@@ -105,7 +109,7 @@ class StrayScannerRecording(PhoneRecording):
         if color_px is None:
             warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
         K = read_matrix(path / "camera_matrix.csv", 3)
-        intrinsics = scaled(K, color_px or COLOR_PX, size_px).overridden_by(settings)
+        intrinsics = scaled_to_depth(K, color_px or COLOR_PX, size_px, path).overridden_by(settings)
         poses = [row for _, row in paired]
         trajectory, pose_warnings, error = read_given(lambda: trajectory_from_poses(poses, str(path)))
         return cls(
@@ -131,7 +135,7 @@ class StrayScannerRecording(PhoneRecording):
         bgr = self.video.frame(number)
         if bgr is None:
             raise DamagedImageError(f"{self.video.path}: has no frame {number}; the video is cut off")
-        return self.shrunk(bgr)
+        return self.shrunk(bgr, f"{self.video.path}, frame {number}")
 
 
 def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
@@ -149,7 +153,7 @@ def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
         if len(words) != len(names):
             raise RecordingError(f"{where}: holds {len(words)} values, not {len(names)}")
         values = dict(zip(names, words, strict=True))
-        if not NUMBER.fullmatch(values["frame"]):
+        if not FRAME_NUMBER.fullmatch(values["frame"]):
             raise RecordingError(f"{where}: '{printable(values['frame'])}' is not a frame number")
         numbers = parse_floats([values[name] for name in COLUMNS[2:]], where)
         stamp_ns = parse_stamp_ns(values["timestamp"], where)

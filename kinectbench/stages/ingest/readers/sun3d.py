@@ -4,23 +4,31 @@ By SUN3D's own reader: depth is in mm with rotated bits, on colour's pixels; the
 has three rows of four numbers for each colour image, camera to world.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import read_given
 from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
+from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names, times_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.readers.folder_images import COLOR_SUFFIXES, in_folder
 from kinectbench.stages.ingest.readers.pose_files import finite_trajectory
-from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, first_depth_size, visible
+from kinectbench.stages.ingest.recording import (
+    COLOR_DELAY,
+    FileRecording,
+    FrameFiles,
+    first_depth_size,
+    visible,
+)
 
 DEPTH_SCALE = 1000.0
 # Numbers of a pose in extrinsics/: three rows of a 4x4 matrix.
@@ -31,6 +39,7 @@ class Sun3dRecording(FileRecording):
     """One sequence of SUN3D; image names contain the stamps."""
 
     format: ClassVar[str] = "sun3d"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = "a folder with image/, depth/0000001-000000000000.png and extrinsics/*.txt"
     often_rotated: ClassVar[bool] = True
 
@@ -45,46 +54,93 @@ class Sun3dRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Pair depth with colour by their stamps, and read the newest poses."""
-        depth, depth_ns = _by_stamp(path / "depth", frozenset({".png"}))
-        color, color_ns = _by_stamp(path / "image", COLOR_SUFFIXES)
-        if not depth:
+        depth = _by_stamp(path / "depth", frozenset({".png"}))
+        color = _by_stamp(path / "image", COLOR_SUFFIXES)
+        if not depth.files:
             raise RecordingError(
                 f"{path / 'depth'}: holds no PNG image; copy the sequence again", what="no-depth"
             )
-        partners = pair_by_time(depth_ns, color_ns, delay_s=settings.color_delay_s, where=str(path))
+        if color.files and depth.timed != color.timed:
+            raise RecordingError(
+                f"{path}: only one of depth/ and image/ has times in its names; name both as SUN3D does, "
+                "0000001-000000000000",
+                what="unpaired",
+            )
+        order, repeated = first_by_stamp(depth.stamps_ns, str(path / "depth"), "images")
+        color_order, color_repeated = first_by_stamp(color.stamps_ns, str(path / "image"), "images")
+        partners = pair_by_time(
+            [depth.stamps_ns[i] for i in order],
+            [color.stamps_ns[j] for j in color_order],
+            delay_s=settings.color_delay_s,
+            where=str(path),
+        )
         files = tuple(
-            FrameFiles(stamp_ns, file, None if partner is None else color[partner])
-            for stamp_ns, file, partner in zip(depth_ns, depth, partners.of_depth, strict=True)
+            FrameFiles(
+                depth.stamps_ns[i],
+                depth.files[i],
+                None if partner is None else color.files[color_order[partner]],
+            )
+            for i, partner in zip(order, partners.of_depth, strict=True)
         )
         size_px = first_depth_size(files)
         recorded = read_intrinsics_matrix(path / "intrinsics.txt")
         if settings.fx is None:
             check_focal_lengths(recorded, size_px, path / "intrinsics.txt")
         intrinsics = recorded.overridden_by(settings)
-        trajectory, warnings, error = read_given(lambda: _read_poses(path, color_ns, depth_ns))
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, color.stamps_ns, depth.stamps_ns))
         return cls(
             path=path,
             places=files,
             camera=intrinsics.camera(size_px, path),
             depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
             color_registered=any(file.color for file in files),
-            recorded=(tuple(depth_ns), tuple(color_ns)),
+            recorded=(depth.stamps_ns, color.stamps_ns),
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*partners.warnings, *warnings),
+            warnings=(*repeated, *color_repeated, *partners.warnings, *warnings),
         )
 
 
-def _by_stamp(folder: Path, suffixes: frozenset[str]) -> tuple[list[Path], list[int]]:
-    """The images of a folder sorted by stamp, and their stamps, nanoseconds."""
+class _Stream(NamedTuple):
+    """The images of a folder sorted by stamp; stamps, nanoseconds, a few of which may repeat.
+
+    Attributes:
+        files: the images.
+        stamps_ns: their stamps.
+        timed: whether the stamps are times in the names, and not counted.
+    """
+
+    files: tuple[Path, ...]
+    stamps_ns: tuple[int, ...]
+    timed: bool
+
+
+def _by_stamp(folder: Path, suffixes: frozenset[str]) -> _Stream:
+    """List the images of a folder by stamp."""
     files = in_folder(folder, suffixes).files
-    stamps_ns = stamps_of_names([file.stem for file in files])
-    rows = sorted(zip(stamps_ns, files, strict=True), key=lambda row: row[0])
-    return [file for _, file in rows], [stamp_ns for stamp_ns, _ in rows]
+    stems = [file.stem for file in files]
+    first: dict[str, str] = {}
+    for stem in stems:
+        first.setdefault(_stamp_text(stem), stem)
+    times_ns = times_of_names(list(first.values())) if 2 * len(first) > len(stems) else None
+    if times_ns is None:
+        stamps_ns = stamps_of_names(stems)
+    else:
+        at = dict(zip(first, times_ns, strict=True))
+        stamps_ns = [at[_stamp_text(stem)] for stem in stems]
+    order = sorted(range(len(files)), key=stamps_ns.__getitem__)
+    return _Stream(
+        tuple(files[i] for i in order), tuple(stamps_ns[i] for i in order), timed=times_ns is not None
+    )
+
+
+def _stamp_text(stem: str) -> str:
+    match = NUMBER_AND_STAMP.fullmatch(stem)
+    return match[2] if match else stem
 
 
 def _read_poses(
-    path: Path, color_ns: list[int], depth_ns: list[int]
+    path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """The poses in the newest file: one per colour image, or per depth image if their numbers match.
 
@@ -104,5 +160,6 @@ def _read_poses(
             what="pose-count",
         )
     rows = numbers.reshape(poses, 3, 4)
-    matrices = [np.vstack([row, [0, 0, 0, 1]]) for row in rows]
-    return finite_trajectory(stamps_ns, matrices, str(files[-1]))
+    order, _ = first_by_stamp(stamps_ns, str(files[-1]), "poses")
+    matrices = [np.vstack([rows[i], [0, 0, 0, 1]]) for i in order]
+    return finite_trajectory([stamps_ns[i] for i in order], matrices, str(files[-1]))

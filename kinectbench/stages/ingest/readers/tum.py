@@ -24,6 +24,7 @@ from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_li
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.pose_files import unread_poses
 from kinectbench.stages.ingest.recording import (
+    COLOR_DELAY,
     Evidence,
     FileRecording,
     FrameFiles,
@@ -44,6 +45,7 @@ class TumRecording(FileRecording):
     """
 
     format: ClassVar[str] = "tum"
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY
     looks_for: ClassVar[str] = "a folder with depth.txt (and rgb.txt, groundtruth.txt, camera.json)"
     evidence: ClassVar[Evidence] = "copy"
     verified: ClassVar[str] = "fr3/cabinet and fr1/xyz (TUM, CC BY 4.0)"
@@ -160,6 +162,5 @@ def _in_order(
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
     """Rows sorted by stamp, each stamp once; the stamps as listed; and warnings."""
     stamps_ns = [stamp for stamp, _ in rows]
-    order, repeated = first_by_stamp(stamps_ns)
-    warnings = [f"{path}: {repeated} rows repeat an earlier stamp and were left out"] if repeated else []
+    order, warnings = first_by_stamp(stamps_ns, str(path), "rows")
     return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]

@@ -5,7 +5,6 @@ numbers by columns; a line of cam_poses.txt has a frame's number and its 4x4 mat
 in OpenCV's axes.
 """
 
-import re
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -18,6 +17,7 @@ from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics import read_matrix_json
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -29,7 +29,6 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
-NUMBER = re.compile(r"\d{1,9}")
 
 
 class WildRgbdRecording(FileRecording):
@@ -47,7 +46,9 @@ class WildRgbdRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the depth images by number, with colour and mask of the same number."""
-        depth_files = {int(f.stem): f for f in (path / "depth").glob("*.png") if NUMBER.fullmatch(f.stem)}
+        depth_files = {
+            int(f.stem): f for f in (path / "depth").glob("*.png") if FRAME_NUMBER.fullmatch(f.stem)
+        }
         if not depth_files:
             raise RecordingError(
                 f"{path / 'depth'}: holds no image 00000.png; copy the scene again", what="no-depth"

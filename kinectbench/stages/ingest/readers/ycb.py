@@ -63,6 +63,7 @@ class YcbRecording(FileRecording):
     """The images of an object by one camera; the world turns with the table; angles count seconds."""
 
     format: ClassVar[str] = "ycb"
+    uses: ClassVar[frozenset[str]] = frozenset({"sensor"})
     looks_for: ClassVar[str] = (
         "a folder with NP1_0.h5 and calibration.h5 (NP1_0.jpg, poses/; needs kinectbench[ycb])"
     )
